@@ -28,6 +28,7 @@ def shown(value: object) -> str:
 #: Library, as it is imported, and the extra that brings it: of lipservo, or of the one named.
 EXTRA_OF = {
     "gruut": "lipservo[align]",
+    "gruut_lang_en": "lipservo[align]",
     "pocketsphinx": "lipservo[align]",
     "torch": "lipservo-lab[train]",
     "trimesh": "lipservo-lab[scans]",

@@ -98,6 +98,14 @@ Phonemes = Annotated[
         show_default=False,
     ),
 ]
+SaidText = Annotated[
+    str,
+    typer.Option(
+        "--text",
+        help="What the file says, in English: followed in its sound. Or @FILE.",
+        show_default=False,
+    ),
+]
 Listen = Annotated[
     str | None,
     typer.Option(

@@ -14,6 +14,7 @@ from lipsync.audio.playout import Playout
 from lipsync.audio.source import AudioSource
 from lipsync.face.frame import Synthesizer
 from lipsync.recognition.recognizers import make_recognizer, no_recognizer
+from lipsync.text_to_speech.pronunciation import pronounced
 
 #: In place of who listens, of what it has learned and of the strategy, where all was rendered.
 _NOBODY: Final = "none"
@@ -43,6 +44,8 @@ class FaceSpeech:
                 motion.engine, timer_s, motion.weights, motion.recognizer_latency_s
             )
             synthesizer = make_synthesizer(face.model, motion, requested.request.model)
+            if text := requested.request.sound.text:
+                self.recognizer.tell(pronounced(text))
         else:
             self.recognizer = no_recognizer()
         self.source = source
@@ -79,6 +82,7 @@ class FaceSpeech:
             fallback_level=len(self.recognizer.reasons),
             fallback_reasons=self.recognizer.reasons,
             hears=speech.hears,
+            moved_by=speech.moved_by,
             settings={
                 **{name: settings.get(name, value) for name, value in asked.items()},
                 **({} if speech.lip_gap is None else {LIP_GAP_OFFSET: speech.lip_gap.wanted_mm}),

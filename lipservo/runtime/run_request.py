@@ -29,17 +29,21 @@ class Sound:
     """Which sound a face is to hear, or to say.
 
     name: a file's path, a microphone by number or name, or the text. language: of the text.
-    phonemes: a file of what is said when; without one it is recognised. Raises RequestError.
+    phonemes: a file of what is said when; text: what a file says, in English, to be found in it;
+    without both it is recognised. Raises RequestError.
     """
 
     kind: Literal["clip", "file", "microphone", "silence", "text"]
     name: str = ""
     language: str = ""
     phonemes: str = ""
+    text: str = ""
 
     def __post_init__(self) -> None:
         if self.phonemes and self.kind != "file":
             raise RequestError("--phonemes goes with --wav")
+        if self.text and (self.kind != "file" or self.phonemes):
+            raise RequestError("--text goes with a sound file, and without --phonemes")
         if self.language and self.kind != "text":
             raise RequestError("--language goes with a text")
 

@@ -15,6 +15,9 @@ from lipsync.timeline import PhonemeTimeline
 #: How often a microphone is asked for what has come.
 _ASK_EVERY_S = 0.02
 
+#: What is followed in a text is settled so much later than what is heard.
+_TAIL_S = 0.15
+
 
 def settled_events(source: AudioSource, recognizer: FallbackRecognizer) -> Iterator[PhonemeEvent]:
     """Every phoneme of the source with its start and end, as soon as its end is settled.
@@ -28,7 +31,7 @@ def settled_events(source: AudioSource, recognizer: FallbackRecognizer) -> Itera
     end_s = math.inf if length_s is None else length_s
     timeline, told_until_s, heard_s = PhonemeTimeline(), 0.0, 0.0
     with sound:
-        while heard_s < end_s + recognizer.latency_s + 2 * BLOCK_S:
+        while heard_s < end_s + recognizer.latency_s + _TAIL_S:
             heard_s = math.inf if length_s is None else heard_s + BLOCK_S
             step = stream.feed(ahead.blocks(heard_s))
             if length_s is None:

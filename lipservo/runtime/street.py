@@ -38,7 +38,9 @@ class Street:
             self.side.note_servos(feedback.time_s, feedback.positions_deg)
         sound_s, phoneme, frame = self.side.shown(time_s)
         captured_s = self.speech.captured_s(time_s)
-        return StreetTick(sound_s, phoneme, frame, report, captured_s, self.speech.hears)
+        return StreetTick(
+            sound_s, phoneme, frame, report, captured_s, self.speech.hears, self.speech.moved_by
+        )
 
     def rest(self, time_s: float, late: int) -> StreetTick:
         """The same once the face is stopped: nothing is heard any more, the mouth goes to rest."""

@@ -149,6 +149,7 @@ def _record_of(number: int, tick: StreetTick) -> dict[str, object]:
         "sound_s": round(tick.sound_s, 6),
         "phoneme": tick.phoneme,
         "hears": tick.hears,
+        "moved_by": tick.moved_by,
         "coefficients": _rounded(tick.coefficients.tolist()),
         "wanted_deg": _rounded(report.wanted_deg.tolist()),
         "sent_deg": _rounded(report.sent_deg.tolist()),

@@ -31,6 +31,8 @@ from lipsync.phonemes import (
 )
 from lipsync.recognition.energy_recognizer import NeutralRecognizer
 from lipsync.recognition.streaming import PreparingRecognizer
+from lipsync.recognition.text_decoder import MovedBy, TextFollower
+from lipsync.text_to_speech.pronunciation import PronouncedWord
 
 #: So much sound may wait for a recogniser without being called a backlog.
 _BACKLOG_S = 0.3
@@ -122,6 +124,7 @@ class LadderLevel:
         self.pace = Pace()
         self._recognizer = recognizer
         self._listener = recognizer if isinstance(recognizer, Listener) else None
+        self._follower = recognizer if isinstance(recognizer, TextFollower) else None
         self._offset_s = 0.0
         #: Whether silence has lasted for a while, by the newest update.
         self.is_pause = True
@@ -148,6 +151,22 @@ class LadderLevel:
         """The robot's servos turned so fast; nothing for one that cannot use it."""
         if isinstance(self._recognizer, ServoListener):
             self._recognizer.note_servo_speeds(sound_s - self._offset_s, speeds_deg_s)
+
+    @property
+    def moved_by(self) -> MovedBy | None:
+        """Whether what is settled now was found in a text, or heard."""
+        return self._follower.moved_by if self._follower is not None else "sound"
+
+    def tell(self, words: Sequence[PronouncedWord]) -> None:
+        """What is said next, in sound time; nothing for one that follows no text."""
+        if self._follower is not None:
+            offset_s = self._offset_s
+            self._follower.tell(
+                [
+                    each if each.start_s is None else replace(each, start_s=each.start_s - offset_s)
+                    for each in words
+                ]
+            )
 
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
         """Work on blocks that will be fed next; nothing for one that cannot."""
@@ -334,6 +353,18 @@ class FallbackRecognizer:
     def hears(self) -> Hearing | None:
         """What the level in use believes about the sound; None where it does not say."""
         return self._level.hears
+
+    @property
+    def moved_by(self) -> MovedBy | None:
+        """Whether what is settled now was found in a text, or heard."""
+        return self._level.moved_by
+
+    def tell(self, words: Sequence[PronouncedWord]) -> None:
+        """What is said next, after all that was told; to the level in use, until it is left.
+
+        Raises TextError for too many words.
+        """
+        self._level.tell(words)
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
         """Pass it to the level in use, and to the one that is tried; never raises for them."""

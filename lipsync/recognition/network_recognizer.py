@@ -21,6 +21,8 @@ from lipsync.recognition.network import LATENCY_S, NetworkWeights, find_weights
 from lipsync.recognition.own_noise import OwnNoise
 from lipsync.recognition.posteriors import PosteriorStream
 from lipsync.recognition.streaming import AudioInput, UpdateBuilder
+from lipsync.recognition.text_decoder import FOLLOWING, HEARD, MovedBy, TextDecoder
+from lipsync.text_to_speech.pronunciation import PronouncedWord
 
 #: The window of the newest frame ends 25 ms after its start.
 _WINDOW_S = 0.025
@@ -32,6 +34,10 @@ _NOISE_LASTS_S = 0.5
 
 class NetworkRecognizer:
     """A `PreparingRecognizer`; takes any rate and block size, gaps as silence.
+
+    Where words are told it is a `TextFollower`: what it finds of them in the sound is told as soon
+    as what it hears, but settled later, when the network's last head has spoken. A look-ahead waits
+    as long anyway.
 
     latency_s: 25 ms plus so many frames as a head of the network waits, or more. It may revise only
     what is not final. Memory stays bounded as long as `updates` is called.
@@ -48,6 +54,7 @@ class NetworkRecognizer:
         self._delay = frames_of_delay(latency_s)
         has_lookahead = self._delay > weights.delays[0]
         self._settings = settings or (SMOOTH if has_lookahead else QUICK)
+        self._text: TextDecoder | None = None
         least_s = _WINDOW_S + weights.delays[0] / FRAMES_PER_S
         if latency_s < least_s - 1e-9:
             raise ValueError(f"latency_s is {latency_s}; the network needs at least {least_s}")
@@ -72,6 +79,18 @@ class NetworkRecognizer:
         quiet_s = (self._n_heard - self._noticed_at) / FRAMES_PER_S
         return "noise" if quiet_s < self.latency_s + _NOISE_LASTS_S else "silence"
 
+    @property
+    def moved_by(self) -> MovedBy:
+        """Whether what is settled now was found in the text, or heard."""
+        is_text = bool(self._followed) and self._followed[0] != HEARD
+        return "text" if is_text else "sound"
+
+    def tell(self, words: Sequence[PronouncedWord]) -> None:
+        """What is said next, after all that was told. Raises TextError for too many words."""
+        if self._text is None:
+            self._text = TextDecoder(self._posteriors.format, FRAMES_PER_S, self._n_heard)
+        self._text.tell(words)
+
     def reset(self) -> None:
         """Forget everything, ready for a new stream at sound time 0."""
         self._input = AudioInput()
@@ -87,6 +106,8 @@ class NetworkRecognizer:
         self._noticed_at = -(10**9)  # the last frame that a person would have noticed
         self._settled: list[int] = []  # phonemes from the first frame not final on
         self._provisional: list[int] = []  # of the frames after them that a head has spoken about
+        self._text = None
+        self._followed: list[int] = []  # of the same newest frames, as the text has them
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
         """The robot's servos (n_servos,) turned so fast at a sound time: their noise is no voice.
@@ -143,6 +164,8 @@ class NetworkRecognizer:
         # All that the decoder still holds is silence by now.
         self._settled.extend([SILENCE_INDEX] * prepared.n_jumped)
         self._n_heard += prepared.n_jumped
+        if self._text is not None:
+            self._text.jump(prepared.n_jumped)
         self._decode(prepared.sound)
         if prepared.is_noticed:
             self._noticed_at = self._n_heard
@@ -154,10 +177,16 @@ class NetworkRecognizer:
         self._n_reported = self._n_heard
         n_final = self._updates.n_final
         known = self._settled + self._provisional
+        n_later = 0
+        if self._text is not None:
+            n_later = max(0, FOLLOWING.settled_frames - self._delay)
+            for age in range(1, min(len(known), len(self._followed)) + 1):
+                if self._followed[-age] != HEARD:
+                    known[-age] = self._followed[-age]
         # The newest frame's window reaches 15 ms beyond its end; one frame more has been heard.
         n_missing = self._n_heard + 1 - n_final - len(known)
         known += [known[-1] if known else SILENCE_INDEX] * n_missing
-        update = self._updates.update([PHONEMES[index] for index in known])
+        update = self._updates.update([PHONEMES[index] for index in known], n_later)
         del self._settled[: self._updates.n_final - n_final]
         return [update]
 
@@ -173,6 +202,10 @@ class NetworkRecognizer:
             if settled is not None:
                 self._settled.append(settled)
             self._n_heard += 1
+            if self._text is not None:
+                self._followed = self._text.push(frame)
+                if self._text.is_over:
+                    self._text, self._followed = None, []
 
 
 @dataclass(frozen=True, slots=True)

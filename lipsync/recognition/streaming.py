@@ -222,14 +222,15 @@ class UpdateBuilder:
         """How many frames are final; also the number of the first that is not."""
         return self._n_final
 
-    def update(self, phonemes: Sequence[str]) -> PhonemeUpdate:
+    def update(self, phonemes: Sequence[str], n_later: int = 0) -> PhonemeUpdate:
         """The update when `phonemes` are those of the frames from the first not final to now.
 
-        The first event keeps the start it had when the last final frame belongs to it.
+        n_later: so many frames more than usual may still change. The first event keeps the start
+        it had when the last final frame belongs to it.
         """
         runs = self._runs(phonemes)
         replace_from, heard = self._n_final, self._n_final + len(phonemes)
-        self._n_final = max(self._n_final, heard - self._latency_frames)
+        self._n_final = max(self._n_final, heard - self._latency_frames - n_later)
         for phoneme, start in runs:
             if start < self._n_final:
                 self._last_final, self._run_start = phoneme, start

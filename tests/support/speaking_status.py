@@ -13,6 +13,7 @@ SPEECH = SpeechStatus(
     settings={"strength": 0.5},
     delay_ms=226.69,
     hears="speech",
+    moved_by="sound",
     n_phonemes=12,
     n_lost_sound_blocks=1,
     output="USB Audio",

@@ -43,6 +43,7 @@ from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 from lipsync.offline.line_methods import PLANNED_METHODS
 from lipsync.phonemes import LiveRecognizer, PhonemeEvent
 from lipsync.recognition.network import LATENCY_S
+from lipsync.text_to_speech.pronunciation import pronounced
 
 Row = dict[str, object]
 Train = Callable[[Corpus], TrainedModel]
@@ -51,6 +52,8 @@ Track = Callable[[str, list[Utterance]], Iterable[Utterance]]
 #: Compared in the paper's tables, each with its latency.
 _COMPARED: dict[MeasuredEngine, float] = {"network": LATENCY_S, "pocketsphinx": 0.09}
 PHONEMES_TRUE, PHONEMES_RECOGNIZED = "true", "recognized"
+#: Recognised where the words are known beforehand, and followed in the sound.
+PHONEMES_TEXT = "text"
 #: Catmull-Rom through the means of viseme classes, beside the one through recorded examples.
 CLASS_MEANS = "catmull-rom-means"
 #: Sentences that speed is measured on: the first of a split's first part.
@@ -100,8 +103,9 @@ def question(
             methods[name] = replace(method, unit_share=unit_share)
     if strategy is not None and strategy not in methods:
         raise BenchError(f"unknown strategy {strategy!r}; known here: {', '.join(methods)}")
-    if phonemes not in (PHONEMES_TRUE, PHONEMES_RECOGNIZED):
-        raise BenchError(f"unknown phonemes {phonemes!r}; known here: true, recognized")
+    known = (PHONEMES_TRUE, PHONEMES_RECOGNIZED, PHONEMES_TEXT)
+    if phonemes not in known:
+        raise BenchError(f"unknown phonemes {phonemes!r}; known here: {', '.join(known)}")
     try:
         lookaheads_ms = tuple(int(text) for text in lookaheads.split(","))
     except ValueError:
@@ -221,7 +225,9 @@ def _rows(
 ) -> list[Row]:
     """One split: the sums of all its parts together; misses and times of the phonemes heard."""
     scores = Scores()
-    listen = true_phonemes if asked.phonemes == PHONEMES_TRUE else live_listener()
+    listen: Listen = true_phonemes
+    if asked.phonemes != PHONEMES_TRUE:
+        listen = live_listener(with_text=asked.phonemes == PHONEMES_TEXT)
     listeners = []
     for model, part in trained:
         listeners.append(_RememberingListener(listen))
@@ -271,13 +277,18 @@ def _miss_rate(
     return sum(misses for misses, _ in counts) / max(1, sum(total for _, total in counts))
 
 
-def live_listener(engine: MeasuredEngine = "network") -> Callable[[Utterance], Heard]:
-    """What a live recogniser finds in a sentence's sound; made when the first is asked for."""
+def live_listener(
+    engine: MeasuredEngine = "network", *, with_text: bool = False
+) -> Callable[[Utterance], Heard]:
+    """What a live recogniser finds in a sentence's sound; made when the first is asked for.
+
+    with_text: it is told the words beforehand, without their times.
+    """
 
     def listen(utterance: Utterance) -> Heard:
-        return replace(
-            recognize_file(recognizer(), utterance.sound_path), sound_path=utterance.sound_path
-        )
+        said = " ".join(word.text for word in utterance.words) if with_text else ""
+        heard = recognize_file(recognizer(), utterance.sound_path, pronounced(said))
+        return replace(heard, sound_path=utterance.sound_path)
 
     @cache
     def recognizer() -> LiveRecognizer:

@@ -5,8 +5,9 @@ from typing import Annotated, Literal
 
 import typer
 
-from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model
+from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, SaidText
 from lipservo.commands.run.motion_choice import takes_motion
+from lipservo.commands.run.voice_choice import said_text
 from lipservo.runtime.motion_options import ChosenMotion
 from lipservo.terminal.output import MESSAGES, print_json
 from lipsync.errors import UserError
@@ -53,6 +54,7 @@ def export(
             help="TextGrid with a tier `phones`, instead of the recogniser.", show_default=False
         ),
     ] = None,
+    text: SaidText = "",
     shapes: Annotated[
         ShapeSource,
         typer.Option(help="Mouth shapes from the robot's motion, or from Rhubarb's rules."),
@@ -73,6 +75,8 @@ def export(
     from lipservo.commands.run.exported_speech import Exported, exported_text
     from lipsync.output_file import check_output, write_whole
 
+    if text and phonemes is not None:
+        raise UserError("--text goes without --phonemes; give one of the two")
     chosen = _format(output, file_format)
     if chosen != "rhubarb" and output.suffix.lower() == ".csv" and rate_hz != round(rate_hz):
         raise UserError(f"--rate-hz {rate_hz}: a CSV counts whole frames a second; give 30 or 60")
@@ -82,7 +86,9 @@ def export(
         kind="export",
         inputs=[sound, phonemes, model],
     )
-    asked = Exported(chosen, output.suffix.lower(), sound, phonemes, shapes, rate_hz)
+    asked = Exported(
+        chosen, output.suffix.lower(), sound, phonemes, said_text(text), shapes, rate_hz
+    )
     text, about = exported_text(asked, motion, config, model)
     write_whole(output, text)
     if as_json:

@@ -1,7 +1,7 @@
 """The speech of a sound file as the text of an export: phonemes and frames as `replay` has them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -43,18 +43,24 @@ from lipsync.export.weight_track import (
 from lipsync.face.frame import Frame
 from lipsync.face.model import load_face
 from lipsync.phonemes import PhonemeEvent
+from lipsync.recognition.fallback import FallbackRecognizer
 from lipsync.recognition.recognizers import make_recognizer
 from lipsync.recognition.scripted import ScriptedPhonemes, read_phonemes
+from lipsync.text_to_speech.pronunciation import pronounced
 
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """What is exported. ending: of the file, lower case. phonemes: a TextGrid, or None: listen."""
+    """What is exported. ending: of the file, lower case.
+
+    phonemes: a TextGrid, or None: listen, and follow the text if there is one.
+    """
 
     file_format: Literal["rhubarb", "arkit", "ovr"]
     ending: str
     sound: Path
     phonemes: Path | None
+    text: str
     shapes: Literal["motion", "rules"]
     rate_hz: float
 
@@ -63,7 +69,7 @@ class Exported:
 class SpokenSound:
     """A sound file, who says its phonemes, and how they become motion.
 
-    script: a TextGrid, or None: the recogniser listens.
+    script: a TextGrid, or None: the recogniser listens, and follows the text if there is one.
     """
 
     path: Path
@@ -71,6 +77,7 @@ class SpokenSound:
     motion: MotionOptions
     config: str
     model: Path | None
+    text: str = ""
 
     @property
     def duration_s(self) -> float:
@@ -81,15 +88,21 @@ class SpokenSound:
         """The phonemes in order. Raises LabelError for a script, SoundError for a sound."""
         if self.script is not None:
             return list(read_phonemes(self.script))
-        recognizer = make_recognizer(self.motion.engine, None, self.motion.weights)
+        recognizer = self._recognizer()
         return list(settled_events(FileSource(self.path), recognizer))
+
+    def _recognizer(self) -> FallbackRecognizer:
+        """Told the text. Raises PronunciationError."""
+        recognizer = make_recognizer(self.motion.engine, None, self.motion.weights)
+        recognizer.tell(pronounced(self.text))
+        return recognizer
 
     def frames(self, times_s: Sequence[float] | Array) -> list[Frame]:
         """The faces of ascending sound times, as the robot shows them."""
         face = assemble_face(self.config, self.model)
         synthesizer = make_synthesizer(face.model, self.motion, self.model)
         script = None if self.script is None else ScriptedPhonemes(read_phonemes(self.script))
-        recognizer = make_recognizer(self.motion.engine, None, self.motion.weights)
+        recognizer = self._recognizer()
         found: list[Frame] = []
         with open_sound(Sound("file", str(self.path))) as source:
             speech = Speech(
@@ -135,7 +148,8 @@ def exported_text(
     asked: Exported, chosen: ChosenMotion, config: str, model: Path | None
 ) -> tuple[str, dict[str, object]]:
     """What the file holds, and in a few words what that is. Raises UserError."""
-    spoken = spoken_sound(asked.sound, asked.phonemes, chosen, config, model)
+    heard = spoken_sound(asked.sound, asked.phonemes, chosen, config, model)
+    spoken = replace(heard, text=asked.text)
     duration_s = spoken.duration_s
     if asked.file_format == "rhubarb":
         is_motion = asked.shapes == "motion"

@@ -29,6 +29,7 @@ from lipservo.commands.options import (
     Port,
     Quiet,
     Rate,
+    SaidText,
     Sim,
     Sounds,
     TokenFile,
@@ -41,6 +42,7 @@ from lipservo.commands.run.voice_choice import (
     access_file,
     chosen_voice,
     daemons_voice,
+    said_text,
     text_of,
     with_access,
 )
@@ -71,6 +73,7 @@ def run(
     mic: Mic = None,
     play: Play = False,
     phonemes: Phonemes = None,
+    text: SaidText = "",
     config: Config = DEFAULT_FACE,
     model: Model = None,
     osc: Osc = None,
@@ -97,7 +100,7 @@ def run(
         voice = with_access(with_sounds(voice), config, token_file)
     request = RunRequest(
         config,
-        _sound(wav, mic, CLIP, phonemes),
+        _sound(wav, mic, CLIP, phonemes, said_text(text)),
         motion_of(ChosenMotion(), config),
         model=model,
         port=port,
@@ -191,6 +194,7 @@ def daemon(
 def replay(
     *,
     sound: Annotated[Path, typer.Argument(help="Sound file to replay.")],
+    text: SaidText = "",
     config: Config = DEFAULT_FACE,
     model: Model = None,
     trace: Trace = None,
@@ -202,7 +206,7 @@ def replay(
     """Run the street as fast as it goes, on a clock of its own: same file, same trace."""
     request = RunRequest(
         config,
-        Sound("file", str(sound)),
+        Sound("file", str(sound), text=said_text(text)),
         motion_of(motion, config),
         model=model,
         rate_hz=rate_hz,
@@ -241,15 +245,25 @@ def run_once(
 
 
 def _sound(
-    wav: Path | None, mic: str | None, otherwise: Sound, phonemes: Path | None = None
+    wav: Path | None,
+    mic: str | None,
+    otherwise: Sound,
+    phonemes: Path | None = None,
+    text: str = "",
 ) -> Sound:
     if wav is not None and mic is not None:
         raise typer.BadParameter("give --wav or --mic, not both")
     if phonemes is not None and wav is None:
         raise typer.BadParameter("--phonemes goes with --wav")
+    if text and wav is None:
+        raise typer.BadParameter("--text goes with --wav")
     if mic is not None:
         return Sound("microphone", mic)
-    return otherwise if wav is None else Sound("file", str(wav), phonemes=str(phonemes or ""))
+    return (
+        otherwise
+        if wav is None
+        else Sound("file", str(wav), phonemes=str(phonemes or ""), text=text)
+    )
 
 
 def motion_of(chosen: ChosenMotion, config: str) -> MotionOptions:

@@ -8,6 +8,8 @@ import typer
 from lipservo.access.token_file import read_token, runtime_token_file
 from lipservo.runtime.run_request import DEFAULT_OUTPUT, VoiceOptions
 from lipservo.runtime.servos.assembly import load_settings
+from lipsync.errors import UserError
+from lipsync.text_to_speech.pronunciation import LONGEST_TEXT
 
 
 def chosen_voice(*, play: bool, is_needed: bool = False) -> VoiceOptions | None:
@@ -54,3 +56,19 @@ def with_access(voice: VoiceOptions, config: str, token_file: Path | None) -> Vo
 def text_of(path: Path | None) -> str | None:
     """A path as a request carries it."""
     return None if path is None else str(path)
+
+
+def said_text(typed: str) -> str:
+    """What `--text` says: itself, or after an @ the content of a file. Raises UserError."""
+    if not typed.startswith("@"):
+        return typed
+    path = Path(typed[1:])
+    try:
+        with path.open(encoding="utf-8") as file:
+            text = file.read(LONGEST_TEXT + 1)
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not UTF-8"
+        raise UserError(f"{path}: cannot be read as a text ({reason}); name a file") from None
+    if len(text) > LONGEST_TEXT:
+        raise UserError(f"{path}: longer than {LONGEST_TEXT} characters; give a shorter text")
+    return text

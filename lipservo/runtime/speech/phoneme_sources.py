@@ -21,6 +21,7 @@ from lipsync.phonemes import (
 from lipsync.prosody.voice_frame import SILENT_VOICE, VoiceFrame
 from lipsync.prosody.voice_tracker import VoiceTracker
 from lipsync.recognition.streaming import RecognizerStream, SoundAhead
+from lipsync.recognition.text_decoder import MovedBy, TextFollower
 
 #: Ten seconds: more than any delay from sound to face.
 _N_KEPT: Final = 1_000
@@ -61,6 +62,7 @@ class RecognizedPhonemes:
         self._source = source
         self._recognizer = recognizer
         self._listener = recognizer if isinstance(recognizer, Listener) else None
+        self._follower = recognizer if isinstance(recognizer, TextFollower) else None
         self._sound = SoundAhead(source, recognizer)
         self._recognition = RecognizerStream(recognizer)
         self._heard_until_s = 0.0
@@ -79,6 +81,11 @@ class RecognizedPhonemes:
     def hears(self) -> Hearing | None:
         """What is believed about the sound; None where the recogniser does not say."""
         return None if self._listener is None else self._listener.hears
+
+    @property
+    def moved_by(self) -> MovedBy | None:
+        """Whether a text moves the mouth, or what is heard; None where no recogniser says it."""
+        return None if self._follower is None else self._follower.moved_by
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
         """The robot's servos turned so fast; only a device can hear them, a file cannot."""
@@ -114,6 +121,7 @@ class SpokenPhonemes:
         self._playout = playout
         self._recognizer = recognizer
         self._listener = recognizer if isinstance(recognizer, Listener) else None
+        self._follower = recognizer if isinstance(recognizer, TextFollower) else None
         self._recognition = RecognizerStream(recognizer)
 
     @property
@@ -130,6 +138,15 @@ class SpokenPhonemes:
     def hears(self) -> Hearing | None:
         """What is believed about the sound; None where the recogniser does not say."""
         return None if self._listener is None else self._listener.hears
+
+    @property
+    def moved_by(self) -> MovedBy | None:
+        """What moves the mouth; phonemes where the stream brings them."""
+        settled_s = self._playout.committed_s - self.latency_s
+        known = self._playout.known_phonemes(settled_s)
+        if any(start_s <= settled_s < end_s for start_s, end_s, _ in known):
+            return "phonemes"
+        return None if self._follower is None else self._follower.moved_by
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
         """Commit the sound that is due at sound time `until_s`; what became known by it."""

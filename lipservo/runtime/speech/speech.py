@@ -28,6 +28,7 @@ from lipsync.phonemes import (
     PhonemeSource,
     ServoListener,
 )
+from lipsync.recognition.text_decoder import MouthMover, MovedBy
 
 #: The speech side publishes at 100 Hz (architecture.md, Time).
 PUBLISH_PERIOD_S = 0.010
@@ -256,6 +257,11 @@ class Speech:
     def hears(self) -> Hearing | None:
         """What is believed about the sound that was settled last; None: nobody listens."""
         return None if self._listener is None else self._listener.hears
+
+    @property
+    def moved_by(self) -> MovedBy | None:
+        """What moves the mouth, of the sound that was settled last; None: no source says it."""
+        return self._phonemes.moved_by if isinstance(self._phonemes, MouthMover) else None
 
     @property
     def calibration(self) -> Calibration:

@@ -7,6 +7,7 @@ from firmware_bridge.loop.report import TickReport
 from lipsync.arrays import Array
 from lipsync.face.frame import Frame
 from lipsync.phonemes import Hearing
+from lipsync.recognition.text_decoder import MovedBy
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,7 +16,7 @@ class StreetTick:
 
     captured_s: when the sound was captured that the servos were moved by; None before there is one.
     hears: what is believed about the sound that was settled last, which is not shown yet; None:
-    nobody listens.
+    nobody listens. moved_by: what that was known from, sound that was heard, a text or phonemes.
     """
 
     sound_s: float
@@ -24,6 +25,7 @@ class StreetTick:
     report: TickReport
     captured_s: float | None = None
     hears: Hearing | None = None
+    moved_by: MovedBy | None = None
 
     @property
     def coefficients(self) -> Array:

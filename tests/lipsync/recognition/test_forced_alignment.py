@@ -18,14 +18,13 @@ from lipsync.recognition.alignment import (
     DOUBTFUL_SCORE,
     LEAST_SCORE,
     AlignmentError,
-    PronunciationError,
     align,
     goodness_of_pronunciation,
-    pronounce,
     words_of,
 )
 from lipsync.recognition.network import load_weights
 from lipsync.recognition.scripted import read_phonemes
+from lipsync.text_to_speech.pronunciation import PronunciationError, pronounce
 from lipsync.textgrid import read_tier, write_tiers
 
 CLIP_TEXT = CLIP_PATH.with_suffix(".txt").read_text()

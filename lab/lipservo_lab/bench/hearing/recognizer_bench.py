@@ -80,6 +80,20 @@ def measured_recognizer(
     return lambda: NetworkRecognizer(learned, latency_s)
 
 
+def told_texts(
+    utterances: Sequence[TranscribedUtterance], which: Literal["own", "another"] | None
+) -> dict[str, str]:
+    """What the recogniser is told of each utterance, by name; None: nothing.
+
+    another: the text of the utterance half the list away.
+    """
+    if which is None:
+        return {u.name: "" for u in utterances}
+    shift = 0 if which == "own" else max(1, len(utterances) // 2)
+    others = [*utterances[shift:], *utterances[:shift]]
+    return {u.name: other.text.lower() for u, other in zip(utterances, others, strict=True)}
+
+
 class SpeakerGroupError(UserError):
     """Nobody says what kind of voice a speaker has; the message is one line."""
 

@@ -14,6 +14,7 @@ from lipservo.runtime.servos.assembly import Face
 from lipservo.terminal.pictures import save_picture, without_screen
 from lipservo_lab.bench.motion_figures import (
     PHONEMES_RECOGNIZED,
+    PHONEMES_TEXT,
     PHONEMES_TRUE,
     Row,
     Track,
@@ -131,6 +132,7 @@ def reading_rows(
     listeners: dict[str, Listen] = {
         PHONEMES_TRUE: true_phonemes,
         PHONEMES_RECOGNIZED: _RememberingListener(live_listener()),
+        PHONEMES_TEXT: _RememberingListener(live_listener(with_text=True)),
     }
     rows: list[Row] = []
     for part in parts:
@@ -274,7 +276,7 @@ class _RememberingListener:
 
 #: What is drawn into the folder.
 PICTURES = ("readability.png",)
-_COLOURS = {"true": "tab:blue", "recognized": "tab:orange", None: "0.4"}
+_COLOURS = {"true": "tab:blue", "recognized": "tab:orange", "text": "tab:green", None: "0.4"}
 
 
 def draw_readability(folder: Path, rows: Sequence[Row]) -> None:

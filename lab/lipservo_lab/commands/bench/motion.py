@@ -116,7 +116,9 @@ def motion(
     ] = None,
     strategy: Annotated[str | None, typer.Option(help="Score one method only.")] = None,
     lookahead_ms: Annotated[str, typer.Option(help="Look-aheads, comma between.")] = "0,100,200",
-    phonemes: Annotated[str, typer.Option(help="true, or recognized live.")] = "true",
+    phonemes: Annotated[
+        str, typer.Option(help="true, recognized live, or text: live with the words known.")
+    ] = "true",
     unit_share: UnitShare = None,
     published_derivatives: Annotated[
         bool,

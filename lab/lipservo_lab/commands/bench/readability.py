@@ -58,7 +58,10 @@ def readability(
     ] = f"{DEFAULT_STRATEGY},priority",
     lookahead_ms: Annotated[str, typer.Option(help="Look-aheads, comma between.")] = "0,100,200",
     phonemes: Annotated[
-        str, typer.Option(help="true, or recognized live; comma between.")
+        str,
+        typer.Option(
+            help="true, recognized live, or text: live with the words known; comma between."
+        ),
     ] = "true,recognized",
     robot: Annotated[
         bool, typer.Option(help="Also read known words from the encoders of face_sim.")

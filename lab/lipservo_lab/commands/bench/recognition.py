@@ -61,6 +61,13 @@ def recognition(
             "--servo-speeds", help="With --noise servos:DB: the recogniser is told how they move."
         ),
     ] = False,
+    text: Annotated[
+        Literal["own", "another"] | None,
+        typer.Option(
+            help="The recogniser is told the words: those said, or another utterance's.",
+            show_default=False,
+        ),
+    ] = None,
     by: Annotated[
         Literal["speaker", "group"] | None,
         typer.Option(help="Also the figures of each speaker, or of each group of speakers."),
@@ -84,6 +91,7 @@ def recognition(
         measured_recognizer,
         selected,
         speaker_groups,
+        told_texts,
     )
     from lipservo_lab.evaluation.recognition.benchmark import measure
     from lipservo_lab.evaluation.recognition.conditions import parse_condition
@@ -102,7 +110,10 @@ def recognition(
             heard.append(name)
             advance("listening", len(heard), len(utterances))
 
-        figures = measure(utterances, alignments, make, condition, count, groups_of)
+        texts = told_texts(utterances, text)
+        figures = measure(
+            utterances, alignments, make, condition, count, groups_of, lambda u: texts[u.name]
+        )
     for utterance in alignments.values():
         if utterance.error:
             MESSAGES.print(f"not aligned: {utterance.name}: {utterance.error}", soft_wrap=True)
@@ -112,6 +123,7 @@ def recognition(
         "latency_ms": latency_ms,
         "noise": noise,
         "servo_speeds": servo_speeds,
+        "text": text,
     }
     _print({**figures.as_dict(), **settings, "machine": machine_class()}, as_json=as_json)
 

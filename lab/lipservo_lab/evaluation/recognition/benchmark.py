@@ -26,11 +26,11 @@ from lipsync.recognition.alignment import (
     DOUBTFUL_SCORE,
     LEAST_SCORE,
     AlignmentError,
-    PronunciationError,
     align,
     goodness_of_pronunciation,
 )
 from lipsync.recognition.network import NetworkWeights
+from lipsync.text_to_speech.pronunciation import PronunciationError
 
 #: Recordings that speak at once in babble noise.
 _N_VOICES = 20
@@ -97,11 +97,12 @@ def measure(
     condition: Condition | None = None,
     progress: Callable[[str], None] = lambda _name: None,
     groups_of: Callable[[str], Sequence[str]] = lambda _speaker: (),
+    text_of: Callable[[TranscribedUtterance], str] = lambda _utterance: "",
 ) -> Figures:
     """Recognise every utterance aligned at the default beams or labelled, each as a new stream.
 
     Alignments that needed the second try are no reference: they are counted, not scored. groups_of:
-    names of the groups that a speaker is counted in.
+    names of the groups that a speaker is counted in. text_of: what the recogniser is told.
     """
     counts = Counter(alignments[u.name].beams for u in utterances if not alignments[u.name].error)
     scored = [u for u in utterances if alignments[u.name].beams in ("default", LABELLED)]
@@ -118,7 +119,7 @@ def measure(
         if condition is not None:
             samples = condition.apply(samples, utterance.name, voices)
             servos_deg = condition.servo_positions_deg(utterance.name, len(samples))
-        heard, block_costs = label_frames(recognizer, samples, servos_deg)
+        heard, block_costs = label_frames(recognizer, samples, servos_deg, text_of(utterance))
         reference = alignments[utterance.name].labels(len(heard.labels))
         for each in (score, *(groups[name] for name in groups_of(utterance.speaker))):
             each.add(heard.labels, reference)

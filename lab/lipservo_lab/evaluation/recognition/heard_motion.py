@@ -6,7 +6,7 @@ How many of the P, B, M and F, V that are spoken the mouth closes for, by recogn
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,14 +24,23 @@ from lipsync.face.model import FaceModel
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import SILENCE, LiveRecognizer, PhonemeEvent
 from lipsync.recognition.streaming import RecognizerStream, SoundAhead
+from lipsync.recognition.text_decoder import TextFollower
+from lipsync.text_to_speech.pronunciation import PronouncedWord
 
 #: Silence after the recording, until the last phoneme is settled.
 _TAIL_S = 0.5
 
 
-def recognize_file(recognizer: LiveRecognizer, recording: Path) -> Heard:
-    """Play a recording to a recogniser, which is reset; updates are asked for every 10 ms."""
+def recognize_file(
+    recognizer: LiveRecognizer, recording: Path, words: Sequence[PronouncedWord] = ()
+) -> Heard:
+    """Play a recording to a recogniser, which is reset; updates are asked for every 10 ms.
+
+    words: what is said there, told before it sounds to a recogniser that follows a text.
+    """
     recognizer.reset()
+    if words and isinstance(recognizer, TextFollower):
+        recognizer.tell(words)
     log = UpdateLog()
     stream = RecognizerStream(recognizer, (log,))
     with SilenceAfter(FileSource(recording)) as source:

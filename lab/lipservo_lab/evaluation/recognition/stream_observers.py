@@ -23,6 +23,8 @@ from lipsync.phonemes import (
 )
 from lipsync.recognition.own_noise import ServoSpeeds
 from lipsync.recognition.streaming import RecognizerStream, StreamStep, blocks_of
+from lipsync.recognition.text_decoder import TextFollower
+from lipsync.text_to_speech.pronunciation import pronounced
 from lipsync.timeline import PhonemeTimeline
 
 Labels = NDArray[np.int64]
@@ -83,7 +85,10 @@ class UpdateLog:
 
 
 def label_frames(
-    recognizer: LiveRecognizer, samples: Array32, servos_deg: Array | None = None
+    recognizer: LiveRecognizer,
+    samples: Array32,
+    servos_deg: Array | None = None,
+    text: str = "",
 ) -> tuple[FrameLabels, StepCosts]:
     """Reset and feed samples (n,) at 16 kHz as a live stream, and silence until all is settled.
 
@@ -91,8 +96,11 @@ def label_frames(
     of the frame. So frame t is judged by what was settled when the sound to 10 t ms + latency was
     heard, and nothing later. The costs are those of the blocks. servos_deg: what encoders read of
     the robot's servos, a row (n_servos,) each 10 ms, which the recogniser is told when it is read.
+    text: that it is told before; what it follows is settled later, and judged by that.
     """
     recognizer.reset()
+    if text and isinstance(recognizer, TextFollower):
+        recognizer.tell(pronounced(text))
     n_tail = round((recognizer.latency_s + 0.1) * SAMPLE_RATE_HZ)
     padded = np.concatenate((samples, np.zeros(n_tail, np.float32)))
     n_first = round(recognizer.latency_s * SAMPLE_RATE_HZ) % _HOP or _HOP

@@ -1,0 +1,430 @@
+"""From posteriors and words that are known to phonemes: where in its text a voice is.
+
+The words are a graph from left to right: silence may stand before each, each has one or several
+pronunciations, one may be left out, said again or broken off, at a penalty. Beside it runs a path
+without constraint, the escape, which costs a little more in every frame than the likeliest phoneme
+does: it wins where the sound does not say the text, and there what is heard counts. Viterbi's
+search over both (Rabiner, Proceedings of the IEEE 77(2), 1989; the escape is the filler model of
+keyword spotting, Rose and Paul, ICASSP 1990).
+
+A frame's scores change while the network's later heads speak about it. So one step of the search a
+frame is kept, of the frame that the last head has just spoken about; those after it are taken anew.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.arrays import Array32
+from lipsync.errors import UserError
+from lipsync.phonemes import PHONEMES
+from lipsync.recognition.decoder import SILENCE_INDEX, PosteriorFormat, best_heads
+from lipsync.text_to_speech.pronunciation import PronouncedWord
+
+#: In place of a phoneme where the escape wins.
+HEARD: Final = -1
+#: Of a word; the dictionary's first ones.
+MOST_PRONUNCIATIONS: Final = 4
+#: Words told and not yet said, at once: ten minutes of speech.
+MOST_WORDS: Final = 2_000
+#: Words around the present one that the search goes through.
+_BEHIND, _WINDOW = 3, 14
+_NEVER: Final = np.float32(-1e9)
+_INDEX: Final = {phoneme: index for index, phoneme in enumerate(PHONEMES)}
+
+
+#: What moves the mouth: sound that is heard, a text followed in it, phonemes that are known.
+MovedBy = Literal["sound", "text", "phonemes"]
+
+
+class TextError(UserError):
+    """Words that cannot be followed; the message is one line."""
+
+
+@runtime_checkable
+class MouthMover(Protocol):
+    """A source of phonemes that says where it has them from."""
+
+    @property
+    def moved_by(self) -> MovedBy | None:
+        """What moves the mouth, of what is settled now; None where that is not known."""
+
+
+@runtime_checkable
+class TextFollower(MouthMover, Protocol):
+    """A recogniser that finds words in the sound which it is told."""
+
+    def tell(self, words: Sequence[PronouncedWord]) -> None:
+        """What is said next, after all that was told; before its sound, with it or late.
+
+        Raises TextError for too many words.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class TextSettings:
+    """In natural-log units; chosen on two talkers that are not scored (docs/recognition.md).
+
+    settled_frames: so many frames after it the path to a frame is settled. n_heads: of the
+    network's, the quickest; the one that waits longest adds nothing where words are known.
+    lowest: a phoneme costs no more than this against the likeliest in one frame. pause: of silence
+    between two words.
+    left_out: of each word that is left out; again: of going back. escape: of every frame that the
+    escape takes; leave, resume: of going over to it and back. least_frames: of a phoneme.
+    late_s, late: a word may begin so much beside its time, if it has one; of each second beyond it.
+    """
+
+    settled_frames: int = 17
+    n_heads: int = 2
+    lowest: float = -7.0
+    pause: float = 1.0
+    left_out: float = 8.0
+    again: float = 12.0
+    escape: float = 1.2
+    leave: float = 20.0
+    resume: float = 25.0
+    least_frames: int = 2
+    late_s: float = 0.15
+    late: float = 100.0
+
+
+FOLLOWING: Final = TextSettings()
+
+
+class TextDecoder:
+    """Takes one frame of scores after the other, as `ViterbiDecoder`, and words at any time."""
+
+    def __init__(
+        self,
+        heard: PosteriorFormat,
+        frames_per_s: int,
+        first_frame: int = 0,
+        settings: TextSettings = FOLLOWING,
+    ) -> None:
+        """first_frame: the number in its stream of the first frame that is pushed.
+
+        Raises ValueError for a path settled before the last head has spoken.
+        """
+        self._delays = heard.delays[: settings.n_heads]
+        if settings.settled_frames < self._delays[-1]:
+            raise ValueError("the last head speaks after the path is settled")
+        self._settings = settings
+        self._frames_per_s = frames_per_s
+        self._pause = np.float32(settings.pause)
+        self._lowest = np.float32(settings.lowest)
+        self._late = np.float32(settings.late / frames_per_s)
+        self._tolerated = np.float32(settings.late_s * frames_per_s)
+        self._heads = best_heads(self._delays, self._delays[-1])
+        length = self._delays[-1] + 1
+        self._recent = np.zeros((length, len(self._delays), len(PHONEMES)), np.float32)
+        self._first_frame = first_frame
+        self._n_heard = 0
+        self._n_idle = 0
+        self._words = _WordGraph(settings)
+        window = self._words.window(0)
+        scores = np.full(window.n_states, _NEVER)
+        scores[0] = 0.0
+        self._newest = _Front(window, scores, np.float32(0.0))
+        n_kept = settings.settled_frames - self._delays[-1] + 1
+        self._kept: deque[_Front] = deque([self._newest], maxlen=n_kept + 1)
+        self._place = 0.0
+
+    @property
+    def place(self) -> int:
+        """The number of the word that is said, as far as it is settled."""
+        return int(self._place)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether all words were said, or passed over, a while ago."""
+        return self._n_idle > _IDLE_S * self._frames_per_s
+
+    def tell(self, words: Sequence[PronouncedWord]) -> None:
+        """More of the text, after all that was told. Raises TextError for too many words."""
+        n_waiting = self._words.n_words - self.place + len(words)
+        if n_waiting > MOST_WORDS:
+            raise TextError(
+                f"{n_waiting} words wait to be said; at most {MOST_WORDS}, tell the others later"
+            )
+        self._words.append(words, self._frames_per_s)
+        self._n_idle = 0
+
+    def jump(self, n_frames: int) -> None:
+        """So many frames were passed over, after two seconds of silence."""
+        self._first_frame += n_frames
+
+    def push(self, scores: Array32) -> list[int]:
+        """Take the scores (n_heads, n_phonemes) of one frame; logarithms.
+
+        The phonemes of the last frames, the newest that a head has spoken about last, or `HEARD`.
+        """
+        n, length = self._n_heard, len(self._recent)
+        self._n_heard += 1
+        scores = scores[: len(self._delays)]
+        relative = np.maximum(scores - scores.max(axis=1, keepdims=True), self._lowest)
+        for head, delay in enumerate(self._delays):
+            if delay <= n:
+                self._recent[(n - delay) % length, head] = relative[head]
+        oldest, newest = n - self._delays[-1], n - self._delays[0]
+        if newest < 0:
+            return []
+        if oldest >= 0:
+            self._newest = self._step(self._newest, oldest, self._delays[-1], keep=True)
+            self._kept.append(self._newest)
+        front = self._newest
+        steps = []
+        for frame in range(max(0, oldest + 1), newest + 1):
+            front = self._step(front, frame, n - frame)
+            steps.append(front)
+        return self._path([*self._kept, *steps])
+
+    def _step(self, front: "_Front", frame: int, age: int, *, keep: bool = False) -> "_Front":
+        """The search one frame on. keep: the window may move."""
+        settings = self._settings
+        window = self._words.window(self.place) if keep else front.window
+        scores = front.scores
+        if window is not front.window:
+            scores = window.taken_over(front)
+        row = self._recent[frame % len(self._recent), self._heads[age - self._delays[0]]]
+        begins = self._begins(window, scores, front.escape)
+        entered = np.empty_like(scores)
+        entered[1:] = scores[:-1]
+        entered[window.silences] = begins - self._pause
+        into_first = np.maximum(begins, scores.take(window.silences))
+        if window.has_times:
+            apart = np.abs(window.start_frames - np.float32(frame + self._first_frame))
+            into_first -= np.fmax(np.float32(0.0), apart - self._tolerated) * self._late
+        entered[window.firsts] = into_first.take(window.word_of_first)
+        found = np.maximum(scores + window.stays, entered)
+        found += row.take(window.phonemes)
+        best = scores.max()
+        escape = max(front.escape, best - np.float32(settings.leave)) - np.float32(settings.escape)
+        if keep:
+            best = max(found.max(), escape)
+            found -= best
+            escape -= best
+        return _Front(window, found, escape)
+
+    def _begins(self, window: "_Window", scores: Array32, escape: np.float32) -> Array32:
+        """(n_words,): the best score with which each word may begin in a frame."""
+        ends = np.empty(window.ends.shape[1] + 1, np.float32)
+        scores.take(window.ends).max(axis=0, out=ends[:-1])
+        ends[-1] = escape
+        begins: Array32 = (ends[:, None] + window.between).max(axis=0)
+        return begins
+
+    def _path(self, fronts: "list[_Front]") -> list[int]:
+        """Back from the best end of the last front: a phoneme for each front but the first."""
+        last = fronts[-1]
+        state = int(last.scores.argmax())
+        is_heard = bool(last.escape >= last.scores[state])
+        path: list[int] = []
+        for front, before in zip(fronts[:0:-1], fronts[-2::-1], strict=True):
+            if is_heard:
+                path.append(HEARD)
+                best = int(before.scores.argmax())
+                if before.scores[best] - np.float32(self._settings.leave) > before.escape:
+                    is_heard, state = False, best
+                continue
+            path.append(int(front.window.phonemes[state]))
+            is_heard, state = self._source(front, before, state)
+        n_words = self._words.n_words
+        if is_heard:
+            self._place = min(self._place + _ESCAPED_WORDS_PER_FRAME, float(n_words))
+        else:
+            window = fronts[0].window
+            self._place = float(window.first_word + window.words[state])
+        self._n_idle = self._n_idle + 1 if self._place >= n_words else 0
+        return path[::-1]
+
+    def _source(self, front: "_Front", before: "_Front", state: int) -> tuple[bool, int]:
+        """Whether the escape, or which state of the window before, a state was reached from."""
+        window = front.window
+        scores = before.scores if before.window is window else window.taken_over(before)
+        shift = window.first_state - before.window.first_state
+        stay = scores[state] + window.stays[state]
+        kind = window.kinds[state]
+        if kind == _WITHIN:
+            return False, (state if stay >= scores[state - 1] else state - 1) + shift
+        word = int(window.words[state])
+        begins = self._begins(window, scores, before.escape)
+        if kind == _SILENT:
+            if stay >= begins[word] - np.float32(self._settings.pause):
+                return False, state + shift
+        else:
+            silence = int(window.silences[word])
+            if max(stay, scores[silence]) >= begins[word]:
+                return False, (state if stay >= scores[silence] else silence) + shift
+        ends = scores[window.ends].max(axis=0)
+        from_words = np.append(ends, before.escape) + window.between[:, word]
+        source = int(from_words.argmax())
+        if source == len(ends):
+            return True, state
+        candidates = window.ends[:, source]
+        return False, int(candidates[scores[candidates].argmax()]) + shift
+
+
+@dataclass(frozen=True, slots=True)
+class _CompiledWord:
+    """States of a word: silence before it, then its pronunciations one after the other."""
+
+    first_state: int
+    phonemes: NDArray[np.int64]
+    stays: Array32
+    kinds: NDArray[np.int8]
+    ends: NDArray[np.int64]
+    start_frame: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Window:
+    """The words that the search goes through now; all arrays are of its states or words."""
+
+    first_word: int
+    first_state: int
+    n_states: int
+    phonemes: NDArray[np.int64]
+    stays: Array32
+    kinds: NDArray[np.int8]
+    words: NDArray[np.int64]
+    silences: NDArray[np.int64]
+    firsts: NDArray[np.int64]
+    word_of_first: NDArray[np.int64]
+    ends: NDArray[np.int64]
+    between: Array32
+    start_frames: Array32
+    has_times: bool
+
+    def taken_over(self, front: "_Front") -> Array32:
+        """(n_states,): the scores of a front of another window, where both have a state."""
+        scores = np.full(self.n_states, _NEVER)
+        shift = front.window.first_state - self.first_state
+        first, end = max(0, shift), min(self.n_states, shift + front.window.n_states)
+        scores[first:end] = front.scores[first - shift : end - shift]
+        return scores
+
+
+@dataclass(frozen=True, slots=True)
+class _Front:
+    """The best score of a path to each state, and to the escape, after a frame."""
+
+    window: _Window
+    scores: Array32
+    escape: np.float32
+
+
+_WITHIN, _SILENT, _FIRST = 0, 1, 2
+#: Where the text is not said it goes by all the same: slow speech, 100 frames a second.
+_ESCAPED_WORDS_PER_FRAME: Final = 0.02
+#: After the last word.
+_IDLE_S: Final = 1.0
+
+
+class _WordGraph:
+    """The words told, as states; those long said are dropped."""
+
+    def __init__(self, settings: TextSettings) -> None:
+        self._settings = settings
+        self._words: deque[_CompiledWord] = deque()
+        self._first_word = 0
+        self._end_state = 0
+        self._window: _Window | None = None
+
+    @property
+    def n_words(self) -> int:
+        """How many were told, those dropped among them."""
+        return self._first_word + len(self._words)
+
+    def append(self, words: Sequence[PronouncedWord], frames_per_s: int) -> None:
+        for word in words:
+            compiled = _compiled(word, self._end_state, self._settings.least_frames, frames_per_s)
+            self._words.append(compiled)
+            self._end_state += len(compiled.phonemes)
+        self._window = None
+
+    def window(self, place: int) -> _Window:
+        """The words around a place; after the last one silence is a word."""
+        first = max(self._first_word, min(place, self.n_words) - _BEHIND)
+        if self._window is not None and self._window.first_word == first:
+            return self._window
+        while self._first_word < first:
+            self._words.popleft()
+            self._first_word += 1
+        words = [self._words[n] for n in range(min(_WINDOW, len(self._words)))]
+        if len(words) == len(self._words):
+            words.append(_end(self._end_state))
+        self._window = _window_of(words, first, min(place, self.n_words) - first, self._settings)
+        return self._window
+
+
+def _end(first_state: int) -> _CompiledWord:
+    one = np.zeros(1, np.int64)
+    return _CompiledWord(
+        first_state, one + SILENCE_INDEX, np.zeros(1, np.float32),
+        np.full(1, _SILENT, np.int8), np.zeros(MOST_PRONUNCIATIONS, np.int64), np.nan,
+    )  # fmt: skip
+
+
+def _compiled(
+    word: PronouncedWord, first_state: int, least_frames: int, frames_per_s: int
+) -> _CompiledWord:
+    phonemes, stays, kinds, ends = [SILENCE_INDEX], [np.float32(0.0)], [_SILENT], []
+    for pronunciation in word.pronunciations[:MOST_PRONUNCIATIONS]:
+        kinds += [_FIRST] + [_WITHIN] * (len(pronunciation) * least_frames - 1)
+        for phoneme in pronunciation:
+            phonemes += [_INDEX[phoneme]] * least_frames
+            stays += [_NEVER] * (least_frames - 1) + [np.float32(0.0)]
+        ends.append(len(phonemes) - 1)
+    ends += [ends[0]] * (MOST_PRONUNCIATIONS - len(ends))
+    start = np.nan if word.start_s is None else word.start_s * frames_per_s
+    return _CompiledWord(
+        first_state, np.array(phonemes), np.array(stays, np.float32), np.array(kinds, np.int8),
+        np.array(ends), start,
+    )  # fmt: skip
+
+
+def _window_of(
+    words: Sequence[_CompiledWord], first_word: int, place: int, settings: TextSettings
+) -> _Window:
+    lengths = [len(word.phonemes) for word in words]
+    silences = np.cumsum([0, *lengths[:-1]])
+    kinds = np.concatenate([word.kinds for word in words])
+    of_state = np.repeat(np.arange(len(words)), lengths)
+    firsts = np.flatnonzero(kinds == _FIRST)
+    start_frames = np.array([word.start_frame for word in words], np.float32)
+    return _Window(
+        first_word,
+        words[0].first_state,
+        len(kinds),
+        np.concatenate([word.phonemes for word in words]),
+        np.concatenate([word.stays for word in words]),
+        kinds,
+        of_state,
+        silences,
+        firsts,
+        of_state[firsts],
+        np.array([word.ends for word in words]).T + silences,
+        _between(len(words), place, settings),
+        start_frames,
+        bool(np.isfinite(start_frames).any()),
+    )
+
+
+def _between(n_words: int, place: int, settings: TextSettings) -> Array32:
+    """(n_words + 1, n_words): what it costs to go from the end of a word to another's beginning.
+
+    The last row is of the escape. place: the present word.
+    """
+    ahead = np.arange(n_words)[None] - np.arange(n_words)[:, None] - 1
+    words = np.where(
+        ahead >= 0,
+        -settings.left_out * ahead,
+        -settings.again + settings.left_out * (ahead + 1) / 4,
+    )
+    behind = np.maximum(0, place - np.arange(n_words))
+    escape = -settings.resume - behind * settings.left_out / 4
+    return np.vstack((words, escape)).astype(np.float32)

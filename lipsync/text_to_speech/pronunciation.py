@@ -1,0 +1,167 @@
+"""How the words of a text may sound: dictionary first, then a model of spelling.
+
+English comes from gruut: its normaliser writes numbers, money, dates and abbreviations out in
+words, its lexicon (the CMU dictionary in IPA) holds the pronunciations of 124,000, and its model
+guesses the others. Other languages, and English where gruut is not installed, come from espeak-ng,
+whose own phonemes for the text are taken. Why these: docs/decisions/0057-known-words.md.
+
+Nothing here is quick: it is called where text arrives, never in a tick.
+"""
+
+import re
+import sqlite3
+import unicodedata
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from importlib.util import find_spec
+from typing import Final
+
+from lipsync.errors import MissingExtraError, UserError, check_extra
+from lipsync.phonemes import SILENCE, PhonemeEvent
+
+#: IPA of gruut's US English against ARPAbet; stress marks are stripped before.
+_ARPABET_OF = {
+    "æ": "AE", "ɑ": "AA", "ɔ": "AO", "ə": "AH", "ʌ": "AH", "ɐ": "AH", "ɚ": "ER", "ɝ": "ER",
+    "ɛ": "EH", "ɪ": "IH", "i": "IY", "u": "UW", "ʊ": "UH", "oʊ": "OW", "eɪ": "EY", "aɪ": "AY",
+    "aʊ": "AW", "ɔɪ": "OY", "b": "B", "d": "D", "f": "F", "h": "HH", "j": "Y", "k": "K",
+    "l": "L", "m": "M", "n": "N", "p": "P", "ɹ": "R", "s": "S", "t": "T", "v": "V", "w": "W",
+    "z": "Z", "ɡ": "G", "ŋ": "NG", "ʃ": "SH", "ʒ": "ZH", "t͡ʃ": "CH", "d͡ʒ": "JH", "θ": "TH",
+    "ð": "DH",
+}  # fmt: skip
+_STRESS = str.maketrans("", "", "ˈˌ")
+
+#: A text longer than this is told in pieces.
+LONGEST_TEXT: Final = 20_000
+#: Marks of SSML: what is said lies between them.
+_TAG = re.compile(r"<[^<>]*>")
+#: What no voice reads out: emoji and other symbols, control characters, half surrogate pairs.
+_UNSPOKEN = ("So", "Sk", "Cc", "Cf", "Cs", "Cn", "Co")
+DEFAULT_LANGUAGE: Final = "en-us"
+
+
+class PronunciationError(UserError):
+    """A word cannot be pronounced; the message is one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class PronouncedWord:
+    """A word as it may sound.
+
+    pronunciations: at least one; phonemes of the inventory without silence, the commonest first.
+    start_s: about when it begins in its stream, None where that is not known.
+    """
+
+    label: str
+    pronunciations: tuple[tuple[str, ...], ...]
+    start_s: float | None = None
+
+
+def pronounced(text: str, language: str = DEFAULT_LANGUAGE) -> tuple[PronouncedWord, ...]:
+    """The words of a text as they may sound; none for a text without words, as of emoji alone.
+
+    SSML's marks are left out. Raises PronunciationError for a text longer than `LONGEST_TEXT`, a
+    language that cannot be pronounced, and where neither gruut nor espeak-ng is installed.
+    """
+    if len(text) > LONGEST_TEXT:
+        raise PronunciationError(
+            f"a text of {len(text)} characters is too long; at most {LONGEST_TEXT} at once, "
+            "tell it in pieces"
+        )
+    written = "".join(
+        " " if unicodedata.category(each) in _UNSPOKEN and each != "\n" else each
+        for each in _TAG.sub(" ", text)
+    )
+    if not any(map(str.isalnum, written)):
+        return ()
+    if language.partition("-")[0] == "en" and find_spec("gruut") is not None:
+        return tuple(_english(written))
+    return tuple(_by_espeak(written, language))
+
+
+def _english(text: str) -> Iterator[PronouncedWord]:
+    from gruut import sentences
+
+    for sentence in sentences(text, lang=DEFAULT_LANGUAGE):
+        for word in sentence:
+            if not word.is_spoken:
+                continue
+            guessed = _phones(word.phonemes or ())
+            found = dict.fromkeys([*_in_lexicon(word.text.lower()), guessed])
+            if known := tuple(phones for phones in found if phones):
+                yield PronouncedWord(word.text, known)
+
+
+@cache
+def _lexicon() -> sqlite3.Connection:
+    from gruut_lang_en import get_lang_dir
+
+    path = get_lang_dir() / "lexicon.db"
+    return sqlite3.connect(f"{path.as_uri()}?immutable=1", uri=True, check_same_thread=False)
+
+
+def _in_lexicon(word: str) -> list[tuple[str, ...]]:
+    rows = _lexicon().execute(
+        "SELECT phonemes FROM word_phonemes WHERE word = ? ORDER BY pron_order", (word,)
+    )
+    return [_phones(phonemes.split()) for (phonemes,) in rows]
+
+
+def _phones(ipa: "list[str] | tuple[str, ...]") -> tuple[str, ...]:
+    found = (_ARPABET_OF.get(each.translate(_STRESS)) for each in ipa)
+    return tuple(phone for phone in found if phone is not None)
+
+
+def _by_espeak(text: str, language: str) -> Iterator[PronouncedWord]:
+    """Its phonemes, cut where it says that its words begin."""
+    from lipsync.text_to_speech.synthesis import SynthesisError, Voice
+    from lipsync.text_to_speech.synthesizers import speak_in_pieces, synthesizer_for
+
+    try:
+        for spoken in speak_in_pieces(synthesizer_for("espeak"), text, Voice(language)):
+            for word in spoken.words:
+                phones = tuple(_between(spoken.phonemes, word.start_s, word.end_s))
+                if phones:
+                    yield PronouncedWord(word.text, (phones,))
+    except SynthesisError as error:
+        raise PronunciationError(
+            f"how a text sounds is known from gruut (`pip install 'lipservo[align]'`, English) or "
+            f"espeak-ng: {error}"
+        ) from None
+
+
+def _between(events: tuple[PhonemeEvent, ...], start_s: float, end_s: float) -> Iterator[str]:
+    for event in events:
+        if event.phoneme != SILENCE and start_s - 1e-6 <= event.start_s < end_s - 1e-6:
+            yield event.phoneme
+
+
+@cache
+def pronounce(word: str) -> tuple[str, ...]:
+    """The phones of one lower-case English word, ARPAbet without stress, for forced alignment.
+
+    Raises PronunciationError for a word without letters, one that gruut cannot say, and where
+    gruut is not installed.
+    """
+    if not any(letter.isalpha() for letter in word):
+        raise PronunciationError(f"word {word!r} has no pronunciation; write it out in letters")
+    phones = _phones(_ipa(word))
+    if not phones:
+        raise PronunciationError(f"word {word!r} has no pronunciation; spell it as it sounds")
+    return phones
+
+
+def _ipa(word: str) -> list[str]:
+    try:
+        check_extra("gruut", f"word {word!r} is not in the dictionary; guessing how it sounds")
+    except MissingExtraError as error:
+        raise PronunciationError(str(error)) from None
+    from gruut import sentences
+
+    # Numbers, dates and money would be spelt out as other words; a word is taken as it stands.
+    return [
+        phone
+        for sentence in sentences(word, lang=DEFAULT_LANGUAGE, verbalize_numbers=False)
+        for part in sentence
+        for phone in part.phonemes or ()
+    ]

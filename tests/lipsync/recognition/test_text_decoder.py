@@ -1,0 +1,122 @@
+"""Words that are known, followed in posteriors: a sure voice is made of the words it says."""
+
+import numpy as np
+import pytest
+
+from lipsync.phonemes import PHONEMES
+from lipsync.recognition.decoder import SMOOTH, PosteriorFormat, log_scores
+from lipsync.recognition.text_decoder import HEARD, MOST_WORDS, TextDecoder, TextError
+from lipsync.text_to_speech.pronunciation import PronouncedWord
+
+FORMAT = PosteriorFormat(PHONEMES, (2, 7, 12))
+MAMA = PronouncedWord("mama", (("M", "AA", "M", "AH"),))
+BIG = PronouncedWord("big", (("B", "IH", "G"),))
+FISH = PronouncedWord("fish", (("F", "IH", "SH"), ("F", "AY", "SH")))
+SEEK = PronouncedWord("seek", (("S", "IY", "K"),))
+
+
+def said(phones, n_frames=8, sure=0.9):
+    """Posteriors (n, 3, 40) of a voice that says each phone so long, as all heads speak of them."""
+    labels = np.repeat([PHONEMES.index(phone) for phone in phones], n_frames)
+    rows = np.full((len(labels), len(PHONEMES)), (1 - sure) / (len(PHONEMES) - 1), np.float32)
+    rows[np.arange(len(labels)), labels] = sure
+    posteriors = np.zeros((len(labels), 3, len(PHONEMES)), np.float32)
+    for head, delay in enumerate(FORMAT.delays):
+        posteriors[delay:, head] = rows[: len(labels) - delay]
+        posteriors[:delay, head, PHONEMES.index("SIL")] = 1.0
+    return posteriors
+
+
+def followed(posteriors, words, told_at=0):
+    """What is settled of each frame, in the end."""
+    decoder, settled = TextDecoder(FORMAT, 100), {}
+    for frame, scores in enumerate(log_scores(posteriors, SMOOTH)):
+        if frame == told_at:
+            decoder.tell(words)
+        path = decoder.push(scores)
+        for age, index in enumerate(reversed(path)):
+            settled[frame - FORMAT.delays[0] - age] = "heard" if index == HEARD else PHONEMES[index]
+    return [settled[frame] for frame in sorted(settled) if frame >= 0]
+
+
+def runs(labels):
+    return [a for a, b in zip(labels, ["", *labels], strict=False) if a != b]
+
+
+SILENCE = ["SIL"] * 3
+
+
+def test_a_phone_that_was_misheard_is_what_the_text_says():
+    heard = ["SIL", "M", "AA", "N", "AH", "B", "IH", "K", *SILENCE]
+    found = runs(followed(said(heard, sure=0.3), [MAMA, BIG]))
+    assert found == ["SIL", "M", "AA", "M", "AH", "B", "IH", "G", "SIL"]
+
+
+def test_the_pronunciation_is_taken_that_is_spoken():
+    found = runs(followed(said(["SIL", "F", "AY", "SH", *SILENCE]), [FISH]))
+    assert found == ["SIL", "F", "AY", "SH", "SIL"]
+
+
+def test_silence_between_two_words_is_silence():
+    found = runs(
+        followed(said(["SIL", "B", "IH", "G", *SILENCE, "F", "IH", "SH", *SILENCE]), [BIG, FISH])
+    )
+    assert found == ["SIL", "B", "IH", "G", "SIL", "F", "IH", "SH", "SIL"]
+
+
+def test_a_word_that_is_left_out_and_one_that_is_said_again_are_followed():
+    left_out = ["SIL", "M", "AA", "M", "AH", "F", "IH", "SH", *SILENCE]
+    assert runs(followed(said(left_out), [MAMA, BIG, FISH])) == runs(left_out)
+    again = ["SIL", "B", "IH", "G", "SIL", "B", "IH", "G", "F", "IH", "SH", *SILENCE]
+    assert runs(followed(said(again), [BIG, FISH])) == runs(again)
+
+
+def test_a_voice_that_does_not_say_the_text_is_heard_and_the_text_taken_up_after_it():
+    other = ["W", "ER", "L", "IY", "S", "UW", "V", "EY"]
+    phones = ["SIL", "B", "IH", "G", *other, "SIL", "SIL", "F", "IH", "SH", *SILENCE]
+    labels = followed(said(phones), [BIG, FISH])
+    middle = labels[8 * 4 + 4 : 8 * 12 - 4]
+    assert middle.count("heard") > 0.9 * len(middle)
+    assert runs(labels)[-4:] == ["F", "IH", "SH", "SIL"]
+
+
+def test_a_text_that_comes_late_is_taken_up_where_the_voice_is():
+    phones = [
+        "SIL",
+        "M",
+        "AA",
+        "M",
+        "AH",
+        "B",
+        "IH",
+        "G",
+        "F",
+        "IH",
+        "SH",
+        "S",
+        "IY",
+        "K",
+        *SILENCE,
+    ]
+    labels = followed(said(phones), [MAMA, BIG, FISH, SEEK], told_at=8 * 4)
+    assert runs(labels)[-4:] == ["S", "IY", "K", "SIL"]
+
+
+def test_a_word_with_a_time_is_not_looked_for_elsewhere():
+    phones = ["SIL", "B", "IH", "G", *SILENCE * 4, "B", "IH", "G", *SILENCE]
+    late = PronouncedWord("big", BIG.pronunciations, start_s=1.28)
+    labels = followed(said(phones), [late])
+    assert "B" not in labels[: 8 * 4]
+    assert runs(labels)[-4:] == ["B", "IH", "G", "SIL"]
+
+
+def test_words_without_end_are_refused_and_those_that_were_said_are_forgotten():
+    decoder = TextDecoder(FORMAT, 100)
+    with pytest.raises(TextError, match="words wait to be said; at most 2000"):
+        decoder.tell([BIG] * (MOST_WORDS + 1))
+    scores = log_scores(said(["B", "IH", "G", *SILENCE]), SMOOTH)
+    for _ in range(3):
+        decoder.tell([BIG])
+        for each in scores:
+            decoder.push(each)
+    assert decoder.place == 3
