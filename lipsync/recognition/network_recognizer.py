@@ -87,6 +87,8 @@ class NetworkRecognizer:
 
     def tell(self, words: Sequence[PronouncedWord]) -> None:
         """What is said next, after all that was told. Raises TextError for too many words."""
+        if not words:
+            return
         if self._text is None:
             self._text = TextDecoder(self._posteriors.format, FRAMES_PER_S, self._n_heard)
         self._text.tell(words)

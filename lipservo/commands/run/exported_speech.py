@@ -94,7 +94,8 @@ class SpokenSound:
     def _recognizer(self) -> FallbackRecognizer:
         """Told the text. Raises PronunciationError."""
         recognizer = make_recognizer(self.motion.engine, None, self.motion.weights)
-        recognizer.tell(pronounced(self.text))
+        if self.text:
+            recognizer.tell(pronounced(self.text))
         return recognizer
 
     def frames(self, times_s: Sequence[float] | Array) -> list[Frame]:

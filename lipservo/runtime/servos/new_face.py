@@ -63,13 +63,13 @@ servos:
 _PULSE_SERVO = """\
   {name}:
     channel: {channel}
-    positive: {positive:<14}# what a positive angle does
-    min_deg: -{deg:<14}# the joint's limits follow those of the pulses
+    positive: {positive:<13} # what a positive angle does
+    min_deg: -{deg:<13} # the joint's limits follow those of the pulses
     max_deg: {deg}
-    max_speed_deg_s: {speed:<7g}# slow, until it is known to bear more
-    us_per_deg: {us_per_deg:<12}# of most servos; a minus turns the joint round
-    neutral_us: {neutral:<12}# 0 degrees: where the joint rests
-    min_us: {low:<16}# pulses that it bears
+    max_speed_deg_s: {speed:<6g} # slow, until it is known to bear more
+    us_per_deg: {us_per_deg:<11} # of most servos; a minus turns the joint round
+    neutral_us: {neutral:<11} # 0 degrees: where the joint rests
+    min_us: {low:<15} # pulses that it bears
     max_us: {high}
 """
 

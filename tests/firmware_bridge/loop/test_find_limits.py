@@ -39,6 +39,7 @@ class Pulses:
 
     def send(self, pulses_us):
         self.sent.append(np.array(pulses_us))
+        return True
 
     def sending(self, index):
         return float(self.sent[-1][index]) if self.sent else float("nan")

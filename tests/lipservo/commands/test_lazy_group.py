@@ -11,8 +11,8 @@ from lipservo.commands import lazy_group
 from lipservo.commands.run import stop
 from lipsync.errors import UserError
 
-#: At the top; `wyoming`, `film` and `study` are to come.
-MOST_COMMANDS = 24
+#: At the top; `film` and `study` are to come.
+MOST_COMMANDS = 25
 
 
 def run(*arguments):

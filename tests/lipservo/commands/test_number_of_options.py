@@ -6,7 +6,8 @@ import typer.main
 from lipservo.cli import app
 from lipservo.commands.options import MOVED_OPTIONS
 
-MOST = 16
+#: Sixteen, and `--text` of issue "It knows what it says".
+MOST = {"run": 17, "daemon": 16}
 #: The parser gives them to every command.
 COMPLETION = {"install_completion", "show_completion"}
 
@@ -18,8 +19,8 @@ def options(command):
 
 
 @pytest.mark.parametrize("command", ["run", "daemon"])
-def test_a_command_that_starts_a_face_has_at_most_sixteen_options(command):
+def test_a_command_that_starts_a_face_has_few_options(command):
     names, found = options(command)
 
-    assert len({each.name for each in found.params} - COMPLETION) <= MOST
+    assert len({each.name for each in found.params} - COMPLETION) <= MOST[command]
     assert names.isdisjoint(MOVED_OPTIONS[command])
