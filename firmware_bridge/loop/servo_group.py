@@ -228,7 +228,7 @@ class ServoGroup:
 
     def drop_waiting(self, time_s: float) -> None:
         """A person stops the face: a servo whose turn has not come gets none."""
-        ready = self._bus.feedback().ready
+        ready = self._bus.feedback().ready if self._any_blind else None
         if ready is not None:
             for index in np.flatnonzero(self.supervision.driven & ~ready).tolist():
                 self.gate.disable(index)
