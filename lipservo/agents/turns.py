@@ -352,7 +352,7 @@ class Turns:
         if self._settings.when_busy == "refuse":
             if any(each.owner is not owner for each in streams):
                 raise MessageError("busy", "another client speaks; one speaks at a time")
-            if self._own_speech:
+            if self._own or self._own_speech:
                 raise MessageError("busy", "the face says something of its own; interrupt it first")
         if len(streams) >= self._settings.most_streams:
             most = f"{self._settings.most_streams} streams are said or wait already"

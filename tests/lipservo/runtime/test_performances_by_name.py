@@ -118,7 +118,7 @@ def test_a_daemon_at_a_port_that_performs_ends_limp_whatever_happens(tmp_path, m
         second = run("lines", "perform", line, "--config", "face_sim", "--port", port, "--mute")
         assert second.returncode != 0
         assert "Traceback" not in second.stderr
-        assert status(process)["speaking"] == "long.perf"
+        assert status(process)["speaking"].startswith("long.perf")
         process.send_signal(signal.SIGHUP)
         assert process.wait(PATIENCE_S) == 0
         assert torque(port) == [0] * 10
@@ -142,4 +142,4 @@ def perform_and_wait(process):
             return False
 
     wait_for(asked)
-    wait_for(lambda: status(process).get("speaking") == "long.perf")
+    wait_for(lambda: str(status(process).get("speaking")).startswith("long.perf"))
