@@ -31,6 +31,7 @@ _BEYOND_DEG_S: Final = 5.0
 
 
 _SAME_US: Final = 0.01
+_SAME_DEG: Final = 1e-6
 _NOT_ARMED: Final = "jogging is not armed: say `jog arm` first"
 
 
@@ -47,6 +48,14 @@ class Jog:
         self._small_step_deg = np.minimum(speeds_deg_s, _BEYOND_DEG_S) * period_s
         self._min_deg = np.array([joint.min_deg for joint in joints])
         self._max_deg = np.array([joint.max_deg for joint in joints])
+        # Of a hobby servo its pulses say it: limits in degrees are rounded inwards.
+        ends = [
+            sorted((pulse.deg(pulse.min_us), pulse.deg(pulse.max_us)))
+            if (pulse := joint.pulse)
+            else (joint.min_deg, joint.max_deg)
+            for joint in joints
+        ]
+        self._least_deg, self._most_deg = np.array(ends).reshape(-1, 2).T
         self._goals_deg = np.full(len(joints), np.nan)  # NaN: not jogged
         self._returns = np.zeros(len(joints), dtype=np.bool_)
         self._until_s = 0.0
@@ -102,7 +111,8 @@ class Jog:
         is_jogged = np.isfinite(self._goals_deg)
         aim_deg = np.where(is_jogged, self._goals_deg * scale, wanted_deg)
         way_deg = aim_deg - sent_deg
-        goes_beyond = (self._goals_deg < self._min_deg) | (self._goals_deg > self._max_deg)
+        beyond_deg = np.fmax(self._least_deg - self._goals_deg, self._goals_deg - self._most_deg)
+        goes_beyond = beyond_deg > _SAME_DEG
         step_deg = np.where(goes_beyond, self._small_step_deg, self._step_deg)
         near_deg = sent_deg + np.clip(way_deg, -step_deg, step_deg)
         guided_deg = np.where(is_jogged | self._returns, near_deg, wanted_deg)
