@@ -20,8 +20,10 @@ test: $(VENV)/.installed-dev
 traces: $(VENV)/.installed-dev
 	$(BIN)/python tests/support/make_reference_traces.py
 
-# These modules need torch or pipecat, which neither make test nor CI installs: docs/decisions/0016-api-reference.md.
-UNDOCUMENTED := lipservo_client.pipecat_face lipservo_lab.learning.adaptation.voice_learning \
+# These modules need torch, pipecat, livekit or wyoming, which neither make test nor CI installs: docs/decisions/0016-api-reference.md.
+UNDOCUMENTED := $(addprefix lipservo_client.,pipecat_face livekit_face wyoming_face) \
+	$(addprefix lipservo_lab.bench.agents.,agent_figures day_agent) \
+	lipservo_lab.learning.adaptation.voice_learning \
 	$(addprefix lipservo_lab.learning.recognition.,network_training torch_network training_run)
 SITE := site
 docs: $(VENV)/.installed-dev
