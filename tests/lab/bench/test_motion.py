@@ -166,7 +166,7 @@ def test_the_miss_rate_of_a_split_is_that_of_all_its_folds(folder, monkeypatch):
     by_fold = {"s0": "B B", "s1": "B B", "s2": "B AA T UW", "s3": "B AA T UW"}
     monkeypatch.setattr(
         "lipservo_lab.bench.motion_figures.recognize_file",
-        lambda _, recording: Heard(said(f"SIL {by_fold[recording.stem]} SIL"), (), 0.095),
+        lambda _, recording, _text: Heard(said(f"SIL {by_fold[recording.stem]} SIL"), (), 0.095),
     )
     (row,) = bench(
         "--corpus", folder, "--strategy", "priority", "--lookahead-ms", "0",
