@@ -56,20 +56,25 @@ def arrived(page, pulse_us):
     )
 
 
+def slide(page, pulse_us):
+    """Moves the slider once the sliders are armed: the page arms them when the face has answered."""
+    page.wait_for_function("document.querySelector('face-jog .switch').ariaChecked === 'true'")
+    page.locator(f"{JAW} input").evaluate(
+        "(i, us) => { i.value = us; i.dispatchEvent(new Event('input')); }", pulse_us
+    )
+    arrived(page, str(pulse_us))
+
+
 def test_a_limit_is_found_a_little_beyond_the_one_that_was_and_written(page, config):
     page.locator("face-jog .switch").click()
-    slider = page.locator(f"{JAW} input")
-    slider.evaluate("(i) => { i.value = 1600; i.dispatchEvent(new Event('input')); }")
-    arrived(page, "1600")
+    slide(page, 1600)
 
     page.locator(f"{JAW} .more").click()
     warning = page.locator("face-jog .beyond")
     assert "strips gears" in warning.inner_text()
     assert page.locator(f"{JAW} output").inner_text().startswith("1600")
     warning.locator(".go").click()
-    page.wait_for_function("document.querySelector('face-jog .switch').ariaChecked === 'true'")
-    slider.evaluate("(i) => { i.value = 1600; i.dispatchEvent(new Event('input')); }")
-    arrived(page, "1600")
+    slide(page, 1600)
     page.locator(f"{JAW} .more").click()
     arrived(page, "1610")
     page.locator(f"{JAW} [data-limit=max]").click()
