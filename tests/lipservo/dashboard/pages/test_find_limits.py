@@ -57,7 +57,7 @@ def arrived(page, pulse_us):
 
 
 def slide(page, pulse_us):
-    """Moves the slider once the sliders are armed: the page arms them when the face has answered."""
+    """Moves the slider once the page is armed, which it is when the face has answered."""
     page.wait_for_function("document.querySelector('face-jog .switch').ariaChecked === 'true'")
     page.locator(f"{JAW} input").evaluate(
         "(i, us) => { i.value = us; i.dispatchEvent(new Event('input')); }", pulse_us
