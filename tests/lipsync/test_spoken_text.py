@@ -5,7 +5,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lipsync.phonemes import PhonemeEvent
-from lipsync.spoken_text import LONGEST_LABEL, MOST_UNITS, SpokenText, SpokenTextError, SpokenUnit
+from lipsync.spoken_text import (
+    LONGEST_LABEL,
+    LONGEST_TEXT,
+    MOST_CHARACTERS,
+    MOST_UNITS,
+    SpokenText,
+    SpokenTextError,
+    SpokenUnit,
+)
 
 RATE_HZ = 16_000
 
@@ -38,12 +46,42 @@ def test_phonemes_with_times_are_events_in_seconds():
     assert said.events() == (PhonemeEvent("HH", 0.0, 0.1), PhonemeEvent("AY", 0.1, 0.5))
 
 
+def test_visemes_that_only_begin_last_until_the_next_and_the_last_a_while():
+    said = SpokenText(
+        "viseme",
+        (SpokenUnit("M", 1_600), SpokenUnit("AA", 3_200), SpokenUnit("SIL", 3_200)),
+        16_000,
+    )
+
+    m, silence = said.events()
+    assert m == PhonemeEvent("M", 0.1, 0.2)
+    assert (silence.phoneme, silence.start_s) == ("SIL", 0.2)
+
+
+def test_a_text_without_times_is_corrected_from_the_first_sample_on():
+    first = SpokenText("text", (SpokenUnit("Wreck a nice beach."),), RATE_HZ)
+    again = SpokenText("text", (SpokenUnit("Recognise speech.", 0),), RATE_HZ)
+
+    assert first.revised(again).units == again.units
+
+
+def test_of_more_text_than_an_hour_has_the_newest_is_kept():
+    page = SpokenText("text", (SpokenUnit("x" * LONGEST_TEXT),), RATE_HZ)
+    said = page
+    for _ in range(9):
+        said = said.revised(page)
+
+    assert len(said.units) == MOST_CHARACTERS // LONGEST_TEXT
+
+
 @pytest.mark.parametrize(
     ("kind", "units", "says"),
     [
         ("phoneme", (SpokenUnit("Q", 0, 1),), "'Q' is no phoneme"),
-        ("word", (SpokenUnit("", 0, 1),), "word 0: 1 to"),
-        ("word", (SpokenUnit("x" * (LONGEST_LABEL + 1)),), "word 0: 1 to"),
+        ("word", (SpokenUnit("", 0, 1),), "word 0: 0 characters"),
+        ("word", (SpokenUnit("x" * (LONGEST_LABEL + 1)),), "word 0: 101 characters"),
+        ("text", (SpokenUnit("x" * 1_000_000),), "text 0: 1000000 characters; 1 to 20000"),
+        ("text", (SpokenUnit("x" * LONGEST_TEXT),) * 6, "at most 100000"),
         ("word", (SpokenUnit("a", 5, 9), SpokenUnit("b", 8, 12)), "word 1: sample 8 is before 9"),
         ("word", (SpokenUnit("a", 5, 4),), "word 0: sample 4 is before 5"),
         ("word", (SpokenUnit("a", -1, 4),), "word 0: sample -1 is before 0"),
