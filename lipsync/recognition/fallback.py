@@ -32,7 +32,7 @@ from lipsync.phonemes import (
 from lipsync.recognition.energy_recognizer import NeutralRecognizer
 from lipsync.recognition.streaming import PreparingRecognizer
 from lipsync.recognition.text_decoder import MovedBy, TextFollower
-from lipsync.text_to_speech.pronunciation import PronouncedWord
+from lipsync.spoken_text import PronouncedWord
 
 #: So much sound may wait for a recogniser without being called a backlog.
 _BACKLOG_S = 0.3

@@ -22,7 +22,7 @@ from lipsync.recognition.own_noise import OwnNoise
 from lipsync.recognition.posteriors import PosteriorStream
 from lipsync.recognition.streaming import AudioInput, UpdateBuilder
 from lipsync.recognition.text_decoder import FOLLOWING, HEARD, MovedBy, TextDecoder
-from lipsync.text_to_speech.pronunciation import PronouncedWord
+from lipsync.spoken_text import PronouncedWord
 
 #: The window of the newest frame ends 25 ms after its start.
 _WINDOW_S = 0.025

@@ -23,7 +23,7 @@ from lipsync.arrays import Array32
 from lipsync.errors import UserError
 from lipsync.phonemes import PHONEMES
 from lipsync.recognition.decoder import SILENCE_INDEX, PosteriorFormat, best_heads
-from lipsync.text_to_speech.pronunciation import PronouncedWord
+from lipsync.spoken_text import PronouncedWord
 
 #: In place of a phoneme where the escape wins.
 HEARD: Final = -1
