@@ -1,50 +1,36 @@
-"""Known phonemes from a file, whoever wrote it: the format is told by what is in it."""
+"""Files that tell what is said and when, whoever wrote them: the format is told by what is in it."""
 
 import json
+from dataclasses import replace
+from itertools import pairwise
 from os import PathLike
 from pathlib import Path
+from typing import Final
 
+from lipservo_client.vendors import VendorError, VendorUnits, vendor_units
+from lipsync.alphabets import AlphabetError, phones_of
 from lipsync.errors import UserError
-from lipsync.phoneme_files.formats import (
-    PlacedRow,
-    aligned_phonemes,
-    azure_phonemes,
-    head_tts_phonemes,
-    is_aligned,
-    is_azure,
-    is_head_tts,
-    is_phone_tiers,
-    is_polly,
-    polly_phonemes,
-    tier_phonemes,
-)
-from lipsync.phonemes import PhonemeEvent
+from lipsync.phonemes import SILENCE, PhonemeEvent
 from lipsync.recognition.scripted import read_phonemes
 from lipsync.textgrid import LabelError, is_textgrid
 
 #: An hour of phonemes in JSON is about 4 MB.
-_LARGEST_BYTES = 64 * 2**20
-_KNOWN = (
-    "known are: TextGrid, Polly speech marks, Azure viseme events, HeadTTS, "
-    "rows of phoneme with start and end, and phones as `lipservo lines align -o` writes them"
+_LARGEST_BYTES: Final = 64 * 2**20
+_KNOWN: Final = (
+    "known are TextGrid, phones as `lipservo lines align -o` writes them, and what synthesisers "
+    "send (docs/text.md)"
 )
-#: Where a document may hold its rows.
-_ROWS = ("phonemes", "alignments", "visemes", "events", "tokens")
+#: A file that tells starts alone does not say how long its last phoneme is.
+_LAST_PHONEME_S: Final = 0.1
 
 
 def read_known_phonemes(path: str | PathLike[str]) -> tuple[PhonemeEvent, ...]:
-    """The phonemes of a file in one of the formats of docs/speech.md.
+    """The phonemes of a file in one of the formats of docs/text.md.
 
     In order, from 0 on, without gaps (silence between) and each with its end. Raises LabelError,
     in one line: which file, where in it, what is allowed.
     """
-    path = Path(path)
-    try:
-        if path.stat().st_size > _LARGEST_BYTES:
-            raise LabelError(f"{path}: larger than 64 MiB; give the phonemes of one recording")
-        content = path.read_bytes()
-    except OSError as error:
-        raise LabelError(f"{path}: cannot be read ({error.strerror}); give a file") from None
+    content = _content(Path(path))
     if is_textgrid(content[:200]):
         return read_phonemes(path)
     return phonemes_in(content, str(path))
@@ -52,59 +38,96 @@ def read_known_phonemes(path: str | PathLike[str]) -> tuple[PhonemeEvent, ...]:
 
 def phonemes_in(content: bytes, name: str) -> tuple[PhonemeEvent, ...]:
     """The same from the content of a file of JSON; `name` is told in errors."""
+    best = units_in(content, name)[0]
+    if best.kind == "word":
+        raise LabelError(
+            f"{name}: words without phonemes; give it to `lipservo say --from`, which follows them "
+            "in the sound"
+        )
+    try:
+        return _events(best)
+    except AlphabetError as error:
+        raise LabelError(f"{name}: {error}") from None
+
+
+def units_in(content: bytes, name: str) -> tuple[VendorUnits, ...]:
+    """All that a file of JSON tells, phonemes before visemes before words. Raises LabelError."""
+    try:
+        return vendor_units(_parsed(content, name))
+    except VendorError as error:
+        raise LabelError(f"{name}: {error}; {_KNOWN}") from None
+
+
+def _content(path: Path) -> bytes:
+    try:
+        if path.stat().st_size > _LARGEST_BYTES:
+            raise LabelError(f"{path}: larger than 64 MiB; give the phonemes of one recording")
+        return path.read_bytes()
+    except OSError as error:
+        raise LabelError(f"{path}: cannot be read ({error.strerror}); give a file") from None
+
+
+def _events(known: VendorUnits) -> tuple[PhonemeEvent, ...]:
+    """Phonemes or visemes as events from 0 on; the phones of one share its time evenly."""
+    events: list[PhonemeEvent] = []
+    ends_s = [after.start_s for _, after in pairwise(known.units)]
+    last = known.units[-1]
+    ends_s.append(last.start_s + _LAST_PHONEME_S if last.end_s is None else last.end_s)
+    reached_s = 0.0
+    for number, (unit, next_s) in enumerate(zip(known.units, ends_s, strict=True), start=1):
+        try:
+            phones = phones_of(unit.label, known.alphabet)
+        except AlphabetError as error:
+            raise AlphabetError(f"{known.kind} {number}: {error}") from None
+        end_s = next_s if unit.end_s is None else unit.end_s
+        if unit.start_s > reached_s:
+            _append(events, SILENCE, reached_s, unit.start_s)
+        goes_on = not phones  # a mark of length, a space
+        if goes_on:
+            phones = (events[-1].phoneme if events else SILENCE,)
+        for index, phone in enumerate(phones):
+            share_s = (end_s - unit.start_s) / len(phones)
+            start_s = unit.start_s + index * share_s
+            stop_s = end_s if index + 1 == len(phones) else start_s + share_s
+            _append(events, phone, start_s, stop_s, goes_on=goes_on)
+        reached_s = max(reached_s, end_s)
+    if all(event.phoneme == SILENCE for event in events):
+        raise AlphabetError("nothing but silence; give a file in which something is said")
+    return tuple(events)
+
+
+def _append(
+    events: list[PhonemeEvent], phone: str, start_s: float, end_s: float, *, goes_on: bool = False
+) -> None:
+    """Add an event unless it has no length; silence, or what goes on, joins its like before it."""
+    if end_s <= start_s:
+        return
+    if events and events[-1].phoneme == phone and (goes_on or phone == SILENCE):
+        events[-1] = replace(events[-1], end_s=end_s)
+    else:
+        events.append(PhonemeEvent(phone, start_s, end_s))
+
+
+def _parsed(content: bytes, name: str) -> object:
+    """The document, or its lines by name."""
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise LabelError(f"{name}: neither a TextGrid nor text in UTF-8; {_KNOWN}") from None
-    document, rows = _parsed(text, name)
-    if is_head_tts(document):
-        return head_tts_phonemes(document, name)
-    if is_phone_tiers(document):
-        return tier_phonemes(document, name)
-    if is_polly(rows):
-        return polly_phonemes(rows, name)
-    if is_azure(rows):
-        return azure_phonemes(rows, name)
-    if is_aligned(rows):
-        return aligned_phonemes(rows, document, name)
-    raise LabelError(f"{name}: JSON of an unknown kind; {_KNOWN}")
-
-
-def _parsed(text: str, name: str) -> tuple[dict[str, object], list[PlacedRow]]:
-    """The document, {} where it is a list or lines, and the objects in it with their places."""
     try:
-        document = _json(text)
+        return _json(text)
     except _NotJsonError:
-        return {}, _lines(text, name)
-    if isinstance(document, dict):
-        inner = document.get("data")
-        if isinstance(inner, dict):
-            document = inner
-        for key in _ROWS:
-            rows = document.get(key)
-            if isinstance(rows, list) and rows and all(isinstance(row, dict) for row in rows):
-                return document, [(f"{key}[{index}]", row) for index, row in enumerate(rows)]
-        return document, [("line 1", document)]
-    if isinstance(document, list) and all(isinstance(row, dict) for row in document):
-        return {}, [(f"[{index}]", row) for index, row in enumerate(document)]
-    raise LabelError(f"{name}: JSON of an unknown kind; {_KNOWN}")
-
-
-def _lines(text: str, name: str) -> list[PlacedRow]:
-    rows: list[PlacedRow] = []
+        pass
+    lines: dict[str, object] = {}
     for number, line in enumerate(text.split("\n"), start=1):
-        if not line.strip():
-            continue
-        try:
-            row = _json(line)
-        except _NotJsonError:
-            row = None
-        if not isinstance(row, dict):
-            raise LabelError(f"{name}: line {number}: no JSON object; {_KNOWN}")
-        rows.append((f"line {number}", row))
-    if not rows:
+        if line.strip():
+            try:
+                lines[f"line {number}"] = _json(line)
+            except _NotJsonError:
+                raise LabelError(f"{name}: line {number}: no JSON; {_KNOWN}") from None
+    if not lines:
         raise LabelError(f"{name}: empty; {_KNOWN}")
-    return rows
+    return lines
 
 
 class _NotJsonError(UserError):

@@ -1,0 +1,150 @@
+"""Phonemes and visemes of others as phones of our inventory, by tables.
+
+A viseme stands for several phonemes; its row in alphabets.yaml has the one phone that moves the
+mouth for it, and why. Phonemes of any language are IPA (ipa.yaml), or X-SAMPA, which is IPA in
+ASCII. docs/speech.md shows the tables.
+"""
+
+import re
+import unicodedata
+from collections.abc import Iterable, Mapping
+from functools import cache
+from importlib.resources import files
+from types import MappingProxyType
+from typing import Final
+
+import yaml
+
+from lipsync.errors import UserError, shown
+from lipsync.ipa import phones_of_ipa
+from lipsync.phonemes import SILENCE, VISEME_OF
+from lipsync.spoken_text import SpokenText, SpokenUnit, UnitKind
+
+#: Ours, without an alphabet's name too.
+ARPABET: Final = "arpabet"
+IPA: Final = "ipa"
+X_SAMPA: Final = "x-sampa"
+#: Pauses by name, and Piper's marks of beginning and end; punctuation is a pause as well.
+_PAUSES: Final = frozenset((SILENCE, "sil", "sp", "pau", "", "^", "$", "_"))
+
+#: Marks of X-SAMPA that stand for no letter: `_h`, aspirated.
+_MARK: Final = re.compile(r"_[^_\\]\\?")
+
+
+class AlphabetError(UserError):
+    """A label that its alphabet lacks, or an alphabet that is not known; one line."""
+
+
+@cache
+def _tables() -> Mapping[str, Mapping[str, tuple[str, ...]]]:
+    text = files("lipsync").joinpath("alphabets.yaml").read_text("utf-8")
+    return MappingProxyType(
+        {
+            name: MappingProxyType({str(label): tuple(row) for label, row in rows.items()})
+            for name, rows in yaml.safe_load(text).items()
+        }
+    )
+
+
+@cache
+def viseme_sets() -> Mapping[str, Mapping[str, tuple[str, str]]]:
+    """(phone, reason) by viseme, numbers as text, by the name of the set."""
+    sets = {name: rows for name, rows in _tables().items() if name != X_SAMPA}
+    return MappingProxyType(
+        {
+            name: {label: (row[0], row[1]) for label, row in rows.items()}
+            for name, rows in sets.items()
+        }
+    )
+
+
+def alphabets() -> tuple[str, ...]:
+    """The names of all alphabets."""
+    return (ARPABET, IPA, X_SAMPA, *viseme_sets())
+
+
+def phones_of(label: str, alphabet: str = ARPABET) -> tuple[str, ...]:
+    """The phones for one label; none where it only goes on with the one before, as a mark of length.
+
+    An IPA letter that ipa.yaml lacks is guessed. Raises AlphabetError.
+    """
+    if alphabet in ("", ARPABET):
+        phone = label.rstrip("012") or label
+        if phone not in VISEME_OF:
+            raise AlphabetError(
+                f"{shown(label)} is no phoneme; use ARPAbet in upper case, SIL for silence, or name "
+                f"the alphabet: {', '.join(alphabets())}"
+            )
+        return (phone,)
+    if alphabet in (IPA, X_SAMPA):
+        return _spelled(label, alphabet)
+    visemes = viseme_sets().get(alphabet)
+    if visemes is None:
+        raise AlphabetError(
+            f"alphabet {shown(alphabet)} is not known; there are: {', '.join(alphabets())}"
+        )
+    if label not in visemes:
+        raise AlphabetError(
+            f"{shown(label)} is no viseme of {alphabet}; it has: {' '.join(visemes)}"
+        )
+    return (visemes[label][0],)
+
+
+def in_inventory(
+    kind: UnitKind, units: Iterable[SpokenUnit], alphabet: str, sample_rate_hz: int
+) -> SpokenText:
+    """Units of an alphabet as units of the inventory; the phones of one share its time evenly.
+
+    A label that only goes on makes the unit before longer. Raises AlphabetError and
+    SpokenTextError.
+    """
+    found: list[SpokenUnit] = []
+    for number, unit in enumerate(units):
+        try:
+            phones = phones_of(unit.label, alphabet)
+        except AlphabetError as error:
+            raise AlphabetError(f"{kind} {number + 1}: {error}") from None
+        if phones:
+            found += _shared(phones, unit)
+        elif found and unit.end_sample is not None:
+            found[-1] = SpokenUnit(found[-1].label, found[-1].start_sample, unit.end_sample)
+    return SpokenText(kind, tuple(found), sample_rate_hz)
+
+
+def _shared(phones: tuple[str, ...], unit: SpokenUnit) -> list[SpokenUnit]:
+    if unit.start_sample is None or unit.end_sample is None:
+        # Where one begins is not known of the others.
+        starts = [unit.start_sample, *[None] * (len(phones) - 1)]
+        return [SpokenUnit(each, start) for each, start in zip(phones, starts, strict=True)]
+    span = unit.end_sample - unit.start_sample
+    bounds = [unit.start_sample + round(span * n / len(phones)) for n in range(len(phones) + 1)]
+    return [SpokenUnit(each, bounds[n], bounds[n + 1]) for n, each in enumerate(phones)]
+
+
+def _spelled(label: str, alphabet: str) -> tuple[str, ...]:
+    if label in _PAUSES:
+        return (SILENCE,)
+    if alphabet == X_SAMPA:  # whose vowels are punctuation
+        return phones_of_ipa(_ipa_of_x_sampa(label)).phones
+    if all(unicodedata.category(sign).startswith("P") for sign in label):
+        return (SILENCE,)
+    arpabet = label.rstrip("012")
+    return (arpabet,) if arpabet in VISEME_OF else phones_of_ipa(label).phones
+
+
+def _ipa_of_x_sampa(label: str) -> str:
+    """Longest symbols first; what the table lacks is the same letter in IPA."""
+    table = _tables()[X_SAMPA]
+    longest = max(map(len, table))
+    label = _MARK.sub("", label)
+    found, place = "", 0
+    while place < len(label):
+        for length in range(min(longest, len(label) - place), 0, -1):
+            if (row := table.get(label[place : place + length])) is not None:
+                found += row[0]
+                break
+        else:
+            length = 1
+            found += label[place]
+        place += length
+    return found
