@@ -15,9 +15,11 @@ from lipservo_client.protocol import (
     FaceError,
     Pcm,
     Played,
+    Told,
     error_of,
     pcm_bytes,
     played_of,
+    told_messages,
 )
 from lipservo_client.wire import PATIENCE_S, Wire, connected
 
@@ -97,6 +99,21 @@ class AsyncSpeech:
         """Ask for a `mark` event when all that was written until now has been heard."""
         await self._send_small()
         await self._wire.send("mark", name=name)
+
+    async def tell(
+        self, told: Told, *, alphabet: str | None = None, language: str | None = None
+    ) -> None:
+        """What is said in it, beside the sound: before it, with it or late; more, or corrected.
+
+        told: a text; or (kind, units), kind `words`, `phonemes` or `visemes`, a unit being a label,
+        or (label, start, end) in samples of the stream, either None where it is not known. From the
+        first unit's start on it replaces what was told. alphabet: of the labels, as docs/text.md
+        names it; None: ARPAbet. A face that cannot use it says so by an `error` event `bad_text`,
+        and listens.
+        """
+        for message in told_messages(told):
+            about = {"alphabet": alphabet, "language": language}
+            await self._wire.send(message.pop("type"), stream=self.stream, **message, **about)
 
     async def report_played(self, played_s: float) -> None:
         """With `playback="client"`: so much has left our loudspeaker now; the mouth follows."""

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from lipservo_client.vendors import VendorError, VendorUnits, vendor_units
+
 from lipsync.alphabets import AlphabetError, phones_of
 from lipsync.errors import UserError
 from lipsync.phonemes import SILENCE, PhonemeEvent
