@@ -15,7 +15,7 @@ from pipecat.frames import frames
 from pipecat.processors.frame_processor import FrameDirection, FrameProcessor
 
 from lipservo_client.async_face import AsyncFace, AsyncSpeech
-from lipservo_client.protocol import Event, FaceError, Played, mono_pcm
+from lipservo_client.protocol import Event, FaceError, Played, error_of, mono_pcm
 
 #: A face keeps 64 marks of a stream; beyond these, positions tell what was heard.
 _MOST_MARKS: Final = 48
@@ -269,6 +269,8 @@ class PipecatFace(_FaceProcessor):
             await self._hear(event)
 
     async def _hear(self, event: Event) -> None:
+        if event["type"] == "disconnected":
+            await self._complain(error_of(event))
         if self._speech is not None and event.get("stream") == self._speech.stream:
             if event["type"] == "started":
                 await self._tell_speaking(True)
