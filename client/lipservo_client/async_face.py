@@ -70,6 +70,11 @@ class AsyncSpeech:
         return self._heard.done()
 
     @property
+    def is_complete(self) -> bool:
+        """No more of it comes."""
+        return self._is_complete
+
+    @property
     def was_heard(self) -> bool:
         """It was heard to its end."""
         is_told = self.is_over and self._heard.exception() is None

@@ -147,6 +147,7 @@ def test_a_face_that_is_renamed_while_an_agent_speaks_takes_its_commands_again()
 def test_a_peer_that_is_gone_without_a_word_is_noticed(monkeypatch):
     monkeypatch.setattr(wire, "_PING_S", 0.1)
     monkeypatch.setattr(wire, "_PONG_S", 0.2)
+    monkeypatch.setattr(wire, "_CLOSING_S", 0.1)
 
     async def talk():
         async with frozen_after(1) as url, AsyncFace(url, "t") as face:
@@ -167,6 +168,7 @@ def test_a_dead_peer_is_noticed_within_ten_seconds_by_both_ends():
 def test_every_call_to_a_hung_face_has_a_limit(call, monkeypatch):
     for module in (async_face, wire):
         monkeypatch.setattr(module, "PATIENCE_S", 0.3)
+    monkeypatch.setattr(wire, "_CLOSING_S", 0.1)
     monkeypatch.setattr(async_face, "_READING_S", 0.3)
 
     async def talk():
