@@ -90,7 +90,7 @@ class _Unheard:
 
     @property
     def may_go_on(self) -> bool:
-        """It was heard; behind the last of a stream, when the face is free for other clients too."""
+        """It was heard; behind a whole stream: and the face is free for others."""
         is_last = self.speech is not None and self.speech.is_complete and not self.speech.is_over
         return self.is_heard and (self.is_sound or not is_last)
 

@@ -156,10 +156,18 @@ async def wyoming_agent(url, port):
 
     try:
         yield say
+        n_handlers = wyoming_handlers()
         await client.disconnect()
+        while wyoming_handlers() == n_handlers:  # else it would never close its connection
+            await asyncio.sleep(0.005)
     finally:
         serving.cancel()
         await asyncio.gather(serving, return_exceptions=True)
+
+
+def wyoming_handlers():
+    names = [getattr(task.get_coro(), "__qualname__", "") for task in asyncio.all_tasks()]
+    return names.count("AsyncEventHandler.run")
 
 
 @contextlib.contextmanager
