@@ -11,10 +11,12 @@ from contextlib import suppress
 from typing import Any, Final, Self
 
 from livekit import rtc
+from livekit.agents.types import NOT_GIVEN, USERDATA_TIMED_TRANSCRIPT
+from livekit.agents.utils import is_given
 from livekit.agents.voice.io import AudioOutput, AudioOutputCapabilities
 
 from lipservo_client.async_face import AsyncFace, AsyncSpeech
-from lipservo_client.protocol import FaceError, mono_pcm
+from lipservo_client.protocol import Told, FaceError, mono_pcm
 
 _LOG: Final = logging.getLogger(__name__)
 
@@ -69,6 +71,8 @@ class LiveKitFace(AudioOutput):
                 self._begin(self._tell_end(speech))
                 if self._is_paused:
                     await self._face.pause()
+            for told in _told(frame):
+                await speech.tell(told)
             self._is_cut = not await speech.write(mono_pcm(frame.data, frame.num_channels))
         except FaceError as error:
             _LOG.warning("not said: %s", error)
@@ -135,3 +139,18 @@ class LiveKitFace(AudioOutput):
                 await work
 
         self._last = self._begin(done())
+
+
+def _told(frame: rtc.AudioFrame) -> list[Told]:
+    """What the synthesiser tells of the segment beside the sound: words with times, or text."""
+    told: list[Told] = []
+    for word in frame.userdata.get(USERDATA_TIMED_TRANSCRIPT, ()):
+        if not word.strip():
+            continue
+        start_s = getattr(word, "start_time", NOT_GIVEN)
+        if is_given(start_s):
+            start = max(0, round(start_s * frame.sample_rate))
+            told.append(("words", [(str(word).strip(), start)]))
+        else:
+            told.append(str(word))
+    return told

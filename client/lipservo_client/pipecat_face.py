@@ -19,6 +19,8 @@ from lipservo_client.protocol import Event, FaceError, Played, error_of, mono_pc
 
 #: A face keeps 64 marks of a stream; beyond these, positions tell what was heard.
 _MOST_MARKS: Final = 48
+#: Sentences that are announced before any of their sound came; the oldest are left out.
+_MOST_UNTOLD: Final = 64
 #: Between two questions for the position while frames wait for a moment within the sound.
 _ASKING_S: Final = 0.05
 #: An interruption holds the pipeline up no longer.
@@ -120,6 +122,10 @@ class PipecatFace(_FaceProcessor):
         #: Pipecat has it, that is when its sound came, or the last word before if that is later.
         self._contexts: dict[str | None, tuple[int, int]] = {}
         self._last_word_ns = 0
+        #: Sentences whose sound has not begun; and whether the service announces its sentences, so
+        #: that the same words come again as they were said.
+        self._untold: list[str] = []
+        self._is_announced = False
         self._is_speaking = False
         self._is_complete = False
         #: Nothing more of what is being said is wanted: it was cut off at the face.
@@ -145,6 +151,8 @@ class PipecatFace(_FaceProcessor):
             return
         if self._is_cut and isinstance(frame, frames.TextFrame):
             return
+        if isinstance(frame, frames.AggregatedTextFrame):
+            await self._tell(frame)
         self._wait_in_line(frame)
         if isinstance(frame, frames.TTSStoppedFrame):
             self._is_complete, self._is_cut = True, False
@@ -170,6 +178,9 @@ class PipecatFace(_FaceProcessor):
             self._contexts.setdefault(frame.context_id, (self._n, from_ns))
             self._n += len(pcm) // 2
             self._line.append(_Unheard(speech, self._n, frame))
+            untold, self._untold = self._untold, []
+            for text in untold:
+                await speech.tell(text)
             self._is_cut = not await speech.write(pcm)
         except FaceError as error:
             self._is_cut = True
@@ -191,14 +202,38 @@ class PipecatFace(_FaceProcessor):
             await speech.__aenter__()
         return speech
 
+    async def _tell(self, frame: frames.AggregatedTextFrame) -> None:
+        """The face knows what it says: words with their times, else sentences before their sound."""
+        is_said = isinstance(frame, frames.TTSTextFrame)
+        n = self._sample_of(frame)
+        text = frame.text.strip()
+        if not text or not (is_said or frame.will_be_spoken):
+            return
+        self._is_announced = self._is_announced or not is_said
+        if n is None and is_said and self._is_announced:
+            return
+        if self._speech is None:
+            self._untold = [*self._untold, text][-_MOST_UNTOLD:]
+            return
+        with suppress(FaceError):
+            await self._speech.tell(text if n is None else ("words", [(text, n)]))
+
+    def _sample_of(self, frame: frames.Frame) -> int | None:
+        """Where in the stream a word is said; None: no word, or without a time."""
+        speech = self._speech
+        context = self._contexts.get(getattr(frame, "context_id", None))
+        if not (isinstance(frame, frames.TextFrame) and frame.pts) or context is None:
+            return None
+        if speech is None:
+            return None
+        return max(0, context[0] + round(1e-9 * (frame.pts - context[1]) * speech.rate_hz))
+
     def _wait_in_line(self, frame: frames.Frame) -> None:
         """Put a frame behind the sound that came before it, or where in the sound its time is."""
         speech = self._speech or (self._line[-1].speech if self._line else None)
-        context = self._contexts.get(getattr(frame, "context_id", None))
-        is_word = isinstance(frame, frames.TextFrame) and frame.pts
-        if is_word and context is not None and speech is not None and speech is self._speech:
+        n = self._sample_of(frame)
+        if n is not None:
             self._last_word_ns = max(self._last_word_ns, frame.pts)
-            n = context[0] + round(1e-9 * (frame.pts - context[1]) * speech.rate_hz)
             place = len(self._line)
             while place and self._line[place - 1].speech is speech and self._line[place - 1].n > n:
                 place -= 1
@@ -266,6 +301,7 @@ class PipecatFace(_FaceProcessor):
                 elif not (each.is_heard or each.frame.interruptible or everything):
                     (again if is_cut else self._line).append(each)
             self._is_cut, self._transport_until_s, self._last_word_ns = False, 0.0, 0
+            self._untold.clear()
             self._speech = None if is_cut else self._speech
         for _ in range(_SETTLING_TURNS):
             await asyncio.sleep(0.0)
