@@ -44,7 +44,7 @@ _PIECE_S = 0.5
 
 #: Ids of streams that a client began, the newest.
 _MOST_OVER = 64
-#: Texts whose pronunciations are being looked up.
+#: Texts of one client that wait until it is known how they sound.
 _MOST_UNTAKEN = 256
 
 
@@ -61,7 +61,8 @@ class StreamSession:
         self._open: AgentStream | None = None
         # The rest of a stream that was cut off is on its way still: it is no mistake.
         self._ignores_rest = False
-        self._n_untaken = 0
+        #: Texts whose pronunciations are being looked up, one after the other.
+        self._untaken: set[asyncio.Task[None]] = set()
         self._taking: asyncio.Task[None] | None = None
         #: Streams whose texts may come late.
         self._over: deque[str] = deque(maxlen=_MOST_OVER)
@@ -82,6 +83,8 @@ class StreamSession:
 
     def leave(self) -> None:
         """The client has gone."""
+        for taking in self._untaken:
+            taking.cancel()
         self._turns.leave(self._outbox)
 
     async def _do(self, said: StreamMessage) -> None:
@@ -184,12 +187,12 @@ class StreamSession:
         stream = self._told_stream(told.stream)
         if stream is None:
             return
-        if self._n_untaken >= _MOST_UNTAKEN:
+        if len(self._untaken) >= _MOST_UNTAKEN:
             raise MessageError("bad_text", f"{_MOST_UNTAKEN} texts are not looked up yet; wait")
-        self._n_untaken += 1
-        self._taking = asyncio.get_running_loop().create_task(
-            self._take_told(told, stream, self._taking)
-        )
+        taking = self._take_told(told, stream, self._taking)
+        self._taking = asyncio.get_running_loop().create_task(taking)
+        self._untaken.add(self._taking)
+        self._taking.add_done_callback(self._untaken.discard)
 
     async def _take_told(
         self, told: Told, stream: AgentStream, before: asyncio.Task[None] | None
@@ -209,8 +212,6 @@ class StreamSession:
         except Exception as error:  # a fault of ours, or of the library that knows how words sound
             _LOG.error("voice agents: a text failed: %s: %s", type(error).__name__, error)
             self._outbox.error("internal", "the text failed; see the face's log")
-        finally:
-            self._n_untaken -= 1
 
     def _told_stream(self, name: str | None) -> AgentStream | None:
         """The stream that a message is about; None: one that was cut off or is over."""
