@@ -106,9 +106,9 @@ END, INTERRUPT = '{"type": "end"}', '{"type": "interrupt"}'
             "language",
         ),
         (
-            [started(), json.dumps({"type": "text", "text": "a", "language": "tlh"}), INTERRUPT],
+            [started(), json.dumps({"type": "text", "text": "a", "language": "qq"}), INTERRUPT],
             "bad_text",
-            "tlh",
+            "qq",
         ),
         (
             [started(), '{"type": "position", "played_s": NaN}', INTERRUPT],
