@@ -226,7 +226,8 @@ class PipecatFace(_FaceProcessor):
             return None
         if speech is None:
             return None
-        return max(0, context[0] + round(1e-9 * (frame.pts - context[1]) * speech.rate_hz))
+        since_s = 1e-9 * (frame.pts - context[1])
+        return max(0, int(context[0] + round(since_s * speech.rate_hz)))
 
     def _wait_in_line(self, frame: frames.Frame) -> None:
         """Put a frame behind the sound that came before it, or where in the sound its time is."""
