@@ -203,7 +203,7 @@ class PipecatFace(_FaceProcessor):
         return speech
 
     async def _tell(self, frame: frames.AggregatedTextFrame) -> None:
-        """The face knows what it says: words with their times, else sentences before their sound."""
+        """Words with their times, else sentences before their sound."""
         is_said = isinstance(frame, frames.TTSTextFrame)
         n = self._sample_of(frame)
         text = frame.text.strip()
