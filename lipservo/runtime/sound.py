@@ -28,6 +28,7 @@ from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
 from lipsync.audio.source import AudioSource, Loudspeaker, SilenceAfter, SilentSource
 from lipsync.errors import UserError
 from lipsync.phonemes import PhonemeEvent
+from lipsync.spoken_text import LONGEST_LABEL, SpokenText, SpokenUnit
 
 if TYPE_CHECKING:
     from lipsync.text_to_speech.synthesis import SynthesizedSpeech
@@ -165,6 +166,10 @@ def spoken_text(
     def stream_of(sentence: "SynthesizedSpeech") -> PlayoutStream:
         rates_hz = sentence.sample_rate_hz, playout.output_rate_hz
         stream = PlayoutStream(name, *rates_hz, sentence.phonemes)
+        starts = (round(word.start_s * sentence.sample_rate_hz) for word in sentence.words)
+        labels = (word.text[:LONGEST_LABEL] for word in sentence.words)
+        units = map(SpokenUnit, labels, starts)
+        stream.tell(SpokenText("word", tuple(units), sentence.sample_rate_hz))
         stream.push(sentence.samples)
         stream.end()
         return stream
