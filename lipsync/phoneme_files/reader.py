@@ -1,4 +1,4 @@
-"""Files that tell what is said and when, whoever wrote them: the format is told by what is in it."""
+"""Files that tell what is said when, whoever wrote them; what is in one tells its format."""
 
 import json
 from dataclasses import replace
@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from lipservo_client.vendors import VendorError, VendorUnits, vendor_units
+
 from lipsync.alphabets import AlphabetError, phones_of
 from lipsync.errors import UserError
 from lipsync.phonemes import SILENCE, PhonemeEvent
@@ -55,7 +56,7 @@ def units_in(content: bytes, name: str) -> tuple[VendorUnits, ...]:
     try:
         return vendor_units(_parsed(content, name))
     except VendorError as error:
-        raise LabelError(f"{name}: {error}; {_KNOWN}") from None
+        raise LabelError(f"{name}: {error}") from None
 
 
 def _content(path: Path) -> bytes:
@@ -91,6 +92,8 @@ def _events(known: VendorUnits) -> tuple[PhonemeEvent, ...]:
             stop_s = end_s if index + 1 == len(phones) else start_s + share_s
             _append(events, phone, start_s, stop_s, goes_on=goes_on)
         reached_s = max(reached_s, end_s)
+    if last.end_s is None and events and events[-1].phoneme == SILENCE:
+        del events[-1]
     if all(event.phoneme == SILENCE for event in events):
         raise AlphabetError("nothing but silence; give a file in which something is said")
     return tuple(events)
