@@ -7,6 +7,7 @@ share. In JSON, as on a voice agent's connection (docs/agents.md), units are obj
 of `SpokenUnit`.
 """
 
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
@@ -26,6 +27,8 @@ LONGEST_LABEL: Final = 100
 MOST_CHARACTERS: Final = 100_000
 #: The last unit of all, whose end is not known, lasts so long: the longest vowels do.
 _OPEN_S: Final = 0.3
+#: No mouth moves faster: of units that begin closer together the first one counts.
+_SHORTEST_S: Final = 0.01
 
 
 class SpokenTextError(UserError):
@@ -42,6 +45,19 @@ class SpokenUnit:
     label: str
     start_sample: int | None = None
     end_sample: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PronouncedWord:
+    """A word as it may sound, to be found in its sound (`lipsync/recognition/text_decoder.py`).
+
+    pronunciations: at least one; phonemes of the inventory without silence, the commonest first.
+    start_s: about when it begins in its stream, None where that is not known.
+    """
+
+    label: str
+    pronunciations: tuple[tuple[str, ...], ...]
+    start_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,11 +96,16 @@ class SpokenText:
                         f"{place}: sample {sample} is before {newest}; times may not run backwards"
                     )
                 newest = newest if sample is None else sample
-        n_characters = sum(len(unit.label) for unit in self.units)
-        if n_characters > MOST_CHARACTERS:
+        if self.n_characters > MOST_CHARACTERS and self.kind == "text":
             raise SpokenTextError(
-                f"{n_characters} characters; at most {MOST_CHARACTERS} at once, send the rest later"
+                f"{self.n_characters} characters; at most {MOST_CHARACTERS} at once, send the rest "
+                "later"
             )
+
+    @property
+    def n_characters(self) -> int:
+        """Of all units."""
+        return sum(len(unit.label) for unit in self.units)
 
     @property
     def moves_mouth(self) -> bool:
@@ -109,31 +130,69 @@ class SpokenText:
             )
         start = later.units[0].start_sample if later.units else None
         kept = self.units if start is None else _before(self.units, start)
-        units = [*kept, *later.units][-MOST_UNITS:]
-        n_too_many = sum(len(unit.label) for unit in units) - MOST_CHARACTERS
-        n_dropped = 0
-        while n_too_many > 0:
-            n_too_many -= len(units[n_dropped].label)
-            n_dropped += 1
-        return replace(self, units=tuple(units[n_dropped:]))
+        first = next((t for unit in later.units for t in _times(unit)), None)
+        newest = next((t for unit in reversed(kept) for t in reversed(_times(unit))), 0)
+        if first is not None and first < newest:
+            raise SpokenTextError(
+                f"sample {first} is before {newest}, which was sent before; a correction begins "
+                "with a unit that has a time"
+            )
+        units = (*kept, *later.units)[-MOST_UNITS:]
+        if self.kind == "text":
+            while len(units) > 1 and sum(len(unit.label) for unit in units) > MOST_CHARACTERS:
+                units = units[1:]
+        return _joined(self.kind, units, self.sample_rate_hz)
 
-    def events(self) -> tuple[PhonemeEvent, ...]:
-        """The phonemes in seconds of the stream; SpokenTextError without times, or for words.
+    def events(
+        self, from_sample: int = 0, until_sample: int | None = None
+    ) -> tuple[PhonemeEvent, ...]:
+        """The phonemes in seconds of the stream, that sound between two samples of it.
 
-        Units that take no time are left out.
+        Raises SpokenTextError without times, or for words. Units that take no time are left out.
         """
-        if not (self.moves_mouth and self.is_timed):
+        if not (self.moves_mouth and (not self.units or self.units[-1].start_sample is not None)):
             raise SpokenTextError(f"{self.kind}s without times move no mouth by themselves")
+        first = max(0, bisect_right(self.units, from_sample, key=_start) - 1)
+        end = len(self.units)
+        if until_sample is not None:
+            end = bisect_right(self.units, until_sample, key=_start)
         rate_hz = self.sample_rate_hz
-        open_samples = round(_OPEN_S * rate_hz)
+        shortest, open_end = round(_SHORTEST_S * rate_hz), round(_OPEN_S * rate_hz)
+        kept: list[SpokenUnit] = []
+        for unit in self.units[first:end]:
+            if kept and _start(unit) < _start(kept[-1]) + shortest:
+                if unit.end_sample is not None and kept[-1].end_sample is not None:
+                    kept[-1] = replace(kept[-1], end_sample=unit.end_sample)
+            else:
+                kept.append(unit)
         events = []
-        for unit, after in zip(self.units, (*self.units[1:], None), strict=True):
-            start = unit.start_sample or 0
-            next_start = start + open_samples if after is None else after.start_sample or 0
-            end = next_start if unit.end_sample is None else unit.end_sample
-            if end > start:
-                events.append(PhonemeEvent(unit.label, start / rate_hz, end / rate_hz))
+        after_all = self.units[end] if end < len(self.units) else None
+        for unit, after in zip(kept, (*kept[1:], after_all), strict=True):
+            start = _start(unit)
+            next_start = start + open_end if after is None else _start(after)
+            end_sample = next_start if unit.end_sample is None else unit.end_sample
+            if after is not None:
+                end_sample = min(end_sample, next_start)
+            if end_sample > max(start, from_sample):
+                events.append(PhonemeEvent(unit.label, start / rate_hz, end_sample / rate_hz))
         return tuple(events)
+
+
+def _joined(kind: UnitKind, units: tuple[SpokenUnit, ...], sample_rate_hz: int) -> SpokenText:
+    """Of units that were checked: a stream may send each phoneme in a message of its own."""
+    joined = object.__new__(SpokenText)
+    fields = {"kind": kind, "units": units, "sample_rate_hz": sample_rate_hz}
+    for name, value in fields.items():
+        object.__setattr__(joined, name, value)
+    return joined
+
+
+def _times(unit: SpokenUnit) -> tuple[int, ...]:
+    return tuple(t for t in (unit.start_sample, unit.end_sample) if t is not None)
+
+
+def _start(unit: SpokenUnit) -> int:
+    return unit.start_sample or 0
 
 
 def _before(units: Sequence[SpokenUnit], start_sample: int) -> Sequence[SpokenUnit]:
@@ -143,10 +202,13 @@ def _before(units: Sequence[SpokenUnit], start_sample: int) -> Sequence[SpokenUn
     """
     if start_sample == 0:
         return ()
-    for number, unit in enumerate(units):
-        if unit.start_sample is not None and unit.start_sample >= start_sample:
-            units = units[:number]
+    n_kept = len(units)
+    for number in range(len(units) - 1, -1, -1):
+        known = units[number].start_sample
+        if known is not None and known < start_sample:
             break
+        n_kept = n_kept if known is None else number
+    units = units[:n_kept]
     if units and (units[-1].end_sample or 0) > start_sample:
-        return [*units[:-1], replace(units[-1], end_sample=start_sample)]
+        return (*units[:-1], replace(units[-1], end_sample=start_sample))
     return units

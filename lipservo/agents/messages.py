@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from lipsync.audio.playout_stream import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
+from lipsync.spoken_text import LONGEST_LABEL, LONGEST_TEXT
+from lipsync.text_to_speech.pronunciation import DEFAULT_LANGUAGE
 
 #: The version of docs/agents.md that this face speaks; a client of another is told so.
 PROTOCOL: Final = 2
@@ -131,6 +133,66 @@ class Position(_Message):
     played_s: Annotated[float, Field(ge=0.0, le=_LONGEST_S)] | None = None
 
 
+#: What is said beside its sound, in pieces of so many units, and up to an hour at 192 kHz.
+_MOST_UNITS: Final = 2_000
+_MOST_SAMPLES: Final = 2**31
+Language = Annotated[str, Field(pattern=r"^[A-Za-z]{2,3}(-[A-Za-z0-9]{1,8}){0,3}$")]
+Sample = Annotated[int, Field(ge=0, le=_MOST_SAMPLES)]
+
+
+class Unit(_Message):
+    """A word, phoneme or viseme, by samples of the stream; without an end: until the next one."""
+
+    label: Annotated[str, Field(min_length=1, max_length=LONGEST_LABEL)]
+    start_sample: Sample | None = None
+    end_sample: Sample | None = None
+
+
+Units = Annotated[list[Unit], Field(min_length=1, max_length=_MOST_UNITS)]
+
+
+class _Told(_Message):
+    """stream: one that is said or waits; None: the open one."""
+
+    stream: Name | None = None
+
+
+class Text(_Told):
+    """What is said, as it is written: before its sound, with it or after it; more, or corrected.
+
+    With `start_sample` it replaces all text from there on.
+    """
+
+    type: Literal["text"]
+    text: Annotated[str, Field(min_length=1, max_length=LONGEST_TEXT)]
+    start_sample: Sample | None = None
+    language: Language = DEFAULT_LANGUAGE
+
+
+class Words(_Told):
+    """Words that are said, with times or without."""
+
+    type: Literal["words"]
+    units: Units
+    language: Language = DEFAULT_LANGUAGE
+
+
+class Phonemes(_Told):
+    """Phonemes that are said; without times they are looked for in the sound."""
+
+    type: Literal["phonemes"]
+    units: Units
+    alphabet: Name = ARPABET
+
+
+class Visemes(_Told):
+    """Shapes of the mouth, with the times when they begin."""
+
+    type: Literal["visemes"]
+    units: Units
+    alphabet: Name = ARPABET
+
+
 class _Command(_Message):
     id: int | float | str | None = None
 
@@ -181,7 +243,10 @@ class Play(_Command):
     file: Annotated[str, Field(min_length=1, max_length=1024)]
 
 
-StreamMessage = Hello | Start | Audio | End | Interrupt | Clear | Pause | Resume | Mark | Position
+Told = Text | Words | Phonemes | Visemes
+StreamMessage = (
+    Hello | Start | Audio | End | Interrupt | Clear | Pause | Resume | Mark | Position | Told
+)
 Command = AskStatus | Stop | StartFace | Set | Say | Play
 
 STREAM_MESSAGES: Final[dict[str, type[StreamMessage]]] = {
@@ -195,6 +260,10 @@ STREAM_MESSAGES: Final[dict[str, type[StreamMessage]]] = {
     "resume": Resume,
     "mark": Mark,
     "position": Position,
+    "text": Text,
+    "words": Words,
+    "phonemes": Phonemes,
+    "visemes": Visemes,
 }
 COMMANDS: Final[dict[str, type[Command]]] = {
     "status": AskStatus,

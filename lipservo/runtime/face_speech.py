@@ -68,6 +68,7 @@ class FaceSpeech:
         output = None if playout is None else playout.loudspeaker
         expression = speech.expression
         asked = motion.style_settings
+        words, word = speech.saying
         named: dict[str, str] = {
             "recognizer": self.recognizer.level,
             "engine": motion.engine,
@@ -83,6 +84,8 @@ class FaceSpeech:
             fallback_reasons=self.recognizer.reasons,
             hears=speech.hears,
             moved_by=speech.moved_by,
+            words=words,
+            word=word if words else None,
             settings={
                 **{name: settings.get(name, value) for name, value in asked.items()},
                 **({} if speech.lip_gap is None else {LIP_GAP_OFFSET: speech.lip_gap.wanted_mm}),

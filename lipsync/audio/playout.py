@@ -11,9 +11,11 @@ A microphone is listened to while the robot is silent (half duplex): while the r
 mouth shows its own words, never those of the person it talks to, nor its own echo.
 """
 
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterator
-from typing import Final
+from dataclasses import replace
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,10 +29,13 @@ from lipsync.audio.playout_stream import (
     PlayoutEvent,
     PlayoutRequest,
     PlayoutStream,
+    ToldWords,
     add_playing,
+    told_phonemes,
 )
 from lipsync.audio.source import BLOCK_SAMPLES, AudioSource, Loudspeaker
 from lipsync.audio_block import BLOCK_S, AudioBlock, samples_before
+from lipsync.spoken_text import SpokenUnit
 
 Samples = NDArray[np.float32]
 
@@ -40,6 +45,12 @@ _MOST_REQUESTS: Final = 64
 _MOST_EVENTS: Final = 1024
 #: Phonemes that wait to be told; nobody is told those of a minute ago.
 _MOST_PHONEMES: Final = 256
+#: Texts of streams that wait for who looks for them; each tick takes them all.
+_MOST_TOLD: Final = 256
+#: Words that are shown around the one that is said.
+_WORDS_BEFORE, _WORDS_AFTER = 3, 11
+#: Words that were said so long ago are not looked for any more.
+_OVER_S: Final = 1.0
 #: A stream begins, and goes on after it ran dry, when so much of it waits: senders keep the pace of
 #: speech in pieces of 20 to 40 ms, and a resampler holds 20 ms back.
 _WAITING_S: Final = 0.05
@@ -128,6 +139,8 @@ class Playout:
         )
         self._is_paused = False
         self._known = KnownPhonemes()
+        self._told: deque[ToldWords] = deque(maxlen=_MOST_TOLD)
+        self._telling: PlayingStream | None = None
         self._n_blocks = 0
         self._n_underruns = 0
         #: (phoneme, start_s, end_s) on the timeline, each when it begins to be heard: as `events`.
@@ -274,6 +287,33 @@ class Playout:
         """Stretches of the timeline that end after `from_s` and whose phonemes are known."""
         return self._known.after(from_s)
 
+    def take_words(self) -> list[ToldWords]:
+        """What is said where the timeline is settled, in its seconds; each once."""
+        told = list(self._told)
+        self._told.clear()
+        return told
+
+    def timed_words(self) -> tuple[tuple[str, ...], int] | None:
+        """Words around the one that is heard now, and which of them it is, by their times.
+
+        None where nothing is heard whose words have times.
+        """
+        playing = self._playing[0] if self._playing else None
+        told = None if playing is None else playing.stream.spoken.get("word")
+        if playing is None or told is None or not told.is_timed:
+            return None
+        n_played = playing.n_played(self._position_s)
+        number = max(0, bisect_right(told.units, n_played, key=_start_sample) - 1)
+        first = max(0, number - _WORDS_BEFORE)
+        around = told.units[first : number + _WORDS_AFTER]
+        return tuple(unit.label for unit in around), number - first
+
+    def known_kind(self, timeline_s: float) -> Literal["phonemes", "visemes"]:
+        """Of a place whose phonemes are known: as what its sender told them."""
+        found = self.stream_at(timeline_s)
+        told = None if found is None else told_phonemes(found[0])
+        return "visemes" if told is not None and told.kind == "viseme" else "phonemes"
+
     def __enter__(self) -> "Playout":
         return self
 
@@ -305,10 +345,36 @@ class Playout:
         playing.is_starved = False
         self._on_way.append((start_s, playing, block, playing.n_taken))
         playing.add(start_s, block.n_samples)
+        self._tell_words(playing, start_s)
         # A recogniser that hears what is known anyway would only disagree.
         heard = _SILENCE if stream.phonemes else block.heard
         played = self._played_silence if stream.played_elsewhere else block.played
         return heard, played, block.heard
+
+    def _tell_words(self, playing: PlayingStream, start_s: float) -> None:
+        """What the stream that goes on at `start_s` was told to say since the last block."""
+        is_other = playing is not self._telling
+        if is_other:
+            self._forget_words()
+            self._telling = playing
+        told_words = playing.stream.told_words
+        while told_words:
+            told = told_words.popleft()
+            shift_s = playing.shift_s
+            words = tuple(
+                each if each.start_s is None else replace(each, start_s=each.start_s + shift_s)
+                for each in told.words
+                if each.start_s is None or each.start_s + shift_s > start_s - _OVER_S
+            )
+            behind_s = start_s - shift_s if told.is_new or not playing.is_followed else 0.0
+            playing.is_followed = True
+            self._told.append(ToldWords(told.kind, words, told.is_new, behind_s))
+
+    def _forget_words(self) -> None:
+        """What was told of the last stream is not said any more."""
+        if self._telling is not None and self._telling.is_followed:
+            self._told.append(ToldWords("text", (), is_new=True))
+        self._telling = None
 
     def _listened(self, start_s: float) -> Samples:
         """10 ms of the microphone; silence while the robot speaks, and until its echo is over."""
@@ -346,6 +412,7 @@ class Playout:
             self.events.append(event)
         self._playing.clear()
         self._on_way.clear()
+        self._forget_words()
         self._note_silence(cut_s)
         return True
 
@@ -426,6 +493,10 @@ class Playout:
             self._playing.popleft()
             self._is_paused = self._is_paused and bool(self._playing)
             self._quiet_from_s = position_s + _ECHO_S
+
+
+def _start_sample(unit: SpokenUnit) -> int:
+    return unit.start_sample or 0
 
 
 def _is_ready(playing: PlayingStream) -> bool:

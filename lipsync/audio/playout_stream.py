@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from lipsync.audio.source import BLOCK_SAMPLES
 from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ
 from lipsync.phonemes import SILENCE, PhonemeEvent
+from lipsync.spoken_text import MOST_UNITS, PronouncedWord, SpokenText, UnitKind
 
 Samples = NDArray[np.float32]
 
@@ -30,6 +31,28 @@ LOWEST_RATE_HZ, HIGHEST_RATE_HZ = 4_000, 192_000
 
 class PlayoutFullError(ValueError):
     """More speech waits than is kept; nothing of the samples was taken."""
+
+
+#: Words of one stream that wait to be looked for; who says more tells them later.
+_MOST_WORDS: Final = 2_000
+
+
+class PlayoutTextError(ValueError):
+    """Too much is told of a stream, or for a time that is too far off; the message is one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class ToldWords:
+    """What is said next, in seconds of a timeline or of a stream.
+
+    is_new: what was told before and was not said yet never will be. behind_s: so much of the sound
+    of these words has gone by already.
+    """
+
+    kind: UnitKind
+    words: tuple[PronouncedWord, ...]
+    is_new: bool
+    behind_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +93,10 @@ class PlayoutStream:
         self.name = name
         self.sample_rate_hz = sample_rate_hz
         self.phonemes = tuple(phonemes)
+        #: What its sender told by now: of each kind all, and the words that nobody has taken.
+        self.spoken: dict[UnitKind, SpokenText] = {}
+        self.told_words: deque[ToldWords] = deque()
+        self._words: tuple[PronouncedWord, ...] = ()
         self.played_elsewhere = played_elsewhere
         self._heard = _Resampled(sample_rate_hz, SAMPLE_RATE_HZ)
         self._played = _Resampled(sample_rate_hz, output_rate_hz)
@@ -137,6 +164,56 @@ class PlayoutStream:
         self._heard.push(samples)
         self._played.push(samples)
         self._cut()
+
+    def tell(self, told: SpokenText, words: Sequence[PronouncedWord] = ()) -> None:
+        """What is said in it: more of it, late or early, or in place of what was told before.
+
+        Phonemes and visemes with times move the mouth; all else is looked for in the sound. words:
+        of the text, as they may sound, in seconds of the stream. Raises PlayoutTextError and
+        SpokenTextError; then nothing was taken.
+        """
+        if self._ended and (self._dropped or not self._blocks):
+            return
+        newest = max((t for unit in told.units[-1:] for t in (unit.start_sample or 0,)), default=0)
+        if newest > self._n_received + MOST_WAITING_S * self.sample_rate_hz:
+            raise PlayoutTextError(
+                f"sample {newest} is more than {MOST_WAITING_S:g} s after the sound that was sent"
+            )
+        if sum(len(each.words) for each in self.told_words) + len(words) > _MOST_WORDS:
+            raise PlayoutTextError(f"{_MOST_WORDS} words wait to be said; tell the others later")
+        before = self.spoken.get(told.kind)
+        whole = told if before is None else before.revised(told)
+        if words:
+            # Words have times, or are nearer to the sound than a text is.
+            is_better = told.kind != "text" and "text" in self.spoken and before is None
+            is_worse = told.kind == "text" and "word" in self.spoken
+            if not is_worse:
+                self._note_words(told, words, whole, is_better=is_better)
+        self.spoken = {**self.spoken, told.kind: whole}
+
+    def _note_words(
+        self,
+        told: SpokenText,
+        words: Sequence[PronouncedWord],
+        whole: SpokenText,
+        *,
+        is_better: bool,
+    ) -> None:
+        before = self.spoken.get(told.kind)
+        n_units = 0 if before is None else len(before.units)
+        is_correction = len(whole.units) < n_units + len(told.units)
+        from_s = (told.units[0].start_sample or 0) / self.sample_rate_hz
+        if is_better or is_correction:
+            self._words = tuple(
+                each
+                for each in self._words
+                if is_correction and from_s and (each.start_s is None or each.start_s < from_s)
+            )
+            self._words += tuple(words)
+            self.told_words.append(ToldWords(told.kind, self._words, is_new=True))
+        else:
+            self._words = (*self._words, *words)[-MOST_UNITS:]
+            self.told_words.append(ToldWords(told.kind, tuple(words), is_new=False))
 
     def mark(self, name: str) -> None:
         """Tell when all that was pushed until now has been heard."""
@@ -264,6 +341,11 @@ class PlayoutRequest:
     after: PlayoutStream | None = None
 
 
+#: Phonemes are looked up so far ahead, which is more than is ever asked for, and again so often;
+#: where more of them came, sooner.
+_KNOWN_AHEAD_S, _LOOKED_UP_S, _TOLD_S = 2.0, 0.5, 0.05
+#: Between two phonemes that were told: a shorter gap is silence, in a longer one somebody may hear.
+_GAP_S: Final = 0.5
 #: Phonemes that were known beforehand are remembered so long after they were said: a recogniser
 #: does not reach farther back.
 _REMEMBERED_S: Final = 5.0
@@ -294,6 +376,7 @@ class PlayingStream:
     n_taken: int = 0
     is_told: bool = False
     is_starved: bool = False
+    is_followed: bool = False
 
     def add(self, start_s: float, n_samples: int) -> None:
         """One more block, at a place on the timeline."""
@@ -341,20 +424,49 @@ class PlayingStream:
             not self.segments or position_s >= self.segments[-1].end_s - 1e-6
         )
 
-    def known_from(self, start_s: float) -> KnownStretch:
+    @property
+    def shift_s(self) -> float:
+        """Where on the timeline its first sample lies, or would, as it goes on now."""
+        last = self.segments[-1]
+        return last.start_s - last.n_before / self.stream.sample_rate_hz
+
+    def known_from(self, start_s: float) -> list[KnownStretch]:
         """The phonemes of what is said from `start_s` on, as if without another gap."""
         shift_s = start_s - self.n_taken / self.stream.sample_rate_hz
+        events = self.stream.phonemes
+        if not events and (told := told_phonemes(self.stream)) is not None:
+            n_ahead = round(_KNOWN_AHEAD_S * told.sample_rate_hz)
+            events = told.events(self.n_taken, self.n_taken + n_ahead)
         moved = [
             replace(
                 event,
                 start_s=event.start_s + shift_s,
                 end_s=None if event.end_s is None else event.end_s + shift_s,
             )
-            for event in self.stream.phonemes
+            for event in events
         ]
-        ahead = tuple(e for e in moved if e.end_s is None or e.end_s > start_s)
-        end_s = ahead[-1].end_s if ahead else start_s
-        return start_s, float("inf") if end_s is None else end_s, ahead
+        ahead = [e for e in moved if e.end_s is None or e.end_s > start_s]
+        stretches: list[tuple[float, float, list[PhonemeEvent]]] = []
+        for event in ahead:
+            end_s = float("inf") if event.end_s is None else event.end_s
+            is_gap = not self.stream.phonemes and event.start_s > _GAP_S + (
+                stretches[-1][1] if stretches else start_s
+            )
+            if stretches and not is_gap:
+                first_s, _, group = stretches[-1]
+                stretches[-1] = (first_s, end_s, [*group, event])
+            else:
+                stretches.append((event.start_s if is_gap else start_s, end_s, [event]))
+        return [(first_s, end_s, tuple(group)) for first_s, end_s, group in stretches]
+
+
+def told_phonemes(stream: PlayoutStream) -> SpokenText | None:
+    """What its sender told that moves the mouth by itself: phonemes, else visemes, with times."""
+    for kind in ("phoneme", "viseme"):
+        told = stream.spoken.get(kind)
+        if told is not None and told.units and told.units[-1].start_sample is not None:
+            return told
+    return None
 
 
 def add_playing(
@@ -382,6 +494,8 @@ class KnownPhonemes:
     def __init__(self) -> None:
         self._stretches: deque[KnownStretch] = deque()
         self._going_on: PlayingStream | None = None
+        self._told: SpokenText | None = None
+        self._looked_up_s = 0.0
 
     def is_silent(self, start_s: float, end_s: float) -> None:
         """Between them nothing is said, and nobody is listened to."""
@@ -394,13 +508,17 @@ class KnownPhonemes:
 
     def sounds(self, playing: PlayingStream | None, start_s: float) -> None:
         """From `start_s` on this stream is said; None: nothing is."""
-        if playing is self._going_on:
+        told = None if playing is None else told_phonemes(playing.stream)
+        if playing is self._going_on and (
+            told is None
+            or start_s < self._looked_up_s + (_LOOKED_UP_S if told is self._told else _TOLD_S)
+        ):
             return
         if self._going_on is not None:
             self.cut(start_s)
-        if playing is not None and playing.stream.phonemes:
-            self._stretches.append(playing.known_from(start_s))
-            self._going_on = playing
+        if playing is not None and (playing.stream.phonemes or told is not None):
+            self._stretches.extend(playing.known_from(start_s))
+            self._going_on, self._told, self._looked_up_s = playing, told, start_s
 
     def cut(self, cut_s: float) -> None:
         """What was to be said from `cut_s` on never is."""

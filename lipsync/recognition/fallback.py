@@ -32,7 +32,7 @@ from lipsync.phonemes import (
 from lipsync.recognition.energy_recognizer import NeutralRecognizer
 from lipsync.recognition.streaming import PreparingRecognizer
 from lipsync.recognition.text_decoder import MovedBy, TextFollower
-from lipsync.text_to_speech.pronunciation import PronouncedWord
+from lipsync.spoken_text import PronouncedWord
 
 #: So much sound may wait for a recogniser without being called a backlog.
 _BACKLOG_S = 0.3
@@ -157,7 +157,17 @@ class LadderLevel:
         """Whether what is settled now was found in a text, or heard."""
         return self._follower.moved_by if self._follower is not None else "sound"
 
-    def tell(self, words: Sequence[PronouncedWord]) -> None:
+    @property
+    def saying(self) -> tuple[tuple[str, ...], int]:
+        """Words around the one that is said now, and which of them it is; ((), 0): none is told."""
+        return ((), 0) if self._follower is None else self._follower.saying
+
+    def forget(self) -> None:
+        """What was told and is not being said yet never will be."""
+        if self._follower is not None:
+            self._follower.forget()
+
+    def tell(self, words: Sequence[PronouncedWord], behind_s: float) -> None:
         """What is said next, in sound time; nothing for one that follows no text."""
         if self._follower is not None:
             offset_s = self._offset_s
@@ -165,7 +175,8 @@ class LadderLevel:
                 [
                     each if each.start_s is None else replace(each, start_s=each.start_s - offset_s)
                     for each in words
-                ]
+                ],
+                behind_s,
             )
 
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
@@ -359,12 +370,21 @@ class FallbackRecognizer:
         """Whether what is settled now was found in a text, or heard."""
         return self._level.moved_by
 
-    def tell(self, words: Sequence[PronouncedWord]) -> None:
+    @property
+    def saying(self) -> tuple[tuple[str, ...], int]:
+        """Words around the one that is said now, and which of them it is; ((), 0): none is told."""
+        return self._level.saying
+
+    def forget(self) -> None:
+        """What was told and is not being said yet never will be."""
+        self._level.forget()
+
+    def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
         """What is said next, after all that was told; to the level in use, until it is left.
 
-        Raises TextError for too many words.
+        behind_s: so much of their sound was heard already. Raises TextError for too many words.
         """
-        self._level.tell(words)
+        self._level.tell(words, behind_s)
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
         """Pass it to the level in use, and to the one that is tried; never raises for them."""

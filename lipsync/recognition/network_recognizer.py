@@ -22,7 +22,7 @@ from lipsync.recognition.own_noise import OwnNoise
 from lipsync.recognition.posteriors import PosteriorStream
 from lipsync.recognition.streaming import AudioInput, UpdateBuilder
 from lipsync.recognition.text_decoder import FOLLOWING, HEARD, MovedBy, TextDecoder
-from lipsync.text_to_speech.pronunciation import PronouncedWord
+from lipsync.spoken_text import PronouncedWord
 
 #: The window of the newest frame ends 25 ms after its start.
 _WINDOW_S = 0.025
@@ -85,13 +85,26 @@ class NetworkRecognizer:
         is_text = bool(self._followed) and self._followed[0] != HEARD
         return "text" if is_text else "sound"
 
-    def tell(self, words: Sequence[PronouncedWord]) -> None:
-        """What is said next, after all that was told. Raises TextError for too many words."""
+    @property
+    def saying(self) -> tuple[tuple[str, ...], int]:
+        """Words around the one that is said now, and which of them it is; ((), 0): none is told."""
+        return ((), 0) if self._text is None else self._text.saying
+
+    def forget(self) -> None:
+        """What was told and is not being said yet never will be."""
+        if self._text is not None:
+            self._text.forget()
+
+    def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
+        """What is said next, after all that was told. Raises TextError for too many words.
+
+        behind_s: so much of their sound was heard already.
+        """
         if not words:
             return
         if self._text is None:
             self._text = TextDecoder(self._posteriors.format, FRAMES_PER_S, self._n_heard)
-        self._text.tell(words)
+        self._text.tell(words, behind_s)
 
     def reset(self) -> None:
         """Forget everything, ready for a new stream at sound time 0."""

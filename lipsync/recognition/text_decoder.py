@@ -23,7 +23,7 @@ from lipsync.arrays import Array32
 from lipsync.errors import UserError
 from lipsync.phonemes import PHONEMES
 from lipsync.recognition.decoder import SILENCE_INDEX, PosteriorFormat, best_heads
-from lipsync.text_to_speech.pronunciation import PronouncedWord
+from lipsync.spoken_text import PronouncedWord
 
 #: In place of a phoneme where the escape wins.
 HEARD: Final = -1
@@ -37,8 +37,9 @@ _NEVER: Final = np.float32(-1e9)
 _INDEX: Final = {phoneme: index for index, phoneme in enumerate(PHONEMES)}
 
 
-#: What moves the mouth: sound that is heard, a text followed in it, phonemes that are known.
-MovedBy = Literal["sound", "text", "phonemes"]
+#: What moves the mouth: sound that is heard, a text or words (or phonemes without times) followed
+#: in it, phonemes or visemes that are known.
+MovedBy = Literal["sound", "text", "words", "phonemes", "visemes"]
 
 
 class TextError(UserError):
@@ -53,16 +54,23 @@ class MouthMover(Protocol):
     def moved_by(self) -> MovedBy | None:
         """What moves the mouth, of what is settled now; None where that is not known."""
 
+    @property
+    def saying(self) -> tuple[tuple[str, ...], int]:
+        """Words around the one that is said now, and which of them it is; ((), 0): none is told."""
+
 
 @runtime_checkable
 class TextFollower(MouthMover, Protocol):
     """A recogniser that finds words in the sound which it is told."""
 
-    def tell(self, words: Sequence[PronouncedWord]) -> None:
+    def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
         """What is said next, after all that was told; before its sound, with it or late.
 
-        Raises TextError for too many words.
+        behind_s: so much of their sound was heard already. Raises TextError for too many words.
         """
+
+    def forget(self) -> None:
+        """What was told and is not being said yet never will be."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,19 +147,48 @@ class TextDecoder:
         return int(self._place)
 
     @property
+    def saying(self) -> tuple[tuple[str, ...], int]:
+        """Words around the one that is said now, and which of them it is."""
+        return self._words.around(self.place)
+
+    @property
     def is_over(self) -> bool:
         """Whether all words were said, or passed over, a while ago."""
         return self._n_idle > _IDLE_S * self._frames_per_s
 
-    def tell(self, words: Sequence[PronouncedWord]) -> None:
-        """More of the text, after all that was told. Raises TextError for too many words."""
+    def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
+        """More of the text, after all that was told. Raises TextError for too many words.
+
+        behind_s: so much of their sound was heard already: the voice is looked for around there.
+        """
         n_waiting = self._words.n_words - self.place + len(words)
         if n_waiting > MOST_WORDS:
             raise TextError(
                 f"{n_waiting} words wait to be said; at most {MOST_WORDS}, tell the others later"
             )
+        n_behind = min(len(words), int(behind_s * _WORDS_PER_S))
+        is_timed = any(word.start_s is not None for word in words)
+        place = self._words.n_words + n_behind
         self._words.append(words, self._frames_per_s)
         self._n_idle = 0
+        if n_behind and not is_timed:
+            self._place = float(place)
+            window = self._words.window(place)
+            self._replace_newest(window, np.full(window.n_states, _NEVER), np.float32(0.0))
+
+    def forget(self) -> None:
+        """What was told and is not being said yet never will be."""
+        newest = self._newest
+        state = int(newest.scores.argmax())
+        is_heard = newest.escape >= newest.scores[state]
+        said = self.place if is_heard else newest.window.first_word + newest.window.words[state]
+        self._words.drop_after(int(said))
+        self._place = min(self._place, float(self._words.n_words))
+        window = self._words.window(self.place)
+        self._replace_newest(window, window.taken_over(newest), newest.escape)
+
+    def _replace_newest(self, window: "_Window", scores: Array32, escape: np.float32) -> None:
+        self._newest = self._kept[-1] = _Front(window, scores, escape)
 
     def jump(self, n_frames: int) -> None:
         """So many frames were passed over, after two seconds of silence."""
@@ -278,6 +315,7 @@ class _CompiledWord:
     kinds: NDArray[np.int8]
     ends: NDArray[np.int64]
     start_frame: float
+    label: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -318,6 +356,8 @@ class _Front:
 
 
 _WITHIN, _SILENT, _FIRST = 0, 1, 2
+#: Read speech with its pauses; a window reaches several words to both sides.
+_WORDS_PER_S: Final = 2.6
 #: Where the text is not said it goes by all the same: slow speech, 100 frames a second.
 _ESCAPED_WORDS_PER_FRAME: Final = 0.02
 #: After the last word.
@@ -345,6 +385,17 @@ class _WordGraph:
             self._words.append(compiled)
             self._end_state += len(compiled.phonemes)
         self._window = None
+
+    def drop_after(self, number: int) -> None:
+        """Forget the words behind one."""
+        while self._words and self.n_words - 1 > number:
+            self._end_state = self._words.pop().first_state
+        self._window = None
+
+    def around(self, place: int) -> tuple[tuple[str, ...], int]:
+        """The labels of the words around one, and which of them it is."""
+        labels = tuple(self._words[n].label for n in range(min(_WINDOW, len(self._words))))
+        return labels, place - self._first_word
 
     def window(self, place: int) -> _Window:
         """The words around a place; after the last one silence is a word."""
@@ -383,7 +434,7 @@ def _compiled(
     start = np.nan if word.start_s is None else word.start_s * frames_per_s
     return _CompiledWord(
         first_state, np.array(phonemes), np.array(stays, np.float32), np.array(kinds, np.int8),
-        np.array(ends), start,
+        np.array(ends), start, word.label,
     )  # fmt: skip
 
 

@@ -12,13 +12,15 @@ import re
 import sqlite3
 import unicodedata
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cache
 from importlib.util import find_spec
+from itertools import groupby
 from typing import Final
 
 from lipsync.errors import MissingExtraError, UserError, check_extra
 from lipsync.phonemes import SILENCE, PhonemeEvent
+from lipsync.spoken_text import LONGEST_TEXT, PronouncedWord, SpokenText
 
 #: IPA of gruut's US English against ARPAbet; stress marks are stripped before.
 _ARPABET_OF = {
@@ -31,30 +33,17 @@ _ARPABET_OF = {
 }  # fmt: skip
 _STRESS = str.maketrans("", "", "ˈˌ")
 
-#: A text longer than this is told in pieces.
-LONGEST_TEXT: Final = 20_000
 #: Marks of SSML: what is said lies between them.
 _TAG = re.compile(r"<[^<>]*>")
 #: What no voice reads out: emoji and other symbols, control characters, half surrogate pairs.
 _UNSPOKEN = ("So", "Sk", "Cc", "Cf", "Cs", "Cn", "Co")
 DEFAULT_LANGUAGE: Final = "en-us"
+#: Phonemes without words are followed in pieces of so many, as long as a word has.
+_PHONES: Final = 6
 
 
 class PronunciationError(UserError):
     """A word cannot be pronounced; the message is one line."""
-
-
-@dataclass(frozen=True, slots=True)
-class PronouncedWord:
-    """A word as it may sound.
-
-    pronunciations: at least one; phonemes of the inventory without silence, the commonest first.
-    start_s: about when it begins in its stream, None where that is not known.
-    """
-
-    label: str
-    pronunciations: tuple[tuple[str, ...], ...]
-    start_s: float | None = None
 
 
 def pronounced(text: str, language: str = DEFAULT_LANGUAGE) -> tuple[PronouncedWord, ...]:
@@ -77,6 +66,32 @@ def pronounced(text: str, language: str = DEFAULT_LANGUAGE) -> tuple[PronouncedW
     if language.partition("-")[0] == "en" and find_spec("gruut") is not None:
         return tuple(_english(written))
     return tuple(_by_espeak(written, language))
+
+
+def pronounced_units(
+    spoken: SpokenText, language: str = DEFAULT_LANGUAGE
+) -> tuple[PronouncedWord, ...]:
+    """The words of text, words or phonemes without times, with times in seconds where it has them.
+
+    Raises PronunciationError as `pronounced`.
+    """
+    words: list[PronouncedWord] = []
+    if spoken.kind == "phoneme":
+        for is_silent, group in groupby(spoken.units, lambda unit: unit.label == SILENCE):
+            phones = [] if is_silent else [unit.label for unit in group]
+            pieces = (phones[n : n + _PHONES] for n in range(0, len(phones), _PHONES))
+            words += [PronouncedWord(" ".join(piece), (tuple(piece),)) for piece in pieces]
+        return tuple(words)
+    for is_timed, group in groupby(spoken.units, lambda unit: unit.start_sample is not None):
+        if not is_timed:
+            words += pronounced(" ".join(unit.label for unit in group), language)
+            continue
+        for unit in group:
+            start_s = (unit.start_sample or 0) / spoken.sample_rate_hz
+            found = pronounced(unit.label, language)
+            words += [replace(each, start_s=start_s) for each in found[:1]]
+            words += found[1:]
+    return tuple(words)
 
 
 def _english(text: str) -> Iterator[PronouncedWord]:

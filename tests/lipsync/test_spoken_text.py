@@ -49,13 +49,15 @@ def test_phonemes_with_times_are_events_in_seconds():
 def test_visemes_that_only_begin_last_until_the_next_and_the_last_a_while():
     said = SpokenText(
         "viseme",
-        (SpokenUnit("M", 1_600), SpokenUnit("AA", 3_200), SpokenUnit("SIL", 3_200)),
+        (SpokenUnit("M", 1_600), SpokenUnit("AA", 3_200), SpokenUnit("SIL", 4_800)),
         16_000,
     )
 
-    m, silence = said.events()
-    assert m == PhonemeEvent("M", 0.1, 0.2)
-    assert (silence.phoneme, silence.start_s) == ("SIL", 0.2)
+    assert said.events() == (
+        PhonemeEvent("M", 0.1, 0.2),
+        PhonemeEvent("AA", 0.2, 0.3),
+        PhonemeEvent("SIL", 0.3, 0.6),
+    )
 
 
 def test_a_text_without_times_is_corrected_from_the_first_sample_on():
@@ -72,6 +74,21 @@ def test_of_more_text_than_an_hour_has_the_newest_is_kept():
         said = said.revised(page)
 
     assert len(said.units) == MOST_CHARACTERS // LONGEST_TEXT
+
+
+def test_visemes_at_a_thousand_a_second_are_a_hundred():
+    labels = ("M", "AA")
+    said = SpokenText(
+        "viseme",
+        tuple(SpokenUnit(labels[n % 2], 16 * n, 16 * n + 16) for n in range(1_000)),
+        RATE_HZ,
+    )
+
+    events = said.events()
+
+    assert len(events) == 100
+    assert all(e.end_s == pytest.approx(e.start_s + 0.01) for e in events)
+    assert said.events(8_000, 9_599) == events[50:60]
 
 
 @pytest.mark.parametrize(

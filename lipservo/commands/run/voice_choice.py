@@ -9,7 +9,7 @@ from lipservo.access.token_file import read_token, runtime_token_file
 from lipservo.runtime.run_request import DEFAULT_OUTPUT, VoiceOptions
 from lipservo.runtime.servos.assembly import load_settings
 from lipsync.errors import UserError
-from lipsync.text_to_speech.pronunciation import LONGEST_TEXT
+from lipsync.spoken_text import LONGEST_TEXT
 
 
 def chosen_voice(*, play: bool, is_needed: bool = False) -> VoiceOptions | None:

@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import replace
 from typing import Final
 
 from lipsync.arrays import Array
 from lipsync.audio.playout import Playout
-from lipsync.audio.playout_stream import KnownStretch
+from lipsync.audio.playout_stream import KnownStretch, ToldWords
 from lipsync.audio.source import AudioSource
 from lipsync.audio_block import BLOCK_S, AudioBlock
 from lipsync.phonemes import (
@@ -21,7 +22,8 @@ from lipsync.phonemes import (
 from lipsync.prosody.voice_frame import SILENT_VOICE, VoiceFrame
 from lipsync.prosody.voice_tracker import VoiceTracker
 from lipsync.recognition.streaming import RecognizerStream, SoundAhead
-from lipsync.recognition.text_decoder import MovedBy, TextFollower
+from lipsync.recognition.text_decoder import MovedBy, TextError, TextFollower
+from lipsync.spoken_text import UnitKind
 
 #: Ten seconds: more than any delay from sound to face.
 _N_KEPT: Final = 1_000
@@ -87,6 +89,11 @@ class RecognizedPhonemes:
         """Whether a text moves the mouth, or what is heard; None where no recogniser says it."""
         return None if self._follower is None else self._follower.moved_by
 
+    @property
+    def saying(self) -> tuple[tuple[str, ...], int]:
+        """Words around the one that is said now, and which of them it is; ((), 0): none is told."""
+        return ((), 0) if self._follower is None else self._follower.saying
+
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
         """The robot's servos turned so fast; only a device can hear them, a file cannot."""
         if self._source.is_live and isinstance(self._recognizer, ServoListener):
@@ -123,6 +130,7 @@ class SpokenPhonemes:
         self._listener = recognizer if isinstance(recognizer, Listener) else None
         self._follower = recognizer if isinstance(recognizer, TextFollower) else None
         self._recognition = RecognizerStream(recognizer)
+        self._followed: UnitKind = "text"
 
     @property
     def latency_s(self) -> float:
@@ -141,16 +149,32 @@ class SpokenPhonemes:
 
     @property
     def moved_by(self) -> MovedBy | None:
-        """What moves the mouth; phonemes where the stream brings them."""
+        """What moves the mouth; phonemes or visemes where the stream brings them."""
         settled_s = self._playout.committed_s - self.latency_s
         known = self._playout.known_phonemes(settled_s)
         if any(start_s <= settled_s < end_s for start_s, end_s, _ in known):
-            return "phonemes"
-        return None if self._follower is None else self._follower.moved_by
+            return self._playout.known_kind(settled_s)
+        if self._follower is None or (moved_by := self._follower.moved_by) != "text":
+            return None if self._follower is None else moved_by
+        return _FOLLOWED[self._followed]
+
+    @property
+    def saying(self) -> tuple[tuple[str, ...], int]:
+        """Words around the one that is said now, and which of them it is; ((), 0): none is told.
+
+        By their times where they have some, else as far as they were followed.
+        """
+        timed = self._playout.timed_words()
+        if timed is not None or self._follower is None:
+            return timed or ((), 0)
+        return self._follower.saying
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
         """Commit the sound that is due at sound time `until_s`; what became known by it."""
         blocks = self._playout.commit(until_s)
+        for told in self._playout.take_words():
+            if self._follower is not None:
+                self._follow(self._follower, told)
         if self._voice is not None:
             for _, spoken in blocks:
                 self._voice.hear(spoken)
@@ -159,6 +183,22 @@ class SpokenPhonemes:
             with_known(update, self._playout.known_phonemes(update.replace_from_s))
             for update in step.updates
         ]
+
+    def _follow(self, follower: TextFollower, told: ToldWords) -> None:
+        if told.is_new:
+            follower.forget()
+        self._followed = told.kind
+        with suppress(TextError):  # too many wait: these are heard as any others
+            follower.tell(told.words, told.behind_s)
+
+
+#: By the kind of what is followed: what moves the mouth.
+_FOLLOWED: Final[dict[UnitKind, MovedBy]] = {
+    "text": "text",
+    "word": "words",
+    "phoneme": "phonemes",
+    "viseme": "visemes",
+}
 
 
 def with_known(update: PhonemeUpdate, stretches: Iterable[KnownStretch]) -> PhonemeUpdate:

@@ -264,6 +264,11 @@ class Speech:
         return self._phonemes.moved_by if isinstance(self._phonemes, MouthMover) else None
 
     @property
+    def saying(self) -> tuple[tuple[str, ...], int]:
+        """Words around the one that is said now, and which of them it is; ((), 0): none is told."""
+        return self._phonemes.saying if isinstance(self._phonemes, MouthMover) else ((), 0)
+
+    @property
     def calibration(self) -> Calibration:
         """How faces become joint angles, for the servos of the mouth."""
         return self._calibration

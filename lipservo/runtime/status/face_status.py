@@ -64,10 +64,10 @@ class SpeechStatus:
     fallback_level: how many better ones are not in use, 0: the best is;
     fallback_reasons: why each of them is not. engine, weights, strategy: as asked for. settings:
     what the strategy lets its user set, as set last. hears: what is believed about the sound,
-    `speech`, `noise` or `silence`; moved_by: what that is known from, `sound`, `text` or
-    `phonemes`. delay_ms: how much later than its sound the
-    face is shown. n_phonemes: that moved the mouth; n_lost_sound_blocks: sound not heard. output:
-    the loudspeaker, None: nothing is played; output_lost: it is gone; listens_on: where voice
+    `speech`, `noise` or `silence`; moved_by: what that is known from, `sound`, `text`, `words`,
+    `phonemes` or `visemes`; words: those around the one that is said, as far as they are known,
+    word: which of them that is. delay_ms: how much later than its sound the face is shown.
+    n_phonemes: that moved the mouth; n_lost_sound_blocks: sound not heard. output: the loudspeaker, None: nothing is played; output_lost: it is gone; listens_on: where voice
     agents are waited for; speaking: the stream that is being said; n_playout_underruns: how often
     sound that was to be played was not there in time, a stream's or the device's. arousal: of the
     voice that is shown, -1 to 1;
@@ -86,6 +86,8 @@ class SpeechStatus:
     delay_ms: float | None = None
     hears: str | None = None
     moved_by: str | None = None
+    words: Sequence[str] = ()
+    word: int | None = None
     n_phonemes: int | None = None
     n_lost_sound_blocks: int | None = None
     output: str | None = None

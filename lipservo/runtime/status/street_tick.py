@@ -16,7 +16,8 @@ class StreetTick:
 
     captured_s: when the sound was captured that the servos were moved by; None before there is one.
     hears: what is believed about the sound that was settled last, which is not shown yet; None:
-    nobody listens. moved_by: what that was known from, sound that was heard, a text or phonemes.
+    nobody listens. moved_by: what that was known from, sound that was heard, text, words,
+    phonemes or visemes.
     """
 
     sound_s: float

@@ -6,7 +6,7 @@ import pytest
 from lipsync.phonemes import PHONEMES
 from lipsync.recognition.decoder import SMOOTH, PosteriorFormat, log_scores
 from lipsync.recognition.text_decoder import HEARD, MOST_WORDS, TextDecoder, TextError
-from lipsync.text_to_speech.pronunciation import PronouncedWord
+from lipsync.spoken_text import PronouncedWord
 
 FORMAT = PosteriorFormat(PHONEMES, (2, 7, 12))
 MAMA = PronouncedWord("mama", (("M", "AA", "M", "AH"),))

@@ -3,7 +3,8 @@
 import pytest
 
 from lipsync.phonemes import SILENCE, VISEME_OF
-from lipsync.text_to_speech.pronunciation import LONGEST_TEXT, PronunciationError, pronounced
+from lipsync.spoken_text import LONGEST_TEXT
+from lipsync.text_to_speech.pronunciation import PronunciationError, pronounced
 
 
 def labels(text):

@@ -25,7 +25,7 @@ from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import SILENCE, LiveRecognizer, PhonemeEvent
 from lipsync.recognition.streaming import RecognizerStream, SoundAhead
 from lipsync.recognition.text_decoder import TextFollower
-from lipsync.text_to_speech.pronunciation import PronouncedWord
+from lipsync.spoken_text import PronouncedWord
 
 #: Silence after the recording, until the last phoneme is settled.
 _TAIL_S = 0.5
