@@ -45,10 +45,7 @@ def phonemes_in(content: bytes, name: str) -> tuple[PhonemeEvent, ...]:
             f"{name}: words without phonemes; give it to `lipservo say --from`, which follows them "
             "in the sound"
         )
-    try:
-        return _events(best)
-    except AlphabetError as error:
-        raise LabelError(f"{name}: {error}") from None
+    return events_of(best, name)
 
 
 def units_in(content: bytes, name: str) -> tuple[VendorUnits, ...]:
@@ -68,8 +65,11 @@ def _content(path: Path) -> bytes:
         raise LabelError(f"{path}: cannot be read ({error.strerror}); give a file") from None
 
 
-def _events(known: VendorUnits) -> tuple[PhonemeEvent, ...]:
-    """Phonemes or visemes as events from 0 on; the phones of one share its time evenly."""
+def events_of(known: VendorUnits, name: str) -> tuple[PhonemeEvent, ...]:
+    """Phonemes or visemes as events from 0 on; the phones of one share its time evenly.
+
+    name: is told in errors. Raises LabelError for one that its alphabet lacks, and for silence.
+    """
     events: list[PhonemeEvent] = []
     ends_s = [after.start_s for _, after in pairwise(known.units)]
     last = known.units[-1]
@@ -79,7 +79,7 @@ def _events(known: VendorUnits) -> tuple[PhonemeEvent, ...]:
         try:
             phones = phones_of(unit.label, known.alphabet)
         except AlphabetError as error:
-            raise AlphabetError(f"{known.kind} {number}: {error}") from None
+            raise LabelError(f"{name}: {known.kind} {number}: {error}") from None
         end_s = next_s if unit.end_s is None else unit.end_s
         if unit.start_s > reached_s:
             _append(events, SILENCE, reached_s, unit.start_s)
@@ -95,7 +95,7 @@ def _events(known: VendorUnits) -> tuple[PhonemeEvent, ...]:
     if last.end_s is None and events and events[-1].phoneme == SILENCE:
         del events[-1]
     if all(event.phoneme == SILENCE for event in events):
-        raise AlphabetError("nothing but silence; give a file in which something is said")
+        raise LabelError(f"{name}: nothing but silence; give one in which something is said")
     return tuple(events)
 
 
