@@ -25,6 +25,7 @@ RATE_HZ = 24_000
 #: The name of today, and that of the beta.
 DELTAS = {"response.output_audio.delta", "response.audio.delta"}
 DONES = {"response.output_audio.done", "response.audio.done"}
+TRANSCRIPTS = {"response.output_audio_transcript.delta", "response.audio_transcript.delta"}
 
 
 @dataclass
@@ -34,6 +35,8 @@ class Item:
     item_id: str
     content_index: int
     speech: AsyncSpeech
+    #: Of its transcript, the word that may go on with the next delta.
+    rest: str = ""
 
 
 class RealtimeVoice:
@@ -55,7 +58,12 @@ class RealtimeVoice:
         elif kind in DONES:
             for item in self._items:
                 if item.item_id == field_of(event, "item_id"):
+                    await item.speech.tell(item.rest)
                     await item.speech.end()
+        elif kind in TRANSCRIPTS:
+            item = await self._item(event)
+            words, space, item.rest = (item.rest + field_of(event, "delta")).rpartition(" ")
+            await item.speech.tell(words + space)
         elif kind == "input_audio_buffer.speech_started":
             return await self._truncated()
         return []

@@ -101,24 +101,28 @@ def in_inventory(
     SpokenTextError.
     """
     found: list[SpokenUnit] = []
-    for number, unit in enumerate(units):
+    units = tuple(units)
+    for number, (unit, after) in enumerate(zip(units, (*units[1:], None), strict=True)):
         try:
             phones = phones_of(unit.label, alphabet)
         except AlphabetError as error:
             raise AlphabetError(f"{kind} {number + 1}: {error}") from None
         if phones:
-            found += _shared(phones, unit)
+            found += _shared(phones, unit, None if after is None else after.start_sample)
         elif found and unit.end_sample is not None:
             found[-1] = SpokenUnit(found[-1].label, found[-1].start_sample, unit.end_sample)
     return SpokenText(kind, tuple(found), sample_rate_hz)
 
 
-def _shared(phones: tuple[str, ...], unit: SpokenUnit) -> list[SpokenUnit]:
-    if unit.start_sample is None or unit.end_sample is None:
-        # Where one begins is not known of the others.
-        starts = [unit.start_sample, *[None] * (len(phones) - 1)]
-        return [SpokenUnit(each, start) for each, start in zip(phones, starts, strict=True)]
-    span = unit.end_sample - unit.start_sample
+def _shared(phones: tuple[str, ...], unit: SpokenUnit, next_sample: int | None) -> list[SpokenUnit]:
+    """next_sample: where the unit after it begins, if that is known."""
+    end_sample = next_sample if unit.end_sample is None else unit.end_sample
+    if unit.start_sample is None:
+        return [SpokenUnit(each) for each in phones]
+    if end_sample is None or end_sample < unit.start_sample:
+        # Where the others begin is not known.
+        return [SpokenUnit(phones[0], unit.start_sample, unit.end_sample)]
+    span = end_sample - unit.start_sample
     bounds = [unit.start_sample + round(span * n / len(phones)) for n in range(len(phones) + 1)]
     return [SpokenUnit(each, bounds[n], bounds[n + 1]) for n, each in enumerate(phones)]
 

@@ -15,9 +15,11 @@ from lipservo_client.protocol import (
     FaceError,
     Pcm,
     Played,
+    Told,
     error_of,
     pcm_bytes,
     played_of,
+    told_messages,
 )
 from lipservo_client.wire import PATIENCE_S, Wire, connected
 
@@ -70,6 +72,11 @@ class AsyncSpeech:
         return self._heard.done()
 
     @property
+    def is_complete(self) -> bool:
+        """No more of it comes."""
+        return self._is_complete
+
+    @property
     def was_heard(self) -> bool:
         """It was heard to its end."""
         is_told = self.is_over and self._heard.exception() is None
@@ -97,6 +104,21 @@ class AsyncSpeech:
         """Ask for a `mark` event when all that was written until now has been heard."""
         await self._send_small()
         await self._wire.send("mark", name=name)
+
+    async def tell(
+        self, told: Told, *, alphabet: str | None = None, language: str | None = None
+    ) -> None:
+        """What is said in it, beside the sound: before it, with it or late; more, or corrected.
+
+        told: a text; or (kind, units), kind `words`, `phonemes` or `visemes`, a unit being a label,
+        or (label, start, end) in samples of the stream, either None where it is not known. From the
+        first unit's start on it replaces what was told. alphabet: of the labels, as docs/text.md
+        names it; None: ARPAbet. A face that cannot use it says so by an `error` event `bad_text`,
+        and listens.
+        """
+        for message in told_messages(told):
+            about = {"alphabet": alphabet, "language": language}
+            await self._wire.send(message.pop("type"), stream=self.stream, **message, **about)
 
     async def report_played(self, played_s: float) -> None:
         """With `playback="client"`: so much has left our loudspeaker now; the mouth follows."""
@@ -253,7 +275,8 @@ class AsyncFace:
     """A connection to a face; from `lipservo.connect_async`.
 
     A connection that is lost is opened again, later and later up to every five seconds, until the
-    face is left. `events()` gives `disconnected` and `reconnected`, with `code` and `message`. What
+    face is left. `events()` gives `disconnected` and `reconnected`, with `code` and `message`;
+    `disconnected` again where the face is back and refuses us (bad_protocol, unauthorized). What
     was being said then is over: its stream raises FaceError, and nothing of it is sent again.
     """
 
@@ -446,12 +469,16 @@ class AsyncFace:
         self._connection = wire
 
     async def _reconnect(self) -> None:
-        wait_s = _FIRST_WAIT_S
+        wait_s, reason = _FIRST_WAIT_S, "not_answering"
         while self._connection is None:
             await asyncio.sleep(wait_s * random.uniform(0.5, 1.0))
             wait_s = min(2.0 * wait_s, _LONGEST_WAIT_S)
-            with contextlib.suppress(FaceError):
+            try:
                 await self._connect()
+            except FaceError as error:
+                if error.code not in (reason, "disconnected", "shutting_down"):
+                    reason = error.code
+                    self._hand_on_loss(error)
         self._hand_on({"type": "reconnected", "code": "", "message": f"{self._url}: is back"})
 
     def _take(self, event: Event) -> None:
@@ -491,8 +518,11 @@ class AsyncFace:
         self._connection = None
         for speech in self._speeches.values():
             speech.lose(error)
-        self._hand_on({"type": "disconnected", "code": error.code, "message": str(error)})
+        self._hand_on_loss(error)
         self._reconnecting = asyncio.get_running_loop().create_task(self._reconnect())
+
+    def _hand_on_loss(self, error: FaceError) -> None:
+        self._hand_on({"type": "disconnected", "code": error.code, "message": str(error)})
 
     def _hand_on(self, event: Event) -> None:
         for events in self._events:

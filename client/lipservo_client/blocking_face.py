@@ -7,7 +7,7 @@ from concurrent.futures import CancelledError
 from typing import Any, Final, Literal, Self, TypeVar
 
 from lipservo_client.async_face import AsyncFace, AsyncSpeech, Events
-from lipservo_client.protocol import Event, Pcm, Played
+from lipservo_client.protocol import Event, Pcm, Played, Told
 
 #: Between two looks whether there is still somebody who could answer.
 _LOOK_S: Final = 0.5
@@ -39,6 +39,10 @@ class Speech:
     def mark(self, name: str) -> None:
         """Ask for a `mark` event when all that was written until now has been heard."""
         self._face.wait_for(self._speech.mark(name))
+
+    def tell(self, told: Told, *, alphabet: str | None = None, language: str | None = None) -> None:
+        """What is said in it, beside the sound; see `AsyncSpeech.tell`."""
+        self._face.wait_for(self._speech.tell(told, alphabet=alphabet, language=language))
 
     def report_played(self, played_s: float) -> None:
         """With `playback="client"`: so much has left our loudspeaker now; the mouth follows."""

@@ -15,10 +15,12 @@ from pipecat.frames import frames
 from pipecat.processors.frame_processor import FrameDirection, FrameProcessor
 
 from lipservo_client.async_face import AsyncFace, AsyncSpeech
-from lipservo_client.protocol import Event, FaceError, Played, mono_pcm
+from lipservo_client.protocol import Event, FaceError, Played, error_of, mono_pcm
 
 #: A face keeps 64 marks of a stream; beyond these, positions tell what was heard.
 _MOST_MARKS: Final = 48
+#: Sentences that are announced before any of their sound came; the oldest are left out.
+_MOST_UNTOLD: Final = 64
 #: Between two questions for the position while frames wait for a moment within the sound.
 _ASKING_S: Final = 0.05
 #: An interruption holds the pipeline up no longer.
@@ -89,6 +91,12 @@ class _Unheard:
         return speech is None or speech.n_played >= self.n or speech.was_heard
 
     @property
+    def may_go_on(self) -> bool:
+        """It was heard; behind a whole stream: and the face is free for others."""
+        is_last = self.speech is not None and self.speech.is_complete and not self.speech.is_over
+        return self.is_heard and (self.is_sound or not is_last)
+
+    @property
     def is_lost(self) -> bool:
         """Never heard: the stream was cut off, by somebody else or with the connection."""
         return self.speech is not None and self.speech.is_over and not self.is_heard
@@ -114,6 +122,10 @@ class PipecatFace(_FaceProcessor):
         #: Pipecat has it, that is when its sound came, or the last word before if that is later.
         self._contexts: dict[str | None, tuple[int, int]] = {}
         self._last_word_ns = 0
+        #: Sentences whose sound has not begun; and whether the service announces its sentences, so
+        #: that the same words come again as they were said.
+        self._untold: list[str] = []
+        self._is_announced = False
         self._is_speaking = False
         self._is_complete = False
         #: Nothing more of what is being said is wanted: it was cut off at the face.
@@ -139,6 +151,8 @@ class PipecatFace(_FaceProcessor):
             return
         if self._is_cut and isinstance(frame, frames.TextFrame):
             return
+        if isinstance(frame, frames.AggregatedTextFrame):
+            await self._tell(frame)
         self._wait_in_line(frame)
         if isinstance(frame, frames.TTSStoppedFrame):
             self._is_complete, self._is_cut = True, False
@@ -164,6 +178,9 @@ class PipecatFace(_FaceProcessor):
             self._contexts.setdefault(frame.context_id, (self._n, from_ns))
             self._n += len(pcm) // 2
             self._line.append(_Unheard(speech, self._n, frame))
+            untold, self._untold = self._untold, []
+            for text in untold:
+                await speech.tell(text)
             self._is_cut = not await speech.write(pcm)
         except FaceError as error:
             self._is_cut = True
@@ -185,14 +202,38 @@ class PipecatFace(_FaceProcessor):
             await speech.__aenter__()
         return speech
 
+    async def _tell(self, frame: frames.AggregatedTextFrame) -> None:
+        """The face knows what it says: words with their times, else sentences before their sound."""
+        is_said = isinstance(frame, frames.TTSTextFrame)
+        n = self._sample_of(frame)
+        text = frame.text.strip()
+        if not text or not (is_said or frame.will_be_spoken):
+            return
+        self._is_announced = self._is_announced or not is_said
+        if n is None and is_said and self._is_announced:
+            return
+        if self._speech is None:
+            self._untold = [*self._untold, text][-_MOST_UNTOLD:]
+            return
+        with suppress(FaceError):
+            await self._speech.tell(text if n is None else ("words", [(text, n)]))
+
+    def _sample_of(self, frame: frames.Frame) -> int | None:
+        """Where in the stream a word is said; None: no word, or without a time."""
+        speech = self._speech
+        context = self._contexts.get(getattr(frame, "context_id", None))
+        if not (isinstance(frame, frames.TextFrame) and frame.pts) or context is None:
+            return None
+        if speech is None:
+            return None
+        return max(0, context[0] + round(1e-9 * (frame.pts - context[1]) * speech.rate_hz))
+
     def _wait_in_line(self, frame: frames.Frame) -> None:
         """Put a frame behind the sound that came before it, or where in the sound its time is."""
         speech = self._speech or (self._line[-1].speech if self._line else None)
-        context = self._contexts.get(getattr(frame, "context_id", None))
-        is_word = isinstance(frame, frames.TextFrame) and frame.pts
-        if is_word and context is not None and speech is not None and speech is self._speech:
+        n = self._sample_of(frame)
+        if n is not None:
             self._last_word_ns = max(self._last_word_ns, frame.pts)
-            n = context[0] + round(1e-9 * (frame.pts - context[1]) * speech.rate_hz)
             place = len(self._line)
             while place and self._line[place - 1].speech is speech and self._line[place - 1].n > n:
                 place -= 1
@@ -217,22 +258,25 @@ class PipecatFace(_FaceProcessor):
     async def _release(self) -> None:
         """Hand on what was heard by now; what never will be is no part of a context."""
         async with self._releasing:
-            while self._line and (self._line[0].is_heard or self._line[0].is_lost):
+            speech = self._speech
+            if self._is_complete and all(each.is_heard for each in self._line if each.is_sound):
+                await self._end()
+            while self._line and (self._line[0].may_go_on or self._line[0].is_lost):
                 first = self._line.pop(0)
                 is_text = isinstance(first.frame, frames.TextFrame)
                 if not first.is_sound and not (is_text and first.is_lost):
                     await self.push_frame(first.frame)
-            speech = self._speech
-            if speech is not None and speech.is_over and not speech.was_heard:
-                self._is_cut = not self._is_complete
-            if any(each.is_sound for each in self._line):
-                return
-            if speech is not None and (self._is_complete or speech.is_over):
-                self._speech = None
-                with suppress(FaceError):
-                    await speech.end()
-            if self._speech is None:
+            if speech is not None and speech.is_over:
+                self._is_cut = not (speech.was_heard or self._is_complete)
+                await self._end()
+            if self._speech is None and not self._line:
                 await self._tell_speaking(False)
+
+    async def _end(self) -> None:
+        speech, self._speech = self._speech, None
+        if speech is not None:
+            with suppress(FaceError):
+                await speech.end()
 
     async def _tell_speaking(self, is_speaking: bool) -> None:
         """The pipeline learns when the face is heard, as it would from an output transport."""
@@ -257,6 +301,7 @@ class PipecatFace(_FaceProcessor):
                 elif not (each.is_heard or each.frame.interruptible or everything):
                     (again if is_cut else self._line).append(each)
             self._is_cut, self._transport_until_s, self._last_word_ns = False, 0.0, 0
+            self._untold.clear()
             self._speech = None if is_cut else self._speech
         for _ in range(_SETTLING_TURNS):
             await asyncio.sleep(0.0)
@@ -269,6 +314,8 @@ class PipecatFace(_FaceProcessor):
             await self._hear(event)
 
     async def _hear(self, event: Event) -> None:
+        if event["type"] == "disconnected":
+            await self._complain(error_of(event))
         if self._speech is not None and event.get("stream") == self._speech.stream:
             if event["type"] == "started":
                 await self._tell_speaking(True)

@@ -3,8 +3,9 @@
 docs/agents.md is the protocol.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Protocol, runtime_checkable
+from typing import Any, Final, Literal, Protocol, runtime_checkable
 
 #: The version that this client speaks; a face of another says so, and so do we, in one line.
 PROTOCOL: Final = 2
@@ -42,6 +43,32 @@ def played_of(event: Event) -> Played:
 def error_of(event: Event) -> FaceError:
     """An `error` event, to be raised."""
     return FaceError(str(event.get("code", "")), str(event.get("message", "")))
+
+
+#: A label, or its place in samples of the stream: (label, start), (label, start, end).
+Unit = str | tuple[str, int | None] | tuple[str, int | None, int | None]
+#: What is said: a text, or units of a kind.
+Told = str | tuple[Literal["words", "phonemes", "visemes"], Sequence[Unit]]
+#: A face takes so many in a message, and a text so long.
+_UNITS_AT_ONCE: Final = 1_000
+_CHARACTERS_AT_ONCE: Final = 10_000
+
+
+def told_messages(told: Told) -> Iterator[dict[str, Any]]:
+    """The messages that tell it, each with its `type`; none of an empty text."""
+    if isinstance(told, str):
+        for first in range(0, len(told), _CHARACTERS_AT_ONCE):
+            yield {"type": "text", "text": told[first : first + _CHARACTERS_AT_ONCE]}
+        return
+    kind, units = told
+    for first in range(0, len(units), _UNITS_AT_ONCE):
+        yield {"type": kind, "units": [_unit(u) for u in units[first : first + _UNITS_AT_ONCE]]}
+
+
+def _unit(unit: Unit) -> dict[str, object]:
+    given = (unit,) if isinstance(unit, str) else unit
+    named = zip(("label", "start_sample", "end_sample"), given, strict=False)
+    return {name: value for name, value in named if value is not None}
 
 
 @runtime_checkable

@@ -18,8 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from lipsync.alphabets import ARPABET, in_inventory
 from lipsync.audio.playout_stream import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
-from lipsync.spoken_text import LONGEST_LABEL, LONGEST_TEXT
+from lipsync.spoken_text import (
+    LONGEST_LABEL,
+    LONGEST_TEXT,
+    SpokenText,
+    SpokenTextError,
+    SpokenUnit,
+    UnitKind,
+)
 from lipsync.text_to_speech.pronunciation import DEFAULT_LANGUAGE
 
 #: The version of docs/agents.md that this face speaks; a client of another is told so.
@@ -323,6 +331,23 @@ def _checked(kind: type[_Kind], fields: dict[str, object]) -> _Kind:
         where = str(first["loc"][0]) if first["loc"] else "message"
         reason = f"{where}: {first['msg']}"
         raise MessageError("bad_message", f"{fields['type']}: {reason}") from None
+
+
+def spoken_text_of(told: Told, sample_rate_hz: int) -> SpokenText:
+    """What a message tells of a stream; its phonemes and visemes as those of the inventory.
+
+    Raises AlphabetError, SpokenTextError.
+    """
+    if isinstance(told, Text):
+        return SpokenText("text", (SpokenUnit(told.text, told.start_sample),), sample_rate_hz)
+    units = tuple(SpokenUnit(each.label, each.start_sample, each.end_sample) for each in told.units)
+    if isinstance(told, Words):
+        return SpokenText("word", units, sample_rate_hz)
+    kind: UnitKind = "phoneme" if isinstance(told, Phonemes) else "viseme"
+    spoken = in_inventory(kind, units, told.alphabet, sample_rate_hz)
+    if kind == "viseme" and not spoken.is_timed:
+        raise SpokenTextError("visemes without a start_sample move no mouth")
+    return spoken
 
 
 class PcmDecoder:

@@ -1,7 +1,9 @@
 """One connection to `/stream`: streams of speech one after the other, and what is heard of them."""
 
 import asyncio
+import logging
 import time
+from collections import deque
 from collections.abc import Callable
 
 from lipservo.agents.messages import (
@@ -15,19 +17,35 @@ from lipservo.agents.messages import (
     MessageError,
     Outbox,
     Pause,
+    Phonemes,
     Position,
     Resume,
     Start,
     StreamMessage,
+    Text,
+    Told,
+    Visemes,
+    Words,
     decode_base64,
     id_of,
+    spoken_text_of,
     stream_message,
 )
 from lipservo.agents.turns import AgentStream, Turns
 from lipsync.audio.playout import Playout
+from lipsync.audio.playout_stream import PlayoutTextError
+from lipsync.errors import UserError
+from lipsync.spoken_text import PronouncedWord
+from lipsync.text_to_speech.pronunciation import DEFAULT_LANGUAGE, pronounced_units
 
+_LOG = logging.getLogger(__name__)
 #: A chunk is resampled in pieces of so long, and other clients are served in between.
 _PIECE_S = 0.5
+
+#: Ids of streams that a client began, the newest.
+_MOST_OVER = 64
+#: Texts of one client that wait until it is known how they sound.
+_MOST_UNTAKEN = 256
 
 
 class StreamSession:
@@ -43,6 +61,11 @@ class StreamSession:
         self._open: AgentStream | None = None
         # The rest of a stream that was cut off is on its way still: it is no mistake.
         self._ignores_rest = False
+        #: Texts whose pronunciations are being looked up, one after the other.
+        self._untaken: set[asyncio.Task[None]] = set()
+        self._taking: asyncio.Task[None] | None = None
+        #: Streams whose texts may come late.
+        self._over: deque[str] = deque(maxlen=_MOST_OVER)
 
     async def hear(self, message: str | bytes) -> None:
         """Do what one message asks for."""
@@ -60,6 +83,8 @@ class StreamSession:
 
     def leave(self) -> None:
         """The client has gone."""
+        for taking in self._untaken:
+            taking.cancel()
         self._turns.leave(self._outbox)
 
     async def _do(self, said: StreamMessage) -> None:
@@ -86,6 +111,8 @@ class StreamSession:
                 self._turns.resume(self._outbox)
             case Position():
                 self._hear_position(said)
+            case Text() | Words() | Phonemes() | Visemes():
+                self._hear_told(said)
 
     def _greet(self, hello: Hello) -> None:
         if hello.protocol not in (None, PROTOCOL):
@@ -101,6 +128,7 @@ class StreamSession:
             raise MessageError("stream_open", f"stream {open_id!r} has not ended; send end first")
         self._open = self._turns.open(self._outbox, start, time.monotonic())
         self._ignores_rest = False
+        self._over.append(self._open.stream_id)
         self._outbox.put(
             {
                 "type": "ready",
@@ -153,6 +181,48 @@ class StreamSession:
             self._open.mark(name)
         elif not self._ignores_rest:
             raise MessageError("no_stream", "mark before start")
+
+    def _hear_told(self, told: Told) -> None:
+        """Samples do not wait for it: the first text of a process loads a dictionary."""
+        stream = self._told_stream(told.stream)
+        if stream is None:
+            return
+        if len(self._untaken) >= _MOST_UNTAKEN:
+            raise MessageError("bad_text", f"{_MOST_UNTAKEN} texts are not looked up yet; wait")
+        taking = self._take_told(told, stream, self._taking)
+        self._taking = asyncio.get_running_loop().create_task(taking)
+        self._untaken.add(self._taking)
+        self._taking.add_done_callback(self._untaken.discard)
+
+    async def _take_told(
+        self, told: Told, stream: AgentStream, before: asyncio.Task[None] | None
+    ) -> None:
+        if before is not None:
+            await asyncio.wait([before])
+        try:
+            spoken = spoken_text_of(told, stream.rate_hz)
+            words: tuple[PronouncedWord, ...] = ()
+            if not (spoken.moves_mouth and spoken.is_timed):
+                language = told.language if isinstance(told, Text | Words) else DEFAULT_LANGUAGE
+                words = await asyncio.to_thread(pronounced_units, spoken, language)
+            stream.speech.tell(spoken, words)
+        except (UserError, PlayoutTextError) as error:
+            line = f"{told.type}: {error}; it was not taken"
+            self._outbox.error("bad_text", line, stream=stream.stream_id)
+        except Exception as error:  # a fault of ours, or of the library that knows how words sound
+            _LOG.error("voice agents: a text failed: %s: %s", type(error).__name__, error)
+            self._outbox.error("internal", "the text failed; see the face's log")
+
+    def _told_stream(self, name: str | None) -> AgentStream | None:
+        """The stream that a message is about; None: one that was cut off or is over."""
+        if name is None:
+            if self._open is None and not self._ignores_rest:
+                raise MessageError("no_stream", "a text before start; name the stream, or start it")
+            return self._open
+        stream = self._turns.stream_of(self._outbox, name)
+        if stream is None and name not in self._over:
+            raise MessageError("no_stream", f"stream {name!r} was never started")
+        return stream
 
     def _hear_position(self, said: Position) -> None:
         if said.played_s is None:

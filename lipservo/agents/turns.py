@@ -325,6 +325,11 @@ class Turns:
             owner.error("stalled", f"paused for {self._settings.stalled_s:g} s: it was cut off")
             self.interrupt(owner)
 
+    def stream_of(self, owner: Outbox, stream_id: str) -> AgentStream | None:
+        """A stream of a client that is said or waits; None: it is over, or never was."""
+        ours = (each for each in self._all() if each.owner is owner)
+        return next((each for each in ours if each.stream_id == stream_id), None)
+
     def tell_positions(self, owner: Outbox | None = None) -> None:
         """Tell each client, or one, how much of its streams was heard."""
         for stream in self.said:

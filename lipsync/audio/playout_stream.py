@@ -189,7 +189,8 @@ class PlayoutStream:
             is_worse = told.kind == "text" and "word" in self.spoken
             if not is_worse:
                 self._note_words(told, words, whole, is_better=is_better)
-        self.spoken = {**self.spoken, told.kind: whole}
+        if told.is_timed or not told.moves_mouth:
+            self.spoken = {**self.spoken, told.kind: whole}
 
     def _note_words(
         self,

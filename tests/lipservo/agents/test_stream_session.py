@@ -22,6 +22,13 @@ def started(**fields):
     return json.dumps({"type": "start", "stream": "s", "sample_rate": RATE_HZ, **fields})
 
 
+def units(kind, *given, **fields):
+    named = [
+        dict(zip(("label", "start_sample", "end_sample"), each, strict=False)) for each in given
+    ]
+    return json.dumps({"type": kind, "units": named, **fields})
+
+
 END, INTERRUPT = '{"type": "end"}', '{"type": "interrupt"}'
 
 
@@ -46,6 +53,63 @@ END, INTERRUPT = '{"type": "end"}', '{"type": "interrupt"}'
         ([started(), b"\0\0\0", END], "bad_audio", "the last 1 bytes"),
         ([started(), '{"type": "audio", "data": "%%"}', INTERRUPT], "bad_audio", "not base64"),
         ([started(), "speech", INTERRUPT], "bad_json", "not JSON"),
+        ([units("words", ("a",))], "no_stream", "before start"),
+        ([units("words", ("a",), stream="x")], "no_stream", "stream 'x' was never started"),
+        (
+            [started(), units("words", ("a", 900), ("b", 10)), INTERRUPT],
+            "bad_text",
+            "sample 10 is before 900",
+        ),
+        (
+            [started(), units("phonemes", ("M", 0, 900), ("AA", 800, 990)), INTERRUPT],
+            "bad_text",
+            "sample 800 is before 900",
+        ),
+        (
+            [started(), units("phonemes", ("M", 10**9)), INTERRUPT],
+            "bad_text",
+            "more than 300 s after the sound",
+        ),
+        (
+            [started(), units("phonemes", ("qqq",), alphabet="klingon"), INTERRUPT],
+            "bad_text",
+            "alphabet 'klingon' is not known",
+        ),
+        (
+            [started(), units("visemes", ("99", 0), alphabet="azure"), INTERRUPT],
+            "bad_text",
+            "'99' is no viseme of azure",
+        ),
+        (
+            [started(), units("visemes", ("21",), alphabet="azure"), INTERRUPT],
+            "bad_text",
+            "without a start_sample",
+        ),
+        (
+            [started(), units("words", *[("a",)] * 2_001), INTERRUPT],
+            "bad_message",
+            "units: List should have at most 2000",
+        ),
+        (
+            [started(), json.dumps({"type": "text", "text": "a" * 900_000}), INTERRUPT],
+            "bad_message",
+            "text: String should have at most 20000",
+        ),
+        (
+            [started(), json.dumps({"type": "text", "text": ""}), INTERRUPT],
+            "bad_message",
+            "text: String should have at least 1",
+        ),
+        (
+            [started(), json.dumps({"type": "text", "text": "a", "language": "../x"}), INTERRUPT],
+            "bad_message",
+            "language",
+        ),
+        (
+            [started(), json.dumps({"type": "text", "text": "a", "language": "tlh"}), INTERRUPT],
+            "bad_text",
+            "tlh",
+        ),
         (
             [started(), '{"type": "position", "played_s": NaN}', INTERRUPT],
             "bad_message",

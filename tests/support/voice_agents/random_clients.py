@@ -22,7 +22,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from lipservo.agents.listener import AgentSettings
 
 _TYPES = ["hello", "start", "audio", "end", "interrupt", "clear", "mark", "position", "dance"]
-_TYPES += ["pause", "resume"]
+_TYPES += ["pause", "resume", "text", "words", "phonemes", "phonemes", "visemes"]
 _COMMANDS = ["status", "set", "say", "play", "dance"]
 _TEXTS = ["", "x", "🙂", "\ud800", "a" * 300, "<speak/>", "../../etc/passwd"]
 
@@ -33,8 +33,29 @@ def _any(rng):
     return rng.choice([None, True, [], {}, [[[]]], *_TEXTS, *numbers])
 
 
+def _units(rng, labels):
+    """In order mostly, at times backwards, far off or without times."""
+    at, units = rng.choice([0, 0, 1_000, 10**9]), []
+    for _ in range(rng.randrange(1, 6)):
+        unit = {"label": rng.choice(labels)}
+        if rng.random() < 0.9:
+            unit["start_sample"] = at
+        if rng.random() < 0.5:
+            unit["end_sample"] = at + rng.choice([0, 24, 2_400, -1])
+        at += rng.choice([2_400, 2_400, 24, 0, -500])
+        units.append(unit)
+    return units
+
+
 def _fields(rng, kind):
     right = {
+        "text": {"text": rng.choice(_TEXTS)},
+        "words": {"units": _units(rng, [*_TEXTS, "hello"])},
+        "phonemes": {
+            "units": _units(rng, ["M", "AA", "SIL", "a", "Q", ""]),
+            "alphabet": rng.choice(["arpabet", "ipa", "klingon"]),
+        },
+        "visemes": {"units": _units(rng, ["0", "21", "99"]), "alphabet": "azure"},
         "start": {
             "stream": rng.choice(["a", "b"]),
             "sample_rate": rng.choice([8_000, 16_000, 24_000, 44_100, 48_000]),
