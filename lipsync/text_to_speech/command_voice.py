@@ -111,7 +111,7 @@ def _check(voice: Voice) -> None:
         shlex.split(voice.name)
     except ValueError as error:
         raise SynthesisError(
-            f"the voice's command {voice.name!r} cannot be read: {error}"
+            f"the voice's command cannot be read: {error}"
         ) from None
 
 

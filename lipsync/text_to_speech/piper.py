@@ -116,7 +116,7 @@ def _answered(request: Request) -> tuple[dict[str, object], bytes]:
 
 
 def joined(timed: list[tuple[str, int]]) -> list[tuple[str, int]]:
-    """Letters as phonemes: a mark of stress counts to what follows, the two of a diphthong are one."""
+    """Letters as phonemes: stress counts to what follows it, the two of a diphthong are one."""
     found: list[tuple[str, int]] = []
     n_before = 0
     for name, n_samples in timed:

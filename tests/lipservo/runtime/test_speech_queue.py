@@ -10,6 +10,7 @@ import soundfile
 
 from lipservo.runtime.sound import (
     QueueFullError,
+    Speaker,
     SpeechQueue,
     spoken_chunks,
     spoken_file,
@@ -74,7 +75,7 @@ def add(queue, face, name, *chunks):
 
 
 def text(face, words):
-    return spoken_text(words, "", face.playout, "espeak")
+    return spoken_text(words, "", face.playout, Speaker("espeak"))
 
 
 def settle(until):
