@@ -28,9 +28,11 @@ from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
 from lipsync.audio.source import AudioSource, Loudspeaker, SilenceAfter, SilentSource
 from lipsync.errors import UserError
 from lipsync.phonemes import PhonemeEvent
-from lipsync.spoken_text import SpokenText
+from lipsync.spoken_text import SpokenText, SpokenUnit
 
 if TYPE_CHECKING:
+    from lipservo_client.vendors import TimedUnit
+
     from lipsync.text_to_speech.synthesis import SynthesizedSpeech
 
 _LOG: Final = logging.getLogger(__name__)
@@ -141,13 +143,19 @@ def spoken_file(
 ) -> Spoken:
     """A sound file from `start_s` to its end.
 
-    name: of its stream; the file's, where there is none. phonemes: a file of what is said when.
+    name: of its stream; the file's, where there is none. phonemes: a file of what is said when,
+    phonemes or words.
     Raises SoundError, LabelError.
     """
     checked = checked_sound(path)
     log_once(checked.warning)
-    known = () if phonemes is None else known_from(phonemes, start_s)
-    stream = PlayoutStream(name or path.name, checked.sample_rate_hz, playout.output_rate_hz, known)
+    words = () if phonemes is None else words_from(phonemes, start_s)
+    known = () if phonemes is None or words else known_from(phonemes, start_s)
+    rate_hz = checked.sample_rate_hz
+    stream = PlayoutStream(name or path.name, rate_hz, playout.output_rate_hz, known)
+    if words:
+        units = tuple(SpokenUnit(each.label, round(each.start_s * rate_hz)) for each in words)
+        _tell(stream, SpokenText("word", units, rate_hz), _LANGUAGE)
     left_s = max(0.0, checked.duration_s - start_s)
     return spoken_chunks(sound_chunks(path, start_s), stream, left_s)
 
@@ -315,6 +323,17 @@ def known_from(path: Path, start_s: float) -> tuple[PhonemeEvent, ...]:
         )
         for event in read_known_phonemes(path)
         if event.start_s >= start_s
+    )
+
+
+def words_from(path: Path, start_s: float) -> tuple["TimedUnit", ...]:
+    """The words of a file that has no phonemes, those after `start_s`, counted from there."""
+    from lipsync.phoneme_files.reader import read_words
+
+    return tuple(
+        each._replace(start_s=each.start_s - start_s)
+        for each in read_words(path)
+        if each.start_s >= start_s
     )
 
 

@@ -7,7 +7,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Final
 
-from lipservo_client.vendors import VendorError, VendorUnits, vendor_units
+from lipservo_client.vendors import TimedUnit, VendorError, VendorUnits, vendor_units
 
 from lipsync.alphabets import AlphabetError, phones_of
 from lipsync.errors import UserError
@@ -21,6 +21,7 @@ _KNOWN: Final = (
     "known are TextGrid, phones as `lipservo lines align -o` writes them, and what synthesisers "
     "send (docs/text.md)"
 )
+_SOUND_ENDINGS: Final = (".wav", ".flac", ".ogg", ".opus", ".mp3")
 #: A file that tells starts alone does not say how long its last phoneme is.
 _LAST_PHONEME_S: Final = 0.1
 
@@ -37,13 +38,32 @@ def read_known_phonemes(path: str | PathLike[str]) -> tuple[PhonemeEvent, ...]:
     return phonemes_in(content, str(path))
 
 
+def read_words(path: str | PathLike[str]) -> tuple[TimedUnit, ...]:
+    """The words of a file that tells when they begin, and no phonemes; else none."""
+    content = _content(Path(path))
+    if is_textgrid(content[:200]):
+        return ()
+    best = units_in(content, str(path))[0]
+    return best.units if best.kind == "word" else ()
+
+
+def sound_beside(path: Path) -> Path:
+    """The sound of which a file tells: that of the same name. Raises LabelError."""
+    for ending in _SOUND_ENDINGS:
+        if (sound := path.with_suffix(ending)).is_file():
+            return sound
+    raise LabelError(
+        f"{path}: no sound beside it; put it there as {path.stem} with "
+        f"{', '.join(_SOUND_ENDINGS)}, or give both to `lipservo run --wav SOUND --phonemes FILE`"
+    )
+
+
 def phonemes_in(content: bytes, name: str) -> tuple[PhonemeEvent, ...]:
     """The same from the content of a file of JSON; `name` is told in errors."""
     best = units_in(content, name)[0]
     if best.kind == "word":
         raise LabelError(
-            f"{name}: words without phonemes; give it to `lipservo say --from`, which follows them "
-            "in the sound"
+            f"{name}: words without phonemes; `lipservo say --from` follows them in the sound"
         )
     return events_of(best, name)
 

@@ -110,9 +110,7 @@ def _check(voice: Voice) -> None:
     try:
         shlex.split(voice.name)
     except ValueError as error:
-        raise SynthesisError(
-            f"the voice's command cannot be read: {error}"
-        ) from None
+        raise SynthesisError(f"the voice's command cannot be read: {error}") from None
 
 
 @cache
