@@ -14,6 +14,7 @@ frame is kept, of the frame that the last head has just spoken about; those afte
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Final, Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -34,6 +35,7 @@ MOST_WORDS: Final = 2_000
 #: Words around the present one that the search goes through.
 _BEHIND, _WINDOW = 3, 14
 _NEVER: Final = np.float32(-1e9)
+_NO_WORDS: Final = np.zeros(0, np.float32)
 _INDEX: Final = {phoneme: index for index, phoneme in enumerate(PHONEMES)}
 
 
@@ -136,7 +138,7 @@ class TextDecoder:
         window = self._words.window(0)
         scores = np.full(window.n_states, _NEVER)
         scores[0] = 0.0
-        self._newest = _Front(window, scores, np.float32(0.0))
+        self._newest = _Front(window, scores, np.float32(0.0), _NO_WORDS)
         n_kept = settings.settled_frames - self._delays[-1] + 1
         self._kept: deque[_Front] = deque([self._newest], maxlen=n_kept + 1)
         self._place = 0.0
@@ -180,15 +182,21 @@ class TextDecoder:
         """What was told and is not being said yet never will be."""
         newest = self._newest
         state = int(newest.scores.argmax())
-        is_heard = newest.escape >= newest.scores[state]
-        said = self.place if is_heard else newest.window.first_word + newest.window.words[state]
-        self._words.drop_after(int(said))
+        said = self.place
+        if newest.escape < newest.scores[state]:
+            # In the silence before a word it has not begun.
+            has_begun = newest.window.kinds[state] != _SILENT
+            said = newest.window.first_word + int(newest.window.words[state]) - (not has_begun)
+        self._words.drop_after(said)
         self._place = min(self._place, float(self._words.n_words))
         window = self._words.window(self.place)
         self._replace_newest(window, window.taken_over(newest), newest.escape)
 
     def _replace_newest(self, window: "_Window", scores: Array32, escape: np.float32) -> None:
-        self._newest = self._kept[-1] = _Front(window, scores, escape)
+        begins = np.full(len(window.silences), _NEVER)
+        known = self._newest.begins[max(0, window.first_word - self._newest.window.first_word) :]
+        begins[: len(known)] = known[: len(begins)]
+        self._newest = self._kept[-1] = _Front(window, scores, escape, begins)
 
     def jump(self, n_frames: int) -> None:
         """So many frames were passed over, after two seconds of silence."""
@@ -238,20 +246,20 @@ class TextDecoder:
         entered[window.firsts] = into_first.take(window.word_of_first)
         found = np.maximum(scores + window.stays, entered)
         found += row.take(window.phonemes)
-        best = scores.max()
+        best = np.maximum.reduce(scores)
         escape = max(front.escape, best - np.float32(settings.leave)) - np.float32(settings.escape)
         if keep:
-            best = max(found.max(), escape)
+            best = max(np.maximum.reduce(found), escape)
             found -= best
             escape -= best
-        return _Front(window, found, escape)
+        return _Front(window, found, escape, begins)
 
     def _begins(self, window: "_Window", scores: Array32, escape: np.float32) -> Array32:
         """(n_words,): the best score with which each word may begin in a frame."""
         ends = np.empty(window.ends.shape[1] + 1, np.float32)
-        scores.take(window.ends).max(axis=0, out=ends[:-1])
+        np.maximum.reduce(scores.take(window.ends), axis=0, out=ends[:-1])
         ends[-1] = escape
-        begins: Array32 = (ends[:, None] + window.between).max(axis=0)
+        begins: Array32 = np.maximum.reduce(ends[:, None] + window.between, axis=0)
         return begins
 
     def _path(self, fronts: "list[_Front]") -> list[int]:
@@ -288,7 +296,7 @@ class TextDecoder:
         if kind == _WITHIN:
             return False, (state if stay >= scores[state - 1] else state - 1) + shift
         word = int(window.words[state])
-        begins = self._begins(window, scores, before.escape)
+        begins = front.begins
         if kind == _SILENT:
             if stay >= begins[word] - np.float32(self._settings.pause):
                 return False, state + shift
@@ -348,11 +356,15 @@ class _Window:
 
 @dataclass(frozen=True, slots=True)
 class _Front:
-    """The best score of a path to each state, and to the escape, after a frame."""
+    """The best score of a path to each state, and to the escape, after a frame.
+
+    begins: (n_words,) with which each word could begin in it.
+    """
 
     window: _Window
     scores: Array32
     escape: np.float32
+    begins: Array32
 
 
 _WITHIN, _SILENT, _FIRST = 0, 1, 2
@@ -465,6 +477,7 @@ def _window_of(
     )
 
 
+@cache
 def _between(n_words: int, place: int, settings: TextSettings) -> Array32:
     """(n_words + 1, n_words): what it costs to go from the end of a word to another's beginning.
 

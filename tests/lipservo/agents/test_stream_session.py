@@ -106,11 +106,6 @@ END, INTERRUPT = '{"type": "end"}', '{"type": "interrupt"}'
             "language",
         ),
         (
-            [started(), json.dumps({"type": "text", "text": "a", "language": "tlh"}), INTERRUPT],
-            "bad_text",
-            "tlh",
-        ),
-        (
             [started(), '{"type": "position", "played_s": NaN}', INTERRUPT],
             "bad_message",
             "played_s",
@@ -342,3 +337,60 @@ def test_too_many_messages_a_second_wait_and_none_is_lost():
                 return await agent.next("finished")
 
         assert asyncio.run(talk())["n_played"] == 7_200
+
+
+def test_a_text_that_cannot_be_pronounced_is_told_and_its_stream_is_said_all_the_same(face):
+    async def talk():
+        async with client(face) as agent:
+            await agent.start("a")
+            await agent.say("text", text="a", language="qq")
+            error = await agent.next("error")
+            await agent.say("text", text="🙂 <speak></speak>", language="de")
+            await agent.send(tone(0.1))
+            await agent.say("end")
+            return error, await agent.next("finished", "error")
+
+    error, finished = asyncio.run(talk())
+
+    assert (error["code"], error["stream"]) == ("bad_text", "a")
+    assert "does not speak 'qq'" in error["message"]
+    assert finished["n_played"] == round(0.1 * RATE_HZ)
+
+
+def test_words_of_a_stream_that_was_cut_off_or_is_over_are_no_mistake(face):
+    async def talk():
+        async with client(face) as agent:
+            await agent.start("a")
+            await agent.say("interrupt")
+            await agent.next("interrupted")
+            for about in ({}, {"stream": "a"}):
+                await agent.say("words", units=[{"label": "late"}], **about)
+            await agent.start("b")
+            await agent.send(tone(0.1))
+            await agent.say("end")
+            await agent.next("finished", "error")
+            await agent.say("phonemes", stream="b", units=[{"label": "M", "start_sample": 0}])
+            await agent.say("position")
+            await agent.start("c")
+            return agent.heard
+
+    assert "error" not in [event["type"] for event in asyncio.run(talk())]
+
+
+def test_what_is_told_of_a_stream_is_what_its_samples_say(face):
+    async def talk():
+        async with client(face) as agent:
+            await agent.start("a")
+            azure = [{"label": "21", "start_sample": 0}, {"label": "2", "start_sample": 2_400}]
+            await agent.say("visemes", units=azure, alphabet="azure")
+            face.hold()
+            await agent.send(tone(0.3))
+            await asyncio.to_thread(until, lambda: len(face.playout._playing) == 1)
+            stream = face.playout._playing[0].stream
+            await asyncio.to_thread(until, lambda: stream.spoken)
+            face.go_on()
+            return stream
+
+    stream = asyncio.run(talk())
+
+    assert [e.phoneme for e in stream.spoken["viseme"].events()] == ["P", "AA"]

@@ -120,3 +120,34 @@ def test_words_without_end_are_refused_and_those_that_were_said_are_forgotten():
         for each in scores:
             decoder.push(each)
     assert decoder.place == 3
+
+
+def test_words_that_are_forgotten_are_heard_and_those_told_instead_are_followed():
+    phones = ["SIL", "M", "AA", "M", "AH", *SILENCE, "B", "IH", "G", *SILENCE]
+    decoder, settled = TextDecoder(FORMAT, 100), {}
+    decoder.tell([MAMA, FISH, SEEK, SEEK, SEEK])
+    for frame, scores in enumerate(log_scores(said(phones), SMOOTH)):
+        if frame == 8 * 6:
+            decoder.forget()
+            assert decoder.saying[0][-1] == "mama"
+            decoder.tell([BIG])
+        for age, index in enumerate(reversed(decoder.push(scores))):
+            settled[frame - FORMAT.delays[0] - age] = PHONEMES[index]
+    assert runs([settled[frame] for frame in sorted(settled) if frame >= 0]) == runs(phones)
+    assert decoder.saying == (("mama", "big"), 2)
+
+
+def test_a_text_that_comes_late_is_taken_up_where_the_voice_is():
+    words = [MAMA, BIG, FISH, SEEK] * 3
+    phones = ["SIL", *(p for word in words for p in word.pronunciations[0]), *SILENCE]
+    n_late = 8 * (1 + sum(len(w.pronunciations[0]) for w in words[:7]))
+    decoder, settled = TextDecoder(FORMAT, 100), {}
+    for frame, scores in enumerate(log_scores(said(phones), SMOOTH)):
+        if frame == n_late:
+            decoder.tell(words, behind_s=n_late / 100)
+        if frame >= n_late:
+            for age, index in enumerate(reversed(decoder.push(scores))):
+                settled[frame - age] = "heard" if index == HEARD else PHONEMES[index]
+    followed_to_the_end = [settled[frame] for frame in sorted(settled)]
+    assert followed_to_the_end.count("heard") < 45
+    assert runs(followed_to_the_end)[-7:] == "F IH SH S IY K SIL".split()
