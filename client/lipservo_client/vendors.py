@@ -12,7 +12,14 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Final, Literal, NamedTuple
 
+from lipservo_client.protocol import Told
+
 Kind = Literal["word", "phoneme", "viseme"]
+_PLURAL: Final[dict[Kind, Literal["words", "phonemes", "visemes"]]] = {
+    "word": "words",
+    "phoneme": "phonemes",
+    "viseme": "visemes",
+}
 
 #: Ten minutes of fast speech in phonemes, as much as a face takes at once.
 MOST_UNITS: Final = 12_000
@@ -42,12 +49,19 @@ class VendorUnits:
     """Units of one kind in the order in which they are said, none beginning before the last.
 
     alphabet: of their labels, as a face knows it: `ipa` (ARPAbet too), `misaki`, or whose visemes
-    they are, `azure`, `polly`, `ovr`, `inworld`; "" of words.
+    they are, `azure`, `polly`, `ovr`, `inworld`; None: of words, and of phonemes that are visemes.
     """
 
     kind: Kind
     units: tuple[TimedUnit, ...]
-    alphabet: str = ""
+    alphabet: str | None = None
+
+    def told(self, rate_hz: int) -> Told:
+        """What `tell` of a stream takes, beside `alphabet=units.alphabet`."""
+        return _PLURAL[self.kind], [
+            (each.label, round(each.start_s * rate_hz), _sample(each.end_s, rate_hz))
+            for each in self.units
+        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,7 +259,7 @@ class _Found:
         order: tuple[Kind, ...] = ("phoneme", "viseme", "word")
         found = sorted(self._of.items(), key=lambda item: order.index(item[0][0]))
         return tuple(
-            VendorUnits(kind, _without_overlap(rows, kind), alphabet)
+            VendorUnits(kind, _without_overlap(rows, kind), alphabet or None)
             for (kind, alphabet), rows in found
             if rows
         )
@@ -282,6 +296,10 @@ def _words(characters: Iterable[TimedUnit]) -> Iterator[TimedUnit]:
             word = TimedUnit(word.label + each.label, word.start_s, each.end_s)
     if word is not None:
         yield word
+
+
+def _sample(time_s: float | None, rate_hz: int) -> int | None:
+    return None if time_s is None else round(time_s * rate_hz)
 
 
 def _first(node: _Node, keys: str) -> object:

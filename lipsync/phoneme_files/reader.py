@@ -9,7 +9,7 @@ from typing import Final
 
 from lipservo_client.vendors import TimedUnit, VendorError, VendorUnits, vendor_units
 
-from lipsync.alphabets import AlphabetError, phones_of
+from lipsync.alphabets import ARPABET, AlphabetError, phones_of
 from lipsync.errors import UserError
 from lipsync.phonemes import SILENCE, PhonemeEvent
 from lipsync.recognition.scripted import read_phonemes
@@ -97,7 +97,7 @@ def events_of(known: VendorUnits, name: str) -> tuple[PhonemeEvent, ...]:
     reached_s = 0.0
     for number, (unit, next_s) in enumerate(zip(known.units, ends_s, strict=True), start=1):
         try:
-            phones = phones_of(unit.label, known.alphabet)
+            phones = phones_of(unit.label, known.alphabet or ARPABET)
         except AlphabetError as error:
             raise LabelError(f"{name}: {known.kind} {number}: {error}") from None
         end_s = next_s if unit.end_s is None else unit.end_s

@@ -7,6 +7,7 @@ import sys
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from lipservo_client.protocol import told_messages
 from lipservo_client.vendors import VendorError, VendorUnits, vendor_units
 
 ELEVENLABS = {
@@ -202,6 +203,22 @@ def word(*units):
 )
 def test_each_message_tells_its_units_the_most_precise_first(message, told):
     assert list(vendor_units(message)) == told
+
+
+def test_what_a_vendor_sends_is_told_to_a_stream_in_samples():
+    words, visemes = vendor_units(CARTESIA)[0], vendor_units(AZURE_VISEMES)[0]
+
+    assert list(told_messages(words.told(24_000))) == [
+        {
+            "type": "words",
+            "units": [
+                {"label": "Hi", "start_sample": 0, "end_sample": 4800},
+                {"label": "Bob.", "start_sample": 6000, "end_sample": 16_800},
+            ],
+        }
+    ]
+    assert words.alphabet is None
+    assert visemes.told(24_000)[1][-1] == ("0", 4800, None)
 
 
 def test_a_piece_of_a_stream_is_counted_from_where_its_sound_begins():

@@ -150,4 +150,4 @@ def test_a_text_that_comes_late_is_taken_up_where_the_voice_is():
                 settled[frame - age] = "heard" if index == HEARD else PHONEMES[index]
     followed_to_the_end = [settled[frame] for frame in sorted(settled)]
     assert followed_to_the_end.count("heard") < 45
-    assert runs(followed_to_the_end)[-7:] == "F IH SH S IY K SIL".split()
+    assert runs(followed_to_the_end)[-7:] == ["F", "IH", "SH", "S", "IY", "K", "SIL"]
