@@ -2,7 +2,7 @@
 
 A viseme stands for several phonemes; its row in alphabets.yaml has the one phone that moves the
 mouth for it, and why. Phonemes of any language are IPA (ipa.yaml), or written otherwise letter by
-letter: X-SAMPA, and misaki, in which Kokoro tells its own. docs/speech.md shows the tables.
+letter: X-SAMPA, and misaki, in which Kokoro tells its own. docs/text.md shows the tables.
 """
 
 import re
