@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Final, Literal, NamedTuple
 
+from lipservo_client.blendshapes import DEFAULT_RATE_HZ, mouth_rows
 from lipservo_client.protocol import Told
 
 Kind = Literal["word", "phoneme", "viseme"]
@@ -119,6 +120,9 @@ _SHAPES: Final = (
     _Shape("viseme", "viseme visemes", _START, _END, _DURATION),
     _Shape("word", "word words", _START, _END, _DURATION),
 )
+#: Frames of weights (Azure's viseme type FacialExpression), of which `_mouths` makes visemes.
+_BLENDSHAPES: Final = "blendshapes"
+_MOUTHS: Final = _Shape("viseme", "visemes", _START, _END)
 #: Of Azure's boundaries: no words.
 _UNSAID: Final = ("punctuation", "sentence")
 
@@ -133,6 +137,8 @@ def vendor_units(message: object, from_s: float = 0.0) -> tuple[VendorUnits, ...
     for node, here in _nodes(message, _Here()):
         for shape in _SHAPES:
             found.take(shape, node, here)
+        if isinstance(frames := node.get(_BLENDSHAPES), list) and frames:
+            found.take(_MOUTHS, _mouths(frames, node, here), here)
     units = found.units()
     if not units:
         raise VendorError(
@@ -177,6 +183,8 @@ def _nodes(value: object, here: _Here) -> Iterator[tuple[_Node, _Here]]:
             if _key(key) == "normalizedalignment" and node.get("alignment"):
                 continue  # the same once more
             inner = here.inside(node, f".{key}")
+            if _key(key) == _BLENDSHAPES:
+                continue
             if isinstance(each, list) and each and all(isinstance(row, list) for row in each):
                 yield _tier(_key(key), each, inner.place), inner
             else:
@@ -185,6 +193,21 @@ def _nodes(value: object, here: _Here) -> Iterator[tuple[_Node, _Here]]:
 
 def _key(key: object) -> str:
     return str(key).replace("_", "").lower()
+
+
+def _mouths(frames: list[object], node: _Node, here: _Here) -> _Node:
+    """Frames of blendshapes as visemes, which are phones that look like them."""
+    rate_hz, first = node.get("fps", DEFAULT_RATE_HZ), node.get("frameindex", 0)
+    if not isinstance(rate_hz, int | float) or not 10 <= rate_hz <= 1000:
+        raise VendorError(f"{here.place or 'message'}: fps must be 10 to 1000")
+    if not isinstance(first, int) or not 0 <= first < _LONGEST_S * rate_hz:
+        raise VendorError(f"{here.place or 'message'}: FrameIndex is the number of a frame")
+    try:
+        rows = mouth_rows(frames, float(rate_hz), first)
+    except ValueError as error:
+        raise VendorError(f"{here.place or 'message'}: {error}") from None
+    visemes, starts, ends = ([row[column] for row in rows] for column in range(3))
+    return {"visemes": visemes, "start": starts, "end": ends}
 
 
 def _tier(key: str, rows: list[list[object]], place: str) -> _Node:

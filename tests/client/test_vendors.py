@@ -270,6 +270,7 @@ KEYS = sorted(
     | {"timeSeconds", "phoneme", "phonemes", "start", "end", "num_samples", "sample_rate", "chars"}
     | {"characters", "character_start_times_seconds", "charStartTimesMs", "charDurationsMs"}
     | {"visemes", "vtimes", "vdurations", "alphabet", "phones", "boundaryType", "start_ts"}
+    | {"BlendShapes", "fps", "FrameIndex", "jawOpen"}
 )
 LEAVES = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3)
 VALUES = st.recursive(
@@ -307,3 +308,49 @@ def test_it_needs_the_standard_library_alone():
     )
 
     assert answer.stdout.strip() == "set()"
+
+
+def mouth(**weights):
+    """A frame of Azure's 55 weights."""
+    places = {"jawOpen": 17, "mouthClose": 18, "mouthPucker": 20, "mouthRollLower": 31}
+    frame = [0.0] * 55
+    for name, weight in weights.items():
+        frame[places[name]] = weight
+    return frame
+
+
+def test_blendshapes_are_the_mouths_that_they_look_like():
+    frames = [
+        *[mouth(jawOpen=0.8)] * 6,
+        *[mouth(jawOpen=0.3, mouthClose=0.3)] * 6,
+        *[mouth(jawOpen=0.2, mouthPucker=0.8)] * 6,
+        *[mouth(jawOpen=0.1, mouthRollLower=0.6)] * 6,
+    ]
+    expected = [("AA", 1.0, 1.1), ("P", 1.1, 1.2), ("UW", 1.2, 1.3), ("F", 1.3, 1.4)]
+    (visemes,) = vendor_units({"FrameIndex": 60, "BlendShapes": frames})
+
+    assert [(v, round(s, 6), round(e, 6)) for v, s, e in visemes.units] == expected
+    assert (visemes.kind, visemes.alphabet) == ("viseme", None)
+    named = {"fps": 60, "FrameIndex": 60, "blendshapes": [{"jawOpen": 0.8}] * 6}
+    assert vendor_units(named)[0].units == (("AA", 1.0, 1.1),)
+
+
+def test_lips_that_stay_shut_close_rest_and_close_again():
+    frames = [mouth()] * 60
+    (visemes,) = vendor_units({"BlendShapes": frames})
+
+    assert visemes.units == (("P", 0.0, 0.1), ("SIL", 0.1, 0.9), ("P", 0.9, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("message", "error"),
+    [
+        ({"BlendShapes": [[0.0] * 50]}, "a frame is 52 or 55 weights, or weights by name"),
+        ({"BlendShapes": [{"jawOpen": 7}]}, "weight 7 of jawopen is not within 0 and 1"),
+        ({"BlendShapes": [{}], "fps": 1}, "fps must be 10 to 1000"),
+        ({"BlendShapes": [{}], "FrameIndex": -1}, "FrameIndex is the number of a frame"),
+    ],
+)
+def test_frames_that_are_none_are_one_line(message, error):
+    with pytest.raises(VendorError, match=error):
+        vendor_units(message)
