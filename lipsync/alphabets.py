@@ -1,8 +1,8 @@
 """Phonemes and visemes of others as phones of our inventory, by tables.
 
 A viseme stands for several phonemes; its row in alphabets.yaml has the one phone that moves the
-mouth for it, and why. Phonemes of any language are IPA (ipa.yaml), or X-SAMPA, which is IPA in
-ASCII. docs/speech.md shows the tables.
+mouth for it, and why. Phonemes of any language are IPA (ipa.yaml), or written otherwise letter by
+letter: X-SAMPA, and misaki, in which Kokoro tells its own. docs/text.md shows the tables.
 """
 
 import re
@@ -24,6 +24,8 @@ from lipsync.spoken_text import SpokenText, SpokenUnit, UnitKind
 ARPABET: Final = "arpabet"
 IPA: Final = "ipa"
 X_SAMPA: Final = "x-sampa"
+#: Other letters for IPA's.
+_SPELLINGS: Final = (X_SAMPA, "misaki")
 #: Pauses by name, and Piper's marks of beginning and end; punctuation is a pause as well.
 _PAUSES: Final = frozenset((SILENCE, "sil", "sp", "pau", "", "^", "$", "_"))
 
@@ -49,7 +51,7 @@ def _tables() -> Mapping[str, Mapping[str, tuple[str, ...]]]:
 @cache
 def viseme_sets() -> Mapping[str, Mapping[str, tuple[str, str]]]:
     """(phone, reason) by viseme, numbers as text, by the name of the set."""
-    sets = {name: rows for name, rows in _tables().items() if name != X_SAMPA}
+    sets = {name: rows for name, rows in _tables().items() if name not in _SPELLINGS}
     return MappingProxyType(
         {
             name: {label: (row[0], row[1]) for label, row in rows.items()}
@@ -60,11 +62,11 @@ def viseme_sets() -> Mapping[str, Mapping[str, tuple[str, str]]]:
 
 def alphabets() -> tuple[str, ...]:
     """The names of all alphabets."""
-    return (ARPABET, IPA, X_SAMPA, *viseme_sets())
+    return (ARPABET, IPA, *_SPELLINGS, *viseme_sets())
 
 
 def phones_of(label: str, alphabet: str = ARPABET) -> tuple[str, ...]:
-    """The phones for one label; none where it only goes on with the one before, as a mark of length.
+    """The phones for one label; none for a mark alone, as of length: the one before goes on.
 
     An IPA letter that ipa.yaml lacks is guessed. Raises AlphabetError.
     """
@@ -72,11 +74,11 @@ def phones_of(label: str, alphabet: str = ARPABET) -> tuple[str, ...]:
         phone = label.rstrip("012") or label
         if phone not in VISEME_OF:
             raise AlphabetError(
-                f"{shown(label)} is no phoneme; use ARPAbet in upper case, SIL for silence, or name "
-                f"the alphabet: {', '.join(alphabets())}"
+                f"{shown(label)} is no phoneme; use ARPAbet in upper case, SIL for silence, or "
+                f"name the alphabet: {', '.join(alphabets())}"
             )
         return (phone,)
-    if alphabet in (IPA, X_SAMPA):
+    if alphabet in (IPA, *_SPELLINGS):
         return _spelled(label, alphabet)
     visemes = viseme_sets().get(alphabet)
     if visemes is None:
@@ -128,20 +130,21 @@ def _shared(phones: tuple[str, ...], unit: SpokenUnit, next_sample: int | None) 
 def _spelled(label: str, alphabet: str) -> tuple[str, ...]:
     if label in _PAUSES:
         return (SILENCE,)
-    if alphabet == X_SAMPA:  # whose vowels are punctuation
-        return phones_of_ipa(_ipa_of_x_sampa(label)).phones
-    if all(unicodedata.category(sign).startswith("P") for sign in label):
+    # Vowels of X-SAMPA are punctuation.
+    if alphabet != X_SAMPA and all(unicodedata.category(sign).startswith("P") for sign in label):
         return (SILENCE,)
+    if alphabet != IPA:
+        return phones_of_ipa(_as_ipa(label, alphabet)).phones
     arpabet = label.rstrip("012")
     return (arpabet,) if arpabet in VISEME_OF else phones_of_ipa(label).phones
 
 
-def _ipa_of_x_sampa(label: str) -> str:
+def _as_ipa(label: str, alphabet: str) -> str:
     """Longest symbols first; what the table lacks is the same letter in IPA."""
-    table = _tables()[X_SAMPA]
+    table = _tables()[alphabet]
     longest = max(map(len, table))
-    label = _MARK.sub("", label)
     found, place = "", 0
+    label = _MARK.sub("", label)
     while place < len(label):
         for length in range(min(longest, len(label) - place), 0, -1):
             if (row := table.get(label[place : place + length])) is not None:

@@ -40,6 +40,7 @@ EXTRA_OF = {
     "matplotlib": "lipservo[plots]",
     "rustypot": "lipservo-lab[bench]",
     "espeakng_loader": "lipservo[say]",
+    "piper": "lipservo[piper]",
     "dtaidistance": "lipservo[offline]",
     "smbus2": "lipservo[pca9685]",
     "gpiod": "lipservo[pca9685]",

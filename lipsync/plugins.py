@@ -76,6 +76,8 @@ SYNTHESIZERS: Final = Plugins(
     {
         "espeak": "lipsync.text_to_speech.espeak:Espeak",
         "flite": "lipsync.text_to_speech.flite:Flite",
+        "piper": "lipsync.text_to_speech.piper:Piper",
+        "command": "lipsync.text_to_speech.command_voice:CommandVoice",
     },
 )
 DEFAULT_SYNTHESIZER: Final = "espeak"

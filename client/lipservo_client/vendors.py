@@ -6,14 +6,21 @@ event, a whole answer and a file of many are read alike: docs/text.md has an exa
 The standard library is all that it needs.
 """
 
-import math
 import reprlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Final, Literal, NamedTuple
 
+from lipservo_client.blendshapes import DEFAULT_RATE_HZ, mouth_rows
+from lipservo_client.protocol import Told
+
 Kind = Literal["word", "phoneme", "viseme"]
+_PLURAL: Final[dict[Kind, Literal["words", "phonemes", "visemes"]]] = {
+    "word": "words",
+    "phoneme": "phonemes",
+    "viseme": "visemes",
+}
 
 #: Ten minutes of fast speech in phonemes, as much as a face takes at once.
 MOST_UNITS: Final = 12_000
@@ -42,71 +49,80 @@ class TimedUnit(NamedTuple):
 class VendorUnits:
     """Units of one kind in the order in which they are said, none beginning before the last.
 
-    alphabet: of their labels, as a face knows it: `ipa` (ARPAbet too), or whose visemes they are,
-    `azure`, `polly`, `ovr`, `inworld`; "" of words.
+    alphabet: of their labels, as a face knows it: `ipa` (ARPAbet too), `misaki`, or whose visemes
+    they are, `azure`, `polly`, `ovr`, `inworld`; None: of words, and of phonemes that are visemes.
     """
 
     kind: Kind
     units: tuple[TimedUnit, ...]
-    alphabet: str = ""
+    alphabet: str | None = None
+
+    def told(self, rate_hz: int) -> Told:
+        """What `tell` of a stream takes, beside `alphabet=units.alphabet`."""
+        return _PLURAL[self.kind], [
+            (each.label, round(each.start_s * rate_hz), _sample(each.end_s, rate_hz))
+            for each in self.units
+        ]
 
 
 @dataclass(frozen=True, slots=True)
 class _Shape:
-    """Where a message has its units: keys in lower case without underscores, the first that is
-    there.
+    """Where a message has its units: keys in lower case without underscores, the first that counts.
 
     The values are one unit's, or lists of as many. lasts: a duration. type: what the message's
     `type` must say. unit_s: of its times.
     """
 
     kind: Literal["word", "phoneme", "viseme", "character"]
-    label: tuple[str, ...]
-    start: tuple[str, ...] = ()
-    end: tuple[str, ...] = ()
-    lasts: tuple[str, ...] = ()
+    label: str
+    start: str = ""
+    end: str = ""
+    lasts: str = ""
     unit_s: float = 1.0
     type: str = ""
     alphabet: str = ""
 
 
-_STARTS = ("start", "starts", "startts", "starttime")
-_ENDS = ("end", "ends", "endts", "endtime")
-_DURATIONS = ("duration", "durations")
+_START, _END = "start starts starttime", "end ends endtime"
+_DURATION: Final = "duration durations"
 #: Counted at the `sample_rate` beside or above them.
 _SAMPLES: Final = "numsamples"
-_OFFSETS = ("audiooffset", "offset")
+_OFFSET: Final = "audiooffset offset"
 _SHAPES: Final = (
     # elevenlabs.io/docs/api-reference/text-to-speech/convert-with-timestamps; its WebSocket
-    _Shape("character", ("characters",), ("characterstarttimesseconds",), ("characterendtimesseconds",)),
-    _Shape("character", ("chars",), ("charstarttimesms",), lasts=("chardurationsms", "charsdurationsms"), unit_s=_MS),
+    _Shape("character", "characters", "characterstarttimesseconds", "characterendtimesseconds"),
+    _Shape("character", "chars", "charstarttimesms", "", "chardurationsms charsdurationsms", _MS),
     # docs.inworld.ai/tts/capabilities/timestamps
-    _Shape("word", ("words",), ("wordstarttimeseconds",), ("wordendtimeseconds",)),
-    _Shape("character", ("characters",), ("characterstarttimeseconds",), ("characterendtimeseconds",)),
-    _Shape("phoneme", ("phonesymbol",), ("starttimeseconds",), lasts=("durationseconds",)),
-    _Shape("viseme", ("visemesymbol",), ("starttimeseconds",), lasts=("durationseconds",), alphabet="inworld"),
+    _Shape("character", "characters", "characterstarttimeseconds", "characterendtimeseconds"),
+    _Shape("word", "words", "wordstarttimeseconds", "wordendtimeseconds"),
+    _Shape("phoneme", "phonesymbol", "starttimeseconds", "", "durationseconds"),
+    _Shape("viseme", "visemesymbol", "starttimeseconds", "", "durationseconds", alphabet="inworld"),
     # github.com/met4citizen/HeadTTS
-    _Shape("viseme", ("visemes",), ("vtimes",), lasts=("vdurations",), unit_s=_MS, alphabet="ovr"),
-    _Shape("word", ("words",), ("wtimes",), lasts=("wdurations",), unit_s=_MS),
+    _Shape("viseme", "visemes", "vtimes", "", "vdurations", _MS, alphabet="ovr"),
+    _Shape("word", "words", "wtimes", "", "wdurations", _MS),
     # docs.aws.amazon.com/polly/latest/dg/output.html
-    _Shape("viseme", ("value",), ("time",), unit_s=_MS, type="viseme", alphabet="polly"),
-    _Shape("word", ("value",), ("time",), unit_s=_MS, type="word"),
+    _Shape("viseme", "value", "time", unit_s=_MS, type="viseme", alphabet="polly"),
+    _Shape("word", "value", "time", unit_s=_MS, type="word"),
     # learn.microsoft.com/azure/ai-services/speech-service/how-to-speech-synthesis-viseme
-    _Shape("viseme", ("visemeid",), _OFFSETS, unit_s=_TICK_S, alphabet="azure"),
-    _Shape("word", ("text",), _OFFSETS, lasts=_DURATIONS, unit_s=_TICK_S),
-    # cloud.google.com/text-to-speech/docs/reference/rest/v1beta1/text/synthesize: marks named as words
-    _Shape("word", ("markname",), ("timeseconds",)),
+    _Shape("viseme", "visemeid", _OFFSET, unit_s=_TICK_S, alphabet="azure"),
+    _Shape("word", "text", _OFFSET, "", _DURATION, _TICK_S),
+    # cloud.google.com/text-to-speech/docs/reference/rest/v1beta1/text/synthesize; marks are words
+    _Shape("word", "markname", "timeseconds"),
     # dev.hume.ai/docs/text-to-speech-tts/timestamps
-    _Shape("word", ("text",), ("begin",), ("end",), unit_s=_MS, type="word"),
-    _Shape("phoneme", ("text",), ("begin",), ("end",), unit_s=_MS, type="phoneme"),
-    # Kokoro's tokens (github.com/hexgrad/kokoro); their phonemes as the next
-    _Shape("word", ("text",), ("startts",), ("endts",)),
+    _Shape("word", "text", "begin", "end", unit_s=_MS, type="word"),
+    _Shape("phoneme", "text", "begin", "end", unit_s=_MS, type="phoneme"),
+    # Kokoro's tokens (github.com/hexgrad/kokoro), in misaki's letters
+    _Shape("word", "text", "startts", "endts"),
+    _Shape("phoneme", "phonemes", "startts", "endts", alphabet="misaki"),
     # Cartesia (docs.cartesia.ai/api-reference/tts/websocket), Piper's alignments
     # (github.com/OHF-Voice/piper1-gpl), ours, and whatever else is as plain
-    _Shape("phoneme", ("phoneme", "phonemes", "symbol", "phones"), _STARTS, _ENDS, _DURATIONS),
-    _Shape("viseme", ("viseme", "visemes"), _STARTS, _ENDS, _DURATIONS),
-    _Shape("word", ("word", "words"), _STARTS, _ENDS, _DURATIONS),
-)  # fmt: skip
+    _Shape("phoneme", "phoneme phonemes symbol phones", _START, _END, _DURATION),
+    _Shape("viseme", "viseme visemes", _START, _END, _DURATION),
+    _Shape("word", "word words", _START, _END, _DURATION),
+)
+#: Frames of weights (Azure's viseme type FacialExpression), of which `_mouths` makes visemes.
+_BLENDSHAPES: Final = "blendshapes"
+_MOUTHS: Final = _Shape("viseme", "visemes", _START, _END)
 #: Of Azure's boundaries: no words.
 _UNSAID: Final = ("punctuation", "sentence")
 
@@ -118,9 +134,11 @@ def vendor_units(message: object, from_s: float = 0.0) -> tuple[VendorUnits, ...
     are counted from the beginning of a piece of sound and not of the stream. Raises VendorError.
     """
     found = _Found(from_s)
-    for node, place, rate_hz, alphabet in _nodes(message, "", None, "", 0):
+    for node, here in _nodes(message, _Here()):
         for shape in _SHAPES:
-            found.take(shape, node, place, rate_hz, alphabet)
+            found.take(shape, node, here)
+        if isinstance(frames := node.get(_BLENDSHAPES), list) and frames:
+            found.take(_MOUTHS, _mouths(frames, node, here), here)
     units = found.units()
     if not units:
         raise VendorError(
@@ -132,126 +150,146 @@ def vendor_units(message: object, from_s: float = 0.0) -> tuple[VendorUnits, ...
 _Node = Mapping[str, object]
 
 
-def _nodes(
-    value: object, place: str, rate_hz: object, alphabet: str, depth: int
-) -> Iterator[tuple[_Node, str, object, str]]:
-    """Every object in the message with its place, and the sample rate and set that hold there."""
-    if depth > _DEEPEST:
-        raise VendorError(f"{place[:60]}: nested deeper than any vendor's message")
+@dataclass(frozen=True, slots=True)
+class _Here:
+    """Where an object lies, and what those around it say: a sample rate, an alphabet."""
+
+    place: str = ""
+    rate_hz: object = None
+    alphabet: str = ""
+    depth: int = 0
+
+    def inside(self, node: _Node, step: str) -> "_Here":
+        """For what lies in an object of the message, under a key or a number."""
+        place = f"{self.place}{step}".lstrip(".")[:200]
+        if self.depth >= _DEEPEST:
+            raise VendorError(f"{place}: nested deeper than any vendor's message")
+        rate_hz = node.get("samplerate", node.get("sampleratehz", self.rate_hz))
+        alphabet = str(node.get("alphabet", self.alphabet))[:40]
+        return _Here(place, rate_hz, alphabet, self.depth + 1)
+
+
+def _nodes(value: object, here: _Here) -> Iterator[tuple[_Node, _Here]]:
+    """Every object in the message, its keys as `_Shape` has them."""
     if isinstance(value, list):
         for number, each in enumerate(value):
-            if isinstance(each, dict | list):
-                yield from _nodes(each, f"{place}[{number}]", rate_hz, alphabet, depth + 1)
+            yield from _nodes(each, here.inside({}, f"[{number}]"))
     elif isinstance(value, dict):
-        node = _plain(value)
-        rate_hz = node.get("samplerate", node.get("sampleratehz", rate_hz))
-        alphabet = str(node.get("alphabet", alphabet))[:20]
-        yield node, place, rate_hz, alphabet
+        node = {_key(key): each for key, each in value.items()}
+        if isinstance(time := node.get("time"), dict):
+            node |= {_key(key): each for key, each in time.items()}
+        yield node, here.inside(node, "")
         for key, each in value.items():
-            is_again = _key(key) == "normalizedalignment" and node.get("alignment")
-            if isinstance(each, dict | list) and not is_again:
-                inner = f"{place}.{key}" if place else str(key)
-                yield from _nodes(each, inner, rate_hz, alphabet, depth + 1)
+            if _key(key) == "normalizedalignment" and node.get("alignment"):
+                continue  # the same once more
+            inner = here.inside(node, f".{key}")
+            if _key(key) == _BLENDSHAPES:
+                continue
+            if isinstance(each, list) and each and all(isinstance(row, list) for row in each):
+                yield _tier(_key(key), each, inner.place), inner
+            else:
+                yield from _nodes(each, inner)
 
 
 def _key(key: object) -> str:
     return str(key).replace("_", "").lower()
 
 
-def _plain(value: Mapping[object, object]) -> _Node:
-    """An object with its keys as `_Shape` has them; rows of [label, start, end] are three lists."""
-    node = {_key(key): each for key, each in value.items()}
-    if isinstance(time := node.get("time"), dict):
-        node |= {_key(key): each for key, each in time.items()}
-    for name in ("phones", "phonemes", "visemes", "words"):
-        rows = node.get(name)
-        if isinstance(rows, list) and rows and all(isinstance(row, list) for row in rows):
-            if any(len(row) != 3 for row in rows):
-                raise VendorError(f"{name}: rows must be [label, start, end]")
-            return {
-                **node,
-                **dict(zip((name, "start", "end"), map(list, zip(*rows)), strict=True)),
-            }
-    return node
+def _mouths(frames: list[object], node: _Node, here: _Here) -> _Node:
+    """Frames of blendshapes as visemes, which are phones that look like them."""
+    rate_hz, first = node.get("fps", DEFAULT_RATE_HZ), node.get("frameindex", 0)
+    if not isinstance(rate_hz, int | float) or not 10 <= rate_hz <= 1000:
+        raise VendorError(f"{here.place or 'message'}: fps must be 10 to 1000")
+    if not isinstance(first, int) or not 0 <= first < _LONGEST_S * rate_hz:
+        raise VendorError(f"{here.place or 'message'}: FrameIndex is the number of a frame")
+    try:
+        rows = mouth_rows(frames, float(rate_hz), first)
+    except ValueError as error:
+        raise VendorError(f"{here.place or 'message'}: {error}") from None
+    visemes, starts, ends = ([row[column] for row in rows] for column in range(3))
+    return {"visemes": visemes, "start": starts, "end": ends}
+
+
+def _tier(key: str, rows: list[list[object]], place: str) -> _Node:
+    """Rows of [label, start, end] as an object of three lists."""
+    if any(len(row) != 3 for row in rows):
+        raise VendorError(f"{place}: each row must be [label, start, end]")
+    labels, starts, ends = (list(column) for column in zip(*rows, strict=True))
+    return {key: labels, "start": starts, "end": ends}
 
 
 @dataclass(slots=True)
 class _Found:
+    """The units of each kind and alphabet so far."""
+
     from_s: float
     _of: dict[tuple[Kind, str], list[TimedUnit]] = field(default_factory=dict)
 
-    def take(self, shape: _Shape, node: _Node, place: str, rate_hz: object, alphabet: str) -> None:
-        """Add the units of an object that has the shape."""
-        label = _first(node, shape.label)
-        start, end = _first(node, shape.start), _first(node, shape.end)
+    def take(self, shape: _Shape, node: _Node, here: _Here) -> None:
+        """Add the units of an object, if it has the shape."""
+        label, *times = (_first(node, each) for each in (shape.label, shape.start, shape.end))
         lasts, unit_s = _first(node, shape.lasts), shape.unit_s
         if lasts is None and shape.kind == "phoneme" and _SAMPLES in node:
-            lasts, unit_s = node[_SAMPLES], 1.0 / _rate(rate_hz, place)
-        if label is None or (start is None and lasts is None):
+            lasts, unit_s = node[_SAMPLES], 1.0 / _rate(here)
+        is_timed = lasts is not None or (times[0] is not None and (shape.end or not shape.lasts))
+        is_type = shape.type in ("", str(node.get("type")).lower())
+        if label is None or not (is_timed and is_type and _is_said(node)):
             return
-        if shape.lasts and not shape.end and lasts is None:
-            return
-        if shape.type and shape.type != str(node.get("type")).lower():
-            return
-        columns = [
-            each if isinstance(each, list) else [each] for each in (label, start, end, lasts)
-        ]
+        columns = [each if isinstance(each, list) else [each] for each in (label, *times, lasts)]
         n = len(columns[0])
-        if any(len(column) not in (n, 1 if column == [None] else n) for column in columns):
-            lengths = ", ".join(str(len(column)) for column in columns if column != [None])
-            raise VendorError(f"{place or 'message'}: lists of {lengths} values; as many of each")
+        lengths = [len(each) for each in columns if each != [None]]
+        if any(length != n for length in lengths):
+            raise VendorError(f"{here.place or 'message'}: lists of {lengths} values, not as many")
         kind: Kind = "word" if shape.kind == "character" else shape.kind
-        rows = self._of.setdefault(
-            (kind, shape.alphabet or (alphabet if kind == "viseme" else "")), []
-        )
-        if len(rows) + n > MOST_UNITS:
-            raise VendorError(f"more than {MOST_UNITS} {kind}s; send them in pieces")
-        found = self._rows(columns, unit_s, rows, place)
+        alphabet = {"word": "", "phoneme": here.alphabet or "ipa", "viseme": here.alphabet}[kind]
+        rows = self._of.setdefault((kind, shape.alphabet or alphabet), [])
+        reached_s = (rows[-1].end_s or rows[-1].start_s) if rows else self.from_s
+        found: list[TimedUnit] = []
+        of_each = zip(*(each if len(each) == n else each * n for each in columns), strict=True)
+        for number, (name, *values) in enumerate(of_each):
+            place = f"{here.place}[{number}]" if n > 1 else here.place or "message"
+            text = _label(name, kind, place)
+            if text is not None:
+                start_s, end_s = self._times(values, unit_s, reached_s, place)
+                found.append(TimedUnit(text, start_s, end_s))
+                reached_s = start_s if end_s is None else end_s
         rows += _words(found) if shape.kind == "character" else found
+        if len(rows) > MOST_UNITS:
+            raise VendorError(f"more than {MOST_UNITS} {kind}s; send them in pieces")
 
-    def _rows(
-        self, columns: list[list[object]], unit_s: float, before: list[TimedUnit], place: str
-    ) -> Iterator[TimedUnit]:
-        labels, starts, ends, lasts = (
-            column if len(column) == len(columns[0]) else column * len(columns[0])
-            for column in columns
-        )
-        reached_s = (before[-1].end_s or before[-1].start_s) if before else self.from_s
-        for number, label in enumerate(labels):
-            where = f"{place}[{number}]" if len(labels) > 1 else place or "message"
-            text = _label(label, where)
-            if text is None:
-                continue
-            start_s = reached_s
-            if starts[number] is not None:
-                start_s = self.from_s + _seconds(starts[number], unit_s, where)
-            end_s = None
-            if ends[number] is not None:
-                end_s = self.from_s + _seconds(ends[number], unit_s, where)
-            elif lasts[number] is not None:
-                end_s = start_s + _seconds(lasts[number], unit_s, where)
-            start_s = round(start_s, _DIGITS)
-            end_s = None if end_s is None else round(end_s, _DIGITS)
-            if end_s is not None and end_s < start_s:
-                raise VendorError(
-                    f"{where}: ends at {end_s:.3f} s, before it begins at {start_s:.3f} s"
-                )
-            reached_s = start_s if end_s is None else end_s
-            yield TimedUnit(text, start_s, end_s)
+    def _times(
+        self, values: list[object], unit_s: float, reached_s: float, place: str
+    ) -> tuple[float, float | None]:
+        """Of start, end and duration; without a start it begins where the last one ended."""
+        start, end, lasts = values
+        start_s, end_s = reached_s, None
+        if start is not None:
+            start_s = self.from_s + _seconds(start, unit_s, place)
+        if end is not None:
+            end_s = self.from_s + _seconds(end, unit_s, place)
+        elif lasts is not None:
+            end_s = start_s + _seconds(lasts, unit_s, place)
+        if end_s is None:
+            return round(start_s, _DIGITS), None
+        if end_s < start_s:
+            raise VendorError(
+                f"{place}: ends at {end_s:.3f} s, before it begins at {start_s:.3f} s"
+            )
+        return round(start_s, _DIGITS), round(end_s, _DIGITS)
 
     def units(self) -> tuple[VendorUnits, ...]:
         """In order of kind; each unit ends where the next begins at the latest."""
         order: tuple[Kind, ...] = ("phoneme", "viseme", "word")
         found = sorted(self._of.items(), key=lambda item: order.index(item[0][0]))
         return tuple(
-            VendorUnits(kind, _without_overlap(rows, kind), alphabet)
+            VendorUnits(kind, _without_overlap(rows, kind), alphabet or None)
             for (kind, alphabet), rows in found
             if rows
         )
 
 
 def _without_overlap(rows: list[TimedUnit], kind: Kind) -> tuple[TimedUnit, ...]:
-    """Phonemes and visemes without an end end where the next begins; words before them may pause."""
+    """Each ends where the next begins at the latest; a word of which no end is known may pause."""
     cut = []
     for number, (unit, following) in enumerate(pairwise(rows)):
         if following.start_s < unit.start_s:
@@ -267,7 +305,7 @@ def _without_overlap(rows: list[TimedUnit], kind: Kind) -> tuple[TimedUnit, ...]
     return (*cut, rows[-1])
 
 
-def _words(characters: Iterator[TimedUnit]) -> Iterator[TimedUnit]:
+def _words(characters: Iterable[TimedUnit]) -> Iterator[TimedUnit]:
     """Characters joined from one white space to the next."""
     word: TimedUnit | None = None
     for each in characters:
@@ -283,18 +321,26 @@ def _words(characters: Iterator[TimedUnit]) -> Iterator[TimedUnit]:
         yield word
 
 
-def _first(node: _Node, keys: tuple[str, ...]) -> object:
-    return next((node[key] for key in keys if node.get(key) is not None), None)
+def _sample(time_s: float | None, rate_hz: int) -> int | None:
+    return None if time_s is None else round(time_s * rate_hz)
 
 
-def _label(value: object, place: str) -> str | None:
+def _first(node: _Node, keys: str) -> object:
+    return next((node[key] for key in keys.split() if node.get(key) is not None), None)
+
+
+def _is_said(node: _Node) -> bool:
+    boundary = str(node.get("boundarytype", node.get("type"))).lower()
+    return not boundary.startswith(_UNSAID)
+
+
+def _label(value: object, kind: Kind, place: str) -> str | None:
     """Of a unit; None for a boundary that is none of a word."""
-    if isinstance(value, dict):
-        node = _plain(value)
-        kind = str(node.get("boundarytype")).lower()
-        return None if kind.startswith(_UNSAID) else _label(node.get("text"), place)
-    if isinstance(value, bool) or not isinstance(value, str | int):
-        raise VendorError(f"{place}: {reprlib.repr(value)} is no word, phoneme or viseme")
+    if isinstance(value, dict):  # Azure's, on its WebSocket
+        node = {_key(key): each for key, each in value.items()}
+        return _label(node.get("text"), kind, place) if _is_said(node) else None
+    if isinstance(value, bool) or not isinstance(value, str | int if kind == "viseme" else str):
+        raise VendorError(f"{place}: {reprlib.repr(value)} is no {kind}")
     return str(value)
 
 
@@ -302,18 +348,15 @@ def _seconds(value: object, unit_s: float, place: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise VendorError(f"{place}: {reprlib.repr(value)} is no time; write a number")
     # Compared before it is multiplied: an integer may be too long for a float.
-    if not (0 <= value <= _LONGEST_S / unit_s and math.isfinite(value)):
+    if not 0 <= value <= _LONGEST_S / unit_s:
         raise VendorError(f"{place}: time {reprlib.repr(value)} is not within 0 and 24 hours")
     return float(value) * unit_s
 
 
-def _rate(rate_hz: object, place: str) -> float:
-    if (
-        isinstance(rate_hz, bool)
-        or not isinstance(rate_hz, int)
-        or rate_hz not in range(4000, 400_001)
-    ):
-        raise VendorError(
-            f"{place}: samples are counted, and no sample_rate (4000 to 400000) stands beside them"
-        )
-    return float(rate_hz)
+def _rate(here: _Here) -> float:
+    rate_hz = here.rate_hz
+    if isinstance(rate_hz, int) and not isinstance(rate_hz, bool) and 4000 <= rate_hz <= 400_000:
+        return float(rate_hz)
+    raise VendorError(
+        f"{here.place}: samples are counted, and no sample_rate (4000 to 400000) stands beside them"
+    )

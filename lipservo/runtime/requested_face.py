@@ -10,6 +10,7 @@ from firmware_bridge.process.runtime_folder import socket_path
 from lipservo.runtime.run_request import RunRequest, about_run
 from lipservo.runtime.servos.assembly import Face, assembled_face, load_settings
 from lipservo.runtime.servos.driven_face import ControlOptions
+from lipservo.runtime.sound import Speaker, speaker_of
 from lipservo.runtime.speech.expression import expression_settings
 from lipservo.runtime.status.face_status import SpeechStatus
 from lipservo.runtime.status.live_board import FACE_STATES, BoardLayout, LiveBoard
@@ -32,6 +33,11 @@ class RequestedFace:
     def face(self) -> Face:
         """With its model and calibration. Raises ModelError, CalibrationError."""
         return assembled_face(self.settings, self._folder, self.request.model)
+
+    @property
+    def speaker(self) -> Speaker:
+        """Who speaks its texts."""
+        return speaker_of(self.settings.sound, self._folder)
 
     @property
     def about(self) -> dict[str, object]:

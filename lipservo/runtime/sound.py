@@ -31,6 +31,8 @@ from lipsync.phonemes import PhonemeEvent
 from lipsync.spoken_text import LONGEST_LABEL, SpokenText, SpokenUnit
 
 if TYPE_CHECKING:
+    from lipservo_client.vendors import TimedUnit
+
     from lipsync.text_to_speech.synthesis import SynthesizedSpeech
 
 _LOG: Final = logging.getLogger(__name__)
@@ -73,6 +75,8 @@ _SENTENCES_AHEAD: Final = 4
 _LOOK_AGAIN_S: Final = 0.1
 _END_S: Final = 2.0
 _LANGUAGE: Final = "en-us"
+#: Of a file.
+_LONGEST_NAME: Final = 250
 #: The name of the streams of a text, one for each sentence.
 _TEXT: Final = "text"
 
@@ -139,38 +143,47 @@ def spoken_file(
 ) -> Spoken:
     """A sound file from `start_s` to its end.
 
-    name: of its stream; the file's, where there is none. phonemes: a file of what is said when.
+    name: of its stream; the file's, where there is none. phonemes: a file of what is said when,
+    phonemes or words.
     Raises SoundError, LabelError.
     """
     checked = checked_sound(path)
     log_once(checked.warning)
-    known = () if phonemes is None else known_from(phonemes, start_s)
-    stream = PlayoutStream(name or path.name, checked.sample_rate_hz, playout.output_rate_hz, known)
+    words = () if phonemes is None else words_from(phonemes, start_s)
+    known = () if phonemes is None or words else known_from(phonemes, start_s)
+    rate_hz = checked.sample_rate_hz
+    stream = PlayoutStream(name or path.name, rate_hz, playout.output_rate_hz, known)
+    if words:
+        units = tuple(SpokenUnit(each.label, round(each.start_s * rate_hz)) for each in words)
+        _tell(stream, SpokenText("word", units, rate_hz), _LANGUAGE)
     left_s = max(0.0, checked.duration_s - start_s)
     return spoken_chunks(sound_chunks(path, start_s), stream, left_s)
 
 
 def spoken_text(
-    text: str, language: str, playout: Playout, synthesizer: str, name: str = _TEXT
+    text: str, language: str, playout: Playout, speaker: "Speaker", name: str = _TEXT
 ) -> Spoken:
     """A text; its first sentence is synthesised at once, so that a mistake is known at once.
 
-    synthesizer: by name. name: of the streams, one for each sentence. Raises SynthesisError and
-    PluginError.
+    name: of the streams, one for each sentence. Raises SynthesisError and PluginError.
     """
     from lipsync.text_to_speech.synthesis import Voice
     from lipsync.text_to_speech.synthesizers import speak_in_pieces, synthesizer_for
 
-    sentences = speak_in_pieces(synthesizer_for(synthesizer), text, Voice(language or _LANGUAGE))
+    voice = Voice(language or _LANGUAGE, speaker.voice)
+    sentences = speak_in_pieces(synthesizer_for(speaker.synthesizer), text, voice)
 
     def stream_of(sentence: "SynthesizedSpeech") -> PlayoutStream:
         rates_hz = sentence.sample_rate_hz, playout.output_rate_hz
         stream = PlayoutStream(name, *rates_hz, sentence.phonemes)
-        starts = (round(word.start_s * sentence.sample_rate_hz) for word in sentence.words)
-        labels = (word.text[:LONGEST_LABEL] for word in sentence.words)
-        units = map(SpokenUnit, labels, starts)
-        stream.tell(SpokenText("word", tuple(units), sentence.sample_rate_hz))
         stream.push(sentence.samples)
+        if sentence.told is not None:
+            _tell(stream, sentence.told, voice.language)
+        else:
+            starts = (round(word.start_s * sentence.sample_rate_hz) for word in sentence.words)
+            labels = (word.text[:LONGEST_LABEL] for word in sentence.words)
+            units = map(SpokenUnit, labels, starts)
+            stream.tell(SpokenText("word", tuple(units), sentence.sample_rate_hz))
         stream.end()
         return stream
 
@@ -183,6 +196,31 @@ def spoken_text(
 
     first = stream_of(next(sentences))
     return Spoken(pieces(first), deque([first]), _TEXT_AHEAD_S, _sounding_s(first))
+
+
+def _tell(stream: PlayoutStream, told: SpokenText, language: str) -> None:
+    """Let the words be followed in the sound; where they cannot be pronounced, it is heard."""
+    from lipsync.text_to_speech.pronunciation import PronunciationError, pronounced_units
+
+    try:
+        stream.tell(told, pronounced_units(told, language))
+    except PronunciationError as error:
+        _LOG.warning("%s; the voice is heard as any other", error)
+
+
+@dataclass(frozen=True, slots=True)
+class Speaker:
+    """Who speaks a face's texts: a synthesiser by name, and what it calls one of its voices."""
+
+    synthesizer: str
+    voice: str = ""
+
+
+def speaker_of(settings: SoundSettings, folder: Path | None) -> Speaker:
+    """The one that a face's YAML names. folder: of the YAML, in which a model may lie."""
+    beside = (folder or Path()) / settings.voice
+    is_file = bool(settings.voice) and len(settings.voice) < _LONGEST_NAME and beside.is_file()
+    return Speaker(settings.synthesizer, str(beside) if is_file else settings.voice)
 
 
 def _sounding_s(stream: PlayoutStream) -> float:
@@ -293,13 +331,25 @@ def known_from(path: Path, start_s: float) -> tuple[PhonemeEvent, ...]:
     )
 
 
+def words_from(path: Path, start_s: float) -> tuple["TimedUnit", ...]:
+    """The words of a file that has no phonemes, those after `start_s`, counted from there."""
+    from lipsync.phoneme_files.reader import read_words
+
+    return tuple(
+        each._replace(start_s=each.start_s - start_s)
+        for each in read_words(path)
+        if each.start_s >= start_s
+    )
+
+
 @contextmanager
 def entered_sound(request: RunRequest, start_s: float = 0.0) -> Iterator[AudioSource]:
     """The sound of a request, entered: a source that is only heard, or a `Playout`.
 
     start_s: the sound time at which a file is taken up. Raises SoundError.
     """
-    settings = load_settings(request.config)[0].sound
+    face_settings, folder = load_settings(request.config)
+    settings = face_settings.sound
     request = replace(request, sound=_of_the_face(request.sound, settings))
     if request.voice is None:
         with open_sound(request.sound, start_s) as source:
@@ -312,7 +362,7 @@ def entered_sound(request: RunRequest, start_s: float = 0.0) -> Iterator[AudioSo
             device = stack.enter_context(open_microphone(request.sound.name))
             microphone = ListenedMicrophone(device)
         playout = Playout(loudspeaker, microphone)
-        first = _first_words(request.sound, playout, start_s, stack, settings.synthesizer)
+        first = _first_words(request.sound, playout, start_s, stack, speaker_of(settings, folder))
         if first is not None:
             queue = SpeechQueue(playout)
             stack.callback(queue.close)
@@ -345,10 +395,10 @@ def _entered_loudspeaker(
 
 
 def _first_words(
-    sound: Sound, playout: Playout, start_s: float, stack: ExitStack, synthesizer: str
+    sound: Sound, playout: Playout, start_s: float, stack: ExitStack, speaker: Speaker
 ) -> Spoken | None:
     if sound.kind == "text":
-        return spoken_text(sound.name, sound.language, playout, synthesizer)
+        return spoken_text(sound.name, sound.language, playout, speaker)
     if sound.kind not in ("file", "clip"):
         return None
     path = Path(sound.name)

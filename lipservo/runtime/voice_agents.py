@@ -99,14 +99,14 @@ class _Spoken:
     def __init__(self, playout: Playout, options: VoiceOptions, requested: RequestedFace) -> None:
         self._playout = playout
         self._model = requested.face.model  # which performances must be rendered for
-        self._synthesizer = requested.settings.sound.synthesizer
+        self._speaker = requested.speaker
         self._folder = Path(options.sounds or ".").resolve()
         self._queue = SpeechQueue(playout)
 
     def say(self, text: str, name: str) -> Spoken:
         """A text. Raises SynthesisError, and MessageError where too much waits."""
         self._check_room("text")
-        spoken = spoken_text(text, "", self._playout, self._synthesizer, name)
+        spoken = spoken_text(text, "", self._playout, self._speaker, name)
         return self._added(spoken, "text")
 
     def play(self, file: str, name: str) -> Spoken:

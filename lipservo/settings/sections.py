@@ -54,13 +54,15 @@ class SoundSettings(Strict):
 
     output, input: None = the system's default. output_offset_ms: by device name or part of it, how
     much later than the device says sound leaves it; `lipservo calibrate audio` finds it.
-    synthesizer: who speaks texts.
+    synthesizer: who speaks texts; voice: what it calls one of its voices, a file beside the YAML or
+    a command among them, "": its own choice.
     """
 
     output: Text | None = None
     input: Text | None = None
     output_offset_ms: Mapping[Text, OffsetMs] = Field(default_factory=dict)
     synthesizer: Annotated[Text, AfterValidator(SYNTHESIZERS.check)] = DEFAULT_SYNTHESIZER
+    voice: Annotated[str, Field(max_length=1000)] = ""
 
 
 #: As browsers send it: lower case, no path, no port where it is the scheme's own.

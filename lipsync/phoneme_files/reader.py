@@ -1,4 +1,4 @@
-"""Files that tell what is said and when, whoever wrote them: the format is told by what is in it."""
+"""Files that tell what is said when, whoever wrote them; what is in one tells its format."""
 
 import json
 from dataclasses import replace
@@ -7,9 +7,9 @@ from os import PathLike
 from pathlib import Path
 from typing import Final
 
-from lipservo_client.vendors import VendorError, VendorUnits, vendor_units
+from lipservo_client.vendors import TimedUnit, VendorError, VendorUnits, vendor_units
 
-from lipsync.alphabets import AlphabetError, phones_of
+from lipsync.alphabets import ARPABET, AlphabetError, phones_of
 from lipsync.errors import UserError
 from lipsync.phonemes import SILENCE, PhonemeEvent
 from lipsync.recognition.scripted import read_phonemes
@@ -21,6 +21,7 @@ _KNOWN: Final = (
     "known are TextGrid, phones as `lipservo lines align -o` writes them, and what synthesisers "
     "send (docs/text.md)"
 )
+_SOUND_ENDINGS: Final = (".wav", ".flac", ".ogg", ".opus", ".mp3")
 #: A file that tells starts alone does not say how long its last phoneme is.
 _LAST_PHONEME_S: Final = 0.1
 
@@ -37,18 +38,34 @@ def read_known_phonemes(path: str | PathLike[str]) -> tuple[PhonemeEvent, ...]:
     return phonemes_in(content, str(path))
 
 
+def read_words(path: str | PathLike[str]) -> tuple[TimedUnit, ...]:
+    """The words of a file that tells when they begin, and no phonemes; else none."""
+    content = _content(Path(path))
+    if is_textgrid(content[:200]):
+        return ()
+    best = units_in(content, str(path))[0]
+    return best.units if best.kind == "word" else ()
+
+
+def sound_beside(path: Path) -> Path:
+    """The sound of which a file tells: that of the same name. Raises LabelError."""
+    for ending in _SOUND_ENDINGS:
+        if (sound := path.with_suffix(ending)).is_file():
+            return sound
+    raise LabelError(
+        f"{path}: no sound beside it; put it there as {path.stem} with "
+        f"{', '.join(_SOUND_ENDINGS)}, or give both to `lipservo run --wav SOUND --phonemes FILE`"
+    )
+
+
 def phonemes_in(content: bytes, name: str) -> tuple[PhonemeEvent, ...]:
     """The same from the content of a file of JSON; `name` is told in errors."""
     best = units_in(content, name)[0]
     if best.kind == "word":
         raise LabelError(
-            f"{name}: words without phonemes; give it to `lipservo say --from`, which follows them "
-            "in the sound"
+            f"{name}: words without phonemes; `lipservo say --from` follows them in the sound"
         )
-    try:
-        return _events(best)
-    except AlphabetError as error:
-        raise LabelError(f"{name}: {error}") from None
+    return events_of(best, name)
 
 
 def units_in(content: bytes, name: str) -> tuple[VendorUnits, ...]:
@@ -56,7 +73,7 @@ def units_in(content: bytes, name: str) -> tuple[VendorUnits, ...]:
     try:
         return vendor_units(_parsed(content, name))
     except VendorError as error:
-        raise LabelError(f"{name}: {error}; {_KNOWN}") from None
+        raise LabelError(f"{name}: {error}") from None
 
 
 def _content(path: Path) -> bytes:
@@ -68,8 +85,11 @@ def _content(path: Path) -> bytes:
         raise LabelError(f"{path}: cannot be read ({error.strerror}); give a file") from None
 
 
-def _events(known: VendorUnits) -> tuple[PhonemeEvent, ...]:
-    """Phonemes or visemes as events from 0 on; the phones of one share its time evenly."""
+def events_of(known: VendorUnits, name: str) -> tuple[PhonemeEvent, ...]:
+    """Phonemes or visemes as events from 0 on; the phones of one share its time evenly.
+
+    name: is told in errors. Raises LabelError for one that its alphabet lacks, and for silence.
+    """
     events: list[PhonemeEvent] = []
     ends_s = [after.start_s for _, after in pairwise(known.units)]
     last = known.units[-1]
@@ -77,9 +97,9 @@ def _events(known: VendorUnits) -> tuple[PhonemeEvent, ...]:
     reached_s = 0.0
     for number, (unit, next_s) in enumerate(zip(known.units, ends_s, strict=True), start=1):
         try:
-            phones = phones_of(unit.label, known.alphabet)
+            phones = phones_of(unit.label, known.alphabet or ARPABET)
         except AlphabetError as error:
-            raise AlphabetError(f"{known.kind} {number}: {error}") from None
+            raise LabelError(f"{name}: {known.kind} {number}: {error}") from None
         end_s = next_s if unit.end_s is None else unit.end_s
         if unit.start_s > reached_s:
             _append(events, SILENCE, reached_s, unit.start_s)
@@ -92,8 +112,10 @@ def _events(known: VendorUnits) -> tuple[PhonemeEvent, ...]:
             stop_s = end_s if index + 1 == len(phones) else start_s + share_s
             _append(events, phone, start_s, stop_s, goes_on=goes_on)
         reached_s = max(reached_s, end_s)
+    if last.end_s is None and events and events[-1].phoneme == SILENCE:
+        del events[-1]
     if all(event.phoneme == SILENCE for event in events):
-        raise AlphabetError("nothing but silence; give a file in which something is said")
+        raise LabelError(f"{name}: nothing but silence; give one in which something is said")
     return tuple(events)
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lipsync.errors import UserError
 from lipsync.phonemes import SILENCE, PhonemeEvent
+from lipsync.spoken_text import SpokenText
 
 
 class SynthesisError(UserError):
@@ -55,7 +56,8 @@ class SynthesizedSpeech:
 
     samples: float32 (n,), within [-1, 1]. phonemes: of our inventory, in order, each beginning
     where the one before ends, SIL in pauses, from 0 to the end of the sound. A stop holds its
-    closure. guessed: phonemes of the voice that lipsync/ipa.yaml lacks, each once.
+    closure; none where the voice does not tell them: then `told` is known, the text, or words with
+    their beginnings. guessed: phonemes of the voice that lipsync/ipa.yaml lacks, each once.
     """
 
     samples: NDArray[np.float32]
@@ -63,6 +65,7 @@ class SynthesizedSpeech:
     phonemes: tuple[PhonemeEvent, ...]
     words: tuple[SpokenWord, ...]
     guessed: tuple[str, ...] = ()
+    told: SpokenText | None = None
 
     @property
     def duration_s(self) -> float:
@@ -71,7 +74,7 @@ class SynthesizedSpeech:
 
 
 class Synthesizer(Protocol):
-    """A speech synthesiser that tells when it says what."""
+    """A speech synthesiser that tells what it says, most of them when."""
 
     #: Texts longer than this, in characters, are to be cut (`speak_in_pieces` does).
     longest_text: int

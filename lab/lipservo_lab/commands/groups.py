@@ -41,6 +41,7 @@ class BenchGroup(LazyGroup):
                 f"{_BENCH}.closures:nonspeech", "Sounds that are no speech.", _HEARING
             ),
             "languages": Command(f"{_BENCH}.recognition:languages", "Other languages.", _HEARING),
+            "voices": Command(f"{_BENCH}.recognition:voices", "Synthesisers' texts.", _HEARING),
             "texts": Command(f"{_BENCH}.recognition:texts", "Texts that were not said.", _HEARING),
             "ladder": Command(
                 f"{_BENCH}.closures:ladder", "The recogniser on a busy computer.", _HEARING

@@ -26,7 +26,7 @@ def render(
     textgrid: Annotated[
         Path | None,
         typer.Option(
-            help="When which phone is said: a TextGrid, or another file of docs/speech.md.",
+            help="When which phone is said: a TextGrid, or another file of docs/text.md.",
             show_default=False,
         ),
     ] = None,

@@ -43,7 +43,15 @@ if TYPE_CHECKING:
 @takes_motion
 def say(
     *,
-    text: Annotated[str, typer.Argument(help="What is said.")],
+    text: Annotated[str | None, typer.Argument(help="What is said.", show_default=False)] = None,
+    from_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            help="A synthesiser's file of words, phonemes or visemes, its sound beside it.",
+            show_default=False,
+        ),
+    ] = None,
     language: Language = "en-us",
     mute: Annotated[bool, typer.Option("--mute", help="Move the mouth without sound.")] = False,
     through: Through = None,
@@ -62,15 +70,21 @@ def say(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Speak a text, with sound and the face: espeak-ng tells when it says what."""
+    """Speak a text with sound and face, by the voice of the face's YAML; or a file."""
     if mute and output is not None:
         raise typer.BadParameter("give --mute or --output, not both")
-    if through is not None:
+    if from_file is not None and text is None and through is None:
+        sound = _said_in(from_file)
+    elif from_file is not None or text is None:
+        raise typer.BadParameter("give a text, or --from a file and neither text nor --through")
+    elif through is not None:
         told_through(through, token_file, lambda face: face.say(text, wait=True))
         return
+    else:
+        sound = Sound("text", text, language)
     request = RunRequest(
         config,
-        Sound("text", text, language),
+        sound,
         motion_of(motion, config),
         model=model,
         port=port,
@@ -83,6 +97,13 @@ def say(
         avatars=avatars_of(config, osc, live_link),
     )
     run_once(request, sim)
+
+
+def _said_in(path: Path) -> Sound:
+    """A file's sound, and what it says. Raises LabelError."""
+    from lipsync.phoneme_files.reader import sound_beside
+
+    return Sound("file", str(sound_beside(path)), phonemes=str(path))
 
 
 def told_through(

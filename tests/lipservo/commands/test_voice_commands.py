@@ -135,6 +135,49 @@ def test_a_token_file_without_a_token_is_refused(capsys, monkeypatch, tmp_path):
     assert status == 1
 
 
+def test_a_file_of_a_synthesiser_is_said_with_the_sound_beside_it(tmp_path):
+    visemes = [{"audioOffset": n * 1_000_000, "visemeId": 21 if n % 2 else 2} for n in range(8)]
+    (tmp_path / "line.json").write_text(json.dumps(visemes))
+    soundfile.write(tmp_path / "line.wav", np.full(12_800, 0.1), 16_000)
+
+    told = answer("say", "--mute", "--from", tmp_path / "line.json", "--json")
+    assert told["phonemes"] >= 8
+
+
+@pytest.mark.usefixtures("nothing_armed")
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        ("[]", "no times of words, phonemes or visemes"),
+        ('[{"audioOffset": 0, "visemeId": 99}]', "viseme 1: '99' is no viseme of azure"),
+        ('[{"word": "b", "start": 2}, {"word": "a", "start": 1}]', "word 2 begins at 1.000 s"),
+        ("<speak>Hi</speak>", "line 1: no JSON"),
+    ],
+)
+def test_a_file_that_cannot_be_said_is_one_line(capsys, monkeypatch, tmp_path, content, line):
+    (tmp_path / "line.json").write_text(content)
+    soundfile.write(tmp_path / "line.wav", np.full(1600, 0.1), 16_000)
+
+    told, status = refused(capsys, monkeypatch, "say", "--mute", "--from", tmp_path / "line.json")
+    assert line in told
+    assert status == 1
+
+
+@pytest.mark.usefixtures("nothing_armed")
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ((), "give a text, or --from a file"),
+        (("hello", "--from", "x.json"), "give a text, or --from a file"),
+        (("--from", "x.json", "--through", "ws://127.0.0.1:1"), "neither text nor --through"),
+        (("--from", "x.json"), "no sound beside it; put it there as x with .wav"),
+    ],
+)
+def test_say_takes_a_text_or_a_file_that_has_its_sound(capsys, monkeypatch, arguments, line):
+    told, _ = refused(capsys, monkeypatch, "say", *arguments)
+    assert line in told
+
+
 @pytest.mark.usefixtures("_espeak", "nothing_armed")
 @pytest.mark.parametrize("arguments", [["run", "--play"], ["say", "hello"]])
 def test_without_any_loudspeaker_a_command_says_how_to_do_without_sound(

@@ -1,5 +1,6 @@
 """What a face says by itself: eight at most, one after the other, by one thread."""
 
+import json
 import threading
 import time
 from contextlib import closing
@@ -10,11 +11,14 @@ import soundfile
 
 from lipservo.runtime.sound import (
     QueueFullError,
+    Speaker,
     SpeechQueue,
+    speaker_of,
     spoken_chunks,
     spoken_file,
     spoken_text,
 )
+from lipservo.settings.sections import SoundSettings
 from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
 from lipsync.audio.source import SoundError
@@ -74,7 +78,7 @@ def add(queue, face, name, *chunks):
 
 
 def text(face, words):
-    return spoken_text(words, "", face.playout, "espeak")
+    return spoken_text(words, "", face.playout, Speaker("espeak"))
 
 
 def settle(until):
@@ -190,3 +194,35 @@ def test_when_it_is_closed_nothing_more_is_read_and_its_thread_ends(face):
     n_read = len(read)
     add(queue, face, "later", tone(1.0))
     assert len(read) == n_read
+
+
+def test_the_text_of_a_voice_that_tells_no_times_is_told_with_its_sound(face, queue, tmp_path):
+    soundfile.write(tmp_path / "said.wav", tone(0.2), RATE_HZ)
+    own = Speaker("command", f"cp {tmp_path}/said.wav {{wav}}")
+    spoken = spoken_text("Good morning.", "", face.playout, own)
+
+    (stream,) = spoken.streams
+    assert [word.label for word in stream.told_words[0].words] == ["Good", "morning"]
+    queue.add(spoken, "text")
+    face.play(lambda: face.finished() == ["text"])
+
+
+def test_words_of_a_file_are_told_where_it_is_taken_up(face, tmp_path):
+    soundfile.write(tmp_path / "line.wav", tone(2.0), RATE_HZ)
+    rows = [{"word": "good", "start": 0.1}, {"word": "morning", "start": 1.5}]
+    (tmp_path / "line.json").write_text(json.dumps(rows))
+    spoken = spoken_file(
+        tmp_path / "line.wav", face.playout, start_s=1.0, phonemes=tmp_path / "line.json"
+    )
+
+    ((told,),) = [[word for each in s.told_words for word in each.words] for s in spoken.streams]
+    assert (told.label, told.start_s) == ("morning", 0.5)
+
+
+def test_a_voice_that_is_a_file_beside_the_yaml_is_found_there(tmp_path):
+    (tmp_path / "joe.onnx").touch()
+    sound = SoundSettings(synthesizer="piper", voice="joe.onnx")
+
+    assert speaker_of(sound, tmp_path) == Speaker("piper", str(tmp_path / "joe.onnx"))
+    assert speaker_of(SoundSettings(voice="x" * 900), tmp_path) == Speaker("espeak", "x" * 900)
+    assert speaker_of(SoundSettings(), None) == Speaker("espeak", "")

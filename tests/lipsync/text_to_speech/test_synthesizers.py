@@ -13,8 +13,11 @@ from lipsync.text_to_speech.synthesizers import (
     synthesizer_for,
 )
 
+#: Those that need a model or a program of the user's speak in test_command_voice.py.
+OWN_VOICES = {"piper", "command"}
 
-@pytest.mark.parametrize("name", SYNTHESIZERS.built_in)
+
+@pytest.mark.parametrize("name", sorted({*SYNTHESIZERS.built_in} - OWN_VOICES))
 def test_every_synthesiser_speaks_the_same_way(name):
     try:
         synthesizer = synthesizer_for(name)

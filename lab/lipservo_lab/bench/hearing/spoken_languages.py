@@ -17,7 +17,7 @@ from lipsync.errors import UserError
 from lipsync.phonemes import LiveRecognizer
 
 #: espeak-ng's name, where it is another: its `zh` reads characters, and lacks most of them.
-_VOICE_OF = MappingProxyType({"zh": "cmn-latn-pinyin"})
+VOICE_OF = MappingProxyType({"zh": "cmn-latn-pinyin"})
 #: Of the rates and pitches: every sentence has its own.
 _SEED = 0
 
@@ -59,7 +59,7 @@ def language_scores(
     """
     scores = {}
     for tag in languages:
-        voice = SyntheticVoice("espeak", _VOICE_OF.get(tag, tag))
+        voice = SyntheticVoice("espeak", VOICE_OF.get(tag, tag))
         sentences = language_sentences()[tag]
         utterances = read_transcribed(
             write_voice(voice, sentences, folder, seed=_SEED, progress=progress)

@@ -3,6 +3,8 @@
 `lipservo bench texts`: how well `align` tells what was said from what was not.
 
 `lipservo bench languages`: closures and openings heard in other languages than English.
+
+`lipservo bench voices`: how well the text of a synthesiser is followed in its sound.
 """
 
 import tempfile
@@ -306,4 +308,70 @@ def languages(
     table = Table("language", *(name.replace("_", " ") for name in columns), "visemes of speech")
     for tag, row in figures.items():
         table.add_row(tag, *(f"{row[name]:.2f}" for name in (*columns, "viseme_speech")))
+    RESULTS.print(table)
+
+
+def voices(
+    corpus: Annotated[
+        Path, typer.Option(help="Folder as for `bench recognition`; its texts are spoken.")
+    ],
+    speakers: Speakers = "",
+    limit: Limit = None,
+    spoken_by: Annotated[
+        str, typer.Option("--voices", help="SYNTHESISER:VOICE, with commas between.")
+    ] = "espeak:en-029,espeak:en-gb-scotland,flite:rms",
+    languages: Annotated[
+        str, typer.Option(help="Also these, by espeak-ng: de,fr,ja; none: all six.")
+    ] = "",
+    heard: Annotated[
+        bool, typer.Option("--heard", help="The text is not told: what hearing alone gives.")
+    ] = False,
+    weights: WeightsChoice = DEFAULT_WEIGHTS,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure how a text that is told is followed in a synthesiser's voice, by its own times.
+
+    A voice of espeak is a language, of piper a model's file. Closures are of P B M; boundaries are
+    where phones begin, of those that were found.
+    """
+    from lipservo_lab.bench.hearing.recognizer_bench import selected
+    from lipservo_lab.bench.hearing.spoken_languages import language_sentences, read_languages
+    from lipservo_lab.bench.hearing.told_voices import followed_language, followed_voice
+    from lipsync.recognition.network_recognizer import NetworkRecognizer
+    from lipsync.text_to_speech.synthesis import Voice
+
+    texts = [each.text.lower() for each in selected(corpus, speakers, limit=limit)]
+    tags = read_languages(languages)
+    learned = find_weights(weights)
+    chosen = [each.strip().partition(":") for each in spoken_by.split(",") if each.strip()]
+    n_sentences = len(texts) * len(chosen) + sum(len(language_sentences()[tag]) for tag in tags)
+    n_done = 0
+    figures: dict[str, dict[str, float]] = {}
+    with progress_bar(quiet=quiet) as advance:
+
+        def count() -> None:
+            nonlocal n_done
+            n_done += 1
+            advance("speaking", n_done, n_sentences)
+
+        def make() -> NetworkRecognizer:
+            return NetworkRecognizer(learned)
+
+        for synthesizer, _, name in chosen:
+            voice = Voice(name) if synthesizer == "espeak" else Voice(name=name)
+            figures[f"{synthesizer}:{Path(name).name}"] = followed_voice(
+                synthesizer, voice, texts, make, tells=not heard, progress=count
+            ).figures()
+        for tag in tags:
+            figures[tag] = followed_language(tag, make, tells=not heard, progress=count).figures()
+    if as_json:
+        settings = {"told": not heard, "weights": weights, "machine": machine_class()}
+        print_json({"voices": figures, "sentences": len(texts), **settings})
+        return
+    columns = ("closure_recall", "closure_precision", "boundary_ms_p50", "boundary_ms_p90")
+    table = Table("voice", *(name.replace("_", " ") for name in columns), "P B M ms", "found")
+    for voice_name, row in figures.items():
+        cells = (*(f"{row[name]:.3g}" for name in columns), f"{row['closing_onset_ms_p50']:.3g}")
+        table.add_row(voice_name, *cells, f"{row['found']:.2f}")
     RESULTS.print(table)

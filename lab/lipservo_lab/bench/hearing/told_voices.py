@@ -1,0 +1,151 @@
+"""Voices whose text is told: how well it is followed in their sound, by their own phoneme times.
+
+Nothing but the words is told, without times, before the sound; what the recogniser settles is held
+against what the voice says of itself. A language that no other program here speaks is espeak-ng's
+own, at a rate and a pitch of its own for each sentence, and its phonemes as espeak-ng says them at
+the usual rate are told.
+"""
+
+import difflib
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+import soxr
+
+from lipservo_lab.bench.hearing.spoken_languages import VOICE_OF, language_sentences
+from lipservo_lab.corpus.alignment_cache import PHONEME_INDEX
+from lipservo_lab.evaluation.recognition.recognition_scores import Score
+from lipservo_lab.evaluation.recognition.stream_observers import Labels, UpdateLog
+from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ
+from lipsync.phonemes import SILENCE, PhonemeEvent
+from lipsync.recognition.network_recognizer import NetworkRecognizer
+from lipsync.recognition.streaming import RecognizerStream, blocks_of
+from lipsync.spoken_text import PronouncedWord
+from lipsync.text_to_speech.pronunciation import pronounced
+from lipsync.text_to_speech.synthesis import SynthesizedSpeech, UnspeakableTextError, Voice
+from lipsync.text_to_speech.synthesizers import synthesizer_for
+
+_HOP: Final = round(BLOCK_S * SAMPLE_RATE_HZ)
+#: Silence after the sound, until all is settled.
+_TAIL_S: Final = 0.5
+_CLOSING: Final = ("P", "B", "M")
+#: Of the rates and pitches of the languages.
+_RATES_WPM, _PITCHES = (140, 210), (20, 80)
+
+
+@dataclass(slots=True)
+class Followed:
+    """Scores of frames, and how far phones begin from where the voice says that they do, ms.
+
+    n_phones: of the voice; those of them that were not found are in no error.
+    """
+
+    score: Score = field(default_factory=Score)
+    errors_ms: list[float] = field(default_factory=list)
+    closing_errors_ms: list[float] = field(default_factory=list)
+    n_phones: int = 0
+
+    def add(self, found: Sequence[PhonemeEvent], spoken: Sequence[PhonemeEvent]) -> None:
+        """Count one sentence."""
+        n_frames = round((spoken[-1].end_s or 0.0) / BLOCK_S)
+        self.score.add(_labels(found, n_frames), _labels(spoken, n_frames))
+        ours, theirs = (
+            [each for each in events if each.phoneme != SILENCE] for events in (found, spoken)
+        )
+        self.n_phones += len(theirs)
+        matcher = difflib.SequenceMatcher(
+            a=[each.phoneme for each in ours],
+            b=[each.phoneme for each in theirs],
+            autojunk=False,
+        )
+        for i, j, n in matcher.get_matching_blocks():
+            for our, their in zip(ours[i : i + n], theirs[j : j + n], strict=True):
+                error_ms = 1e3 * (our.start_s - their.start_s)
+                self.errors_ms.append(error_ms)
+                if their.phoneme in _CLOSING:
+                    self.closing_errors_ms.append(error_ms)
+
+    def figures(self) -> dict[str, float]:
+        """By name; `boundary_ms`: of all phones that were found, `found` their share."""
+        sizes_ms = np.abs(self.errors_ms or [np.nan])
+        return {
+            **self.score.bilabials.figures("closure"),
+            "viseme_all": self.score.figures()["viseme_all"],
+            "found": len(self.errors_ms) / max(1, self.n_phones),
+            "boundary_ms_p50": float(np.percentile(sizes_ms, 50)),
+            "boundary_ms_p90": float(np.percentile(sizes_ms, 90)),
+            "closing_onset_ms_p50": float(np.median(np.abs(self.closing_errors_ms or [np.nan]))),
+        }
+
+
+def followed_voice(
+    synthesizer: str,
+    voice: Voice,
+    texts: Iterable[str],
+    make: Callable[[], NetworkRecognizer],
+    *,
+    tells: bool = True,
+    progress: Callable[[], None] = lambda: None,
+) -> Followed:
+    """Each text spoken by a voice. tells: whether the recogniser is told it, or hears alone.
+
+    Raises SynthesisError where the voice is not there, PronunciationError.
+    """
+    speaker, counted = synthesizer_for(synthesizer), Followed()
+    for text in texts:
+        progress()
+        try:
+            spoken = speaker.speak(text, voice)
+        except UnspeakableTextError:
+            continue
+        words = pronounced(text, voice.language) if tells else ()
+        counted.add(_settled(make(), spoken, words), spoken.phonemes)
+    return counted
+
+
+def followed_language(
+    tag: str,
+    make: Callable[[], NetworkRecognizer],
+    *,
+    tells: bool = True,
+    progress: Callable[[], None] = lambda: None,
+) -> Followed:
+    """The sentences of a language by espeak-ng, as above."""
+    speaker, counted = synthesizer_for("espeak"), Followed()
+    language = VOICE_OF.get(tag, tag)
+    for number, text in enumerate(language_sentences()[tag]):
+        progress()
+        rng = np.random.default_rng([0, number])
+        rate_wpm, pitch = int(rng.integers(*_RATES_WPM)), int(rng.integers(*_PITCHES))
+        spoken = speaker.speak(text, Voice(language, "", rate_wpm, pitch))
+        words = pronounced(text, language) if tells else ()
+        counted.add(_settled(make(), spoken, words), spoken.phonemes)
+    return counted
+
+
+def _settled(
+    recognizer: NetworkRecognizer, spoken: SynthesizedSpeech, words: Sequence[PronouncedWord]
+) -> list[PhonemeEvent]:
+    """What is settled of a sound as it comes live, the words told before it."""
+    samples = soxr.resample(spoken.samples, spoken.sample_rate_hz, SAMPLE_RATE_HZ)
+    n_tail = round((recognizer.latency_s + _TAIL_S) * SAMPLE_RATE_HZ)
+    whole = np.concatenate((samples, np.zeros(n_tail, np.float32))).astype(np.float32)
+    recognizer.tell(words)
+    log = UpdateLog()
+    RecognizerStream(recognizer, (log,)).run(blocks_of(whole[: len(whole) // _HOP * _HOP], _HOP))
+    return list(log.timeline.events)
+
+
+def _labels(events: Sequence[PhonemeEvent], n_frames: int) -> Labels:
+    """(n_frames,) numbers of the phonemes; what nothing covers is silence."""
+    labels = np.full(n_frames, PHONEME_INDEX[SILENCE])
+    ends_s = [after.start_s for _, after in pairwise(events)] + [n_frames * BLOCK_S]
+    for event, next_s in zip(events, ends_s, strict=True):
+        end_s = next_s if event.end_s is None else event.end_s
+        labels[round(event.start_s / BLOCK_S) : round(end_s / BLOCK_S)] = PHONEME_INDEX[
+            event.phoneme
+        ]
+    return labels

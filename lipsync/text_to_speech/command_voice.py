@@ -1,0 +1,175 @@
+"""A robot's own voice: any program that reads a text and writes a WAV file.
+
+`sound: {synthesizer: command, voice: "my-tts --out {wav}"}` in a face's YAML. The text of a
+sentence goes to the program's standard input in UTF-8; it writes the sound to `{wav}`, or to its
+standard output where the command does not name it. Who knows times writes them to `{words}`, in
+any of the forms of docs/text.md. No shell: `sh -c '...'` is one.
+"""
+
+import shlex
+import subprocess
+import tempfile
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import soundfile
+from lipservo_client.vendors import VendorUnits
+
+from lipsync.phoneme_files.reader import events_of, units_in
+from lipsync.spoken_text import SpokenText, SpokenUnit
+from lipsync.text_to_speech.synthesis import (
+    DEFAULT_VOICE,
+    SynthesisError,
+    SynthesizedSpeech,
+    UnspeakableTextError,
+    Voice,
+    checked_text,
+)
+from lipsync.text_to_speech.voice_process import LONGEST_S, Request, VoiceProcess, serve
+from lipsync.textgrid import LabelError
+
+_WAV, _WORDS, _LANGUAGE = "{wav}", "{words}", "{language}"
+#: Of a sentence.
+_LARGEST_WORDS_BYTES: Final = 1 << 20
+_FULL_SCALE: Final = 32768.0
+
+
+class CommandVoice:
+    """The `Synthesizer` of programs; the name of a voice is its command."""
+
+    longest_text = 5000
+
+    def __init__(self) -> None:
+        self._process = _process()
+
+    def languages(self) -> tuple[str, ...]:
+        """None: a program speaks what it speaks."""
+        return ()
+
+    def voices(self) -> tuple[str, ...]:
+        """None: every program is one."""
+        return ()
+
+    def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
+        """See `Synthesizer`; what it told no times of has `told` in place of phonemes."""
+        written = checked_text(text, self.longest_text)
+        _check(voice)
+        answer, sound = self._process.request(
+            {"text": written, "command": voice.name, "language": voice.language}
+        )
+        return speech_of(sound, answer["sample_rate_hz"], written, answer["words"])
+
+
+def speech_of(
+    sound: bytes, sample_rate_hz: int, text: str, words: str, name: str = _WORDS
+) -> SynthesizedSpeech:
+    """Sound (int16) with what is known of it. words: JSON as docs/text.md has it, or "".
+
+    Raises SynthesisError for words that cannot be used, UnspeakableTextError for no sound.
+    """
+    samples = np.frombuffer(sound, np.int16).astype(np.float32) / np.float32(_FULL_SCALE)
+    if not len(samples):
+        raise UnspeakableTextError(f"nothing was said of {text[:40]!r}; write words")
+    told = SpokenText("text", (SpokenUnit(text, 0),), sample_rate_hz)
+    speech = SynthesizedSpeech(samples, sample_rate_hz, (), (), told=told)
+    if not words.strip():
+        return speech
+    try:
+        best = units_in(words.encode(), name)[0]
+        if best.kind != "word":
+            return replace(speech, phonemes=events_of(best, name), told=None)
+        return replace(speech, told=_timed_words(best, sample_rate_hz))
+    except LabelError as error:
+        raise SynthesisError(str(error)) from None
+
+
+def _timed_words(known: VendorUnits, sample_rate_hz: int) -> SpokenText:
+    return SpokenText(
+        "word",
+        tuple(SpokenUnit(unit.label, round(unit.start_s * sample_rate_hz)) for unit in known.units),
+        sample_rate_hz,
+    )
+
+
+def _check(voice: Voice) -> None:
+    if not voice.name.strip():
+        raise SynthesisError(
+            'no command speaks: write it as `sound: {synthesizer: command, voice: "my-tts '
+            "--out {wav}\"}` into the face's YAML"
+        )
+    if (voice.rate_wpm, voice.pitch) != (DEFAULT_VOICE.rate_wpm, DEFAULT_VOICE.pitch):
+        raise SynthesisError("a command has its own rate and pitch; write them into it")
+    if voice.language != DEFAULT_VOICE.language and _LANGUAGE not in voice.name:
+        raise SynthesisError(
+            f"the voice's command speaks one language; put {_LANGUAGE} into it for "
+            f"{voice.language!r}"
+        )
+    try:
+        shlex.split(voice.name)
+    except ValueError as error:
+        raise SynthesisError(f"the voice's command cannot be read: {error}") from None
+
+
+@cache
+def _process() -> VoiceProcess:
+    return VoiceProcess(
+        __name__, f"the voice's command did not answer within {LONGEST_S:g} s, or took its process"
+    )
+
+
+def _answered(request: Request) -> tuple[dict[str, object], bytes]:
+    """Run the command. Raises SynthesisError."""
+    with tempfile.TemporaryDirectory(prefix="lipservo-voice-") as folder:
+        wav, words = Path(folder) / "sound.wav", Path(folder) / "words.json"
+        named = {_WAV: str(wav), _WORDS: str(words), _LANGUAGE: request["language"]}
+        arguments = shlex.split(request["command"])
+        for name, value in named.items():
+            arguments = [each.replace(name, value) for each in arguments]
+        printed = wav if _WAV not in request["command"] else Path(folder) / "printed"
+        complaints = Path(folder) / "complaints"
+        with printed.open("wb") as out, complaints.open("wb") as wrong:
+            try:
+                done = subprocess.run(
+                    arguments,
+                    input=request["text"].encode(),
+                    stdout=out,
+                    stderr=wrong,
+                    check=False,
+                )
+            except (OSError, ValueError) as error:
+                raise SynthesisError(f"the voice's command cannot be run: {error}") from None
+        if done.returncode != 0:
+            raise SynthesisError(
+                f"the voice's command {arguments[0]} failed with status {done.returncode}"
+                f"{_last_line(complaints)}"
+            )
+        return _sound_of(wav, words)
+
+
+def _sound_of(wav: Path, words: Path) -> tuple[dict[str, object], bytes]:
+    try:
+        samples, sample_rate_hz = soundfile.read(wav, dtype="int16", always_2d=True)
+    except (soundfile.LibsndfileError, RuntimeError, OSError) as error:
+        raise SynthesisError(
+            f"the voice's command wrote no sound to {_WAV} or its standard output ({error})"
+        ) from None
+    told = words.read_bytes()[: _LARGEST_WORDS_BYTES + 1] if words.is_file() else b""
+    if len(told) > _LARGEST_WORDS_BYTES:
+        raise SynthesisError(f"the voice's command wrote more than 1 MB to {_WORDS}")
+    mono = np.rint(samples.mean(axis=1)).astype(np.int16)
+    return {
+        "sample_rate_hz": int(sample_rate_hz),
+        "words": told.decode("utf-8", "replace"),
+    }, mono.tobytes()
+
+
+def _last_line(complaints: Path) -> str:
+    lines = complaints.read_bytes()[-2000:].decode("utf-8", "replace").strip().splitlines()
+    return f": {lines[-1][:160]}" if lines else ""
+
+
+if __name__ == "__main__":
+    serve(_answered)

@@ -1,0 +1,134 @@
+"""Piper, a neural voice: the extra `piper` and a model, NAME.onnx with NAME.onnx.json beside it.
+
+It loads a model in a second or two, so it has a process of its own, which keeps the model that
+spoke last. Models are patched in memory to tell how long each phoneme is; where the package onnx is
+absent they tell nothing, and the text is followed in the sound. Why it is not imported into the
+face: docs/decisions/0062-voices-of-others.md.
+"""
+
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from lipsync.errors import MissingExtraError, check_extra
+from lipsync.ipa import ipa_table
+from lipsync.text_to_speech.command_voice import speech_of
+from lipsync.text_to_speech.synthesis import (
+    DEFAULT_VOICE,
+    SynthesisError,
+    SynthesizedSpeech,
+    Voice,
+    checked_text,
+)
+from lipsync.text_to_speech.voice_process import Request, VoiceProcess, serve
+
+_RATES_WPM = range(80, 401)
+_STRESS = "ˈˌ"
+
+
+class Piper:
+    """The `Synthesizer` Piper; the name of a voice is its model.
+
+    Raises SynthesisError where it is not installed.
+    """
+
+    longest_text = 2000
+
+    def __init__(self) -> None:
+        try:
+            check_extra("piper", "speaking by Piper")
+        except MissingExtraError as error:
+            raise SynthesisError(str(error)) from None
+        self._process = _process()
+
+    def languages(self) -> tuple[str, ...]:
+        """None: a model speaks one."""
+        return ()
+
+    def voices(self) -> tuple[str, ...]:
+        """None: every model is one."""
+        return ()
+
+    def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
+        """See `Synthesizer`. In brackets, as Piper would take them, are words as any others."""
+        written = checked_text(text, self.longest_text).replace("[[", "[ [")
+        if not Path(voice.name).is_file():
+            raise SynthesisError(
+                f"Piper's model {voice.name!r} is not there; write its path as `sound: "
+                "{synthesizer: piper, voice: NAME.onnx}` into the face's YAML"
+            )
+        if voice.rate_wpm not in _RATES_WPM or voice.pitch != DEFAULT_VOICE.pitch:
+            raise SynthesisError("Piper has one pitch, and 80 to 400 words a minute")
+        answer, sound = self._process.request(
+            {
+                "text": written,
+                "model": voice.name,
+                "language": voice.language,
+                "stretch": DEFAULT_VOICE.rate_wpm / voice.rate_wpm,
+            }
+        )
+        return speech_of(sound, answer["sample_rate_hz"], written, answer["words"], voice.name)
+
+
+@cache
+def _process() -> VoiceProcess:
+    return VoiceProcess(__name__, "Piper crashes or hangs at this text, or with this model")
+
+
+@cache
+def _loaded(model: str) -> Any:
+    from piper import PiperVoice
+
+    return PiperVoice.load(model, include_alignments=True)
+
+
+def _answered(request: Request) -> tuple[dict[str, object], bytes]:
+    """Raises SynthesisError for a model that cannot be loaded, and for another language."""
+    from piper import SynthesisConfig
+
+    try:
+        voice = _loaded(request["model"])
+    except Exception as error:  # whatever onnxruntime, onnx and the model's JSON may raise
+        line = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
+        raise SynthesisError(f"{request['model']} cannot be loaded by Piper: {line}") from None
+    spoken, wanted = voice.config.espeak_voice, request["language"]
+    if wanted not in (DEFAULT_VOICE.language, spoken):
+        raise SynthesisError(f"{request['model']} speaks {spoken!r} alone, not {wanted!r}")
+    chunks = list(
+        voice.synthesize(
+            request["text"],
+            SynthesisConfig(length_scale=voice.config.length_scale * request["stretch"]),
+            include_alignments=True,
+        )
+    )
+    words = ""
+    if chunks and all(chunk.phoneme_alignments for chunk in chunks):
+        timed = [
+            (each.phoneme, int(each.num_samples))
+            for chunk in chunks
+            for each in chunk.phoneme_alignments
+        ]
+        rows = [{"phoneme": name, "num_samples": n} for name, n in joined(timed)]
+        words = json.dumps({"sample_rate": voice.config.sample_rate, "alignments": rows})
+    sound = b"".join(chunk.audio_int16_bytes for chunk in chunks)
+    return {"sample_rate_hz": voice.config.sample_rate, "words": words}, sound
+
+
+def joined(timed: list[tuple[str, int]]) -> list[tuple[str, int]]:
+    """Letters as phonemes: stress counts to what follows it, the two of a diphthong are one."""
+    found: list[tuple[str, int]] = []
+    n_before = 0
+    for name, n_samples in timed:
+        if name in _STRESS:
+            n_before += n_samples
+        elif found and not n_before and found[-1][0] + name in ipa_table():
+            found[-1] = (found[-1][0] + name, found[-1][1] + n_samples)
+        else:
+            found.append((name, n_before + n_samples))
+            n_before = 0
+    return found
+
+
+if __name__ == "__main__":
+    serve(_answered)

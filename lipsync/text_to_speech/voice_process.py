@@ -1,0 +1,133 @@
+"""A voice in a process of its own: what crashes, hangs or grows costs one text, never the face.
+
+The process answers each line of JSON, a request, with a line of JSON, and bytes after it. It ends
+when its pipe does, with all that it has started, so that nothing outlives whoever speaks, however
+that ended; it is killed with all of it when an answer takes too long.
+"""
+
+import atexit
+import contextlib
+import json
+import os
+import queue
+import resource
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Mapping
+from typing import IO, Any, Final
+
+from lipsync.text_to_speech.synthesis import SynthesisError
+
+#: The longest text, five minutes of speech, takes espeak-ng about two; later there is no answer.
+LONGEST_S: Final = 30.0
+#: A file of sound, or what a program prints: ten minutes at 48 kHz.
+LARGEST_BYTES: Final = 64 * 2**20
+
+Request = Mapping[str, Any]
+
+
+class VoiceProcess:
+    """One process, started at the first request and again when it was lost; others wait.
+
+    module: what it runs; ends in `serve`. failed: what a text is refused with at which it crashes
+    or hangs.
+    """
+
+    def __init__(self, module: str, failed: str) -> None:
+        self._module = module
+        self._failed = failed
+        self._lock = threading.Lock()
+        self._child: subprocess.Popen[bytes] | None = None
+        atexit.register(self.close)
+
+    @property
+    def pid(self) -> int | None:
+        """Of the process that speaks just now."""
+        return None if self._child is None else self._child.pid
+
+    def request(self, request: Request) -> tuple[dict[str, Any], bytes]:
+        """The answer and its bytes. Raises SynthesisError: what is wrong, or that it failed."""
+        with self._lock:
+            if self._child is None or self._child.poll() is not None:
+                self._child = self._started()
+            late = threading.Timer(LONGEST_S, self._kill)
+            late.start()
+            try:
+                answer, content = _exchange(self._child, request)
+            except (OSError, ValueError):
+                self.close()
+                raise SynthesisError(self._failed) from None
+            finally:
+                late.cancel()
+        if "error" in answer:
+            raise SynthesisError(str(answer["error"]))
+        return answer, content
+
+    def close(self) -> None:
+        """End the process and all that it has started; a later request starts it again."""
+        if self._child is not None:
+            self._kill()
+            self._child.communicate()
+
+    def _kill(self) -> None:
+        if self._child is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._child.pid, signal.SIGKILL)
+
+    def _started(self) -> "subprocess.Popen[bytes]":
+        # A session of its own: Ctrl-C is for the face.
+        return subprocess.Popen(
+            [sys.executable, "-m", self._module],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+
+
+def _exchange(child: "subprocess.Popen[bytes]", request: Request) -> tuple[dict[str, Any], bytes]:
+    """Raises OSError or ValueError when the process ends before its answer does."""
+    assert child.stdin is not None
+    assert child.stdout is not None
+    child.stdin.write(json.dumps(request).encode() + b"\n")
+    child.stdin.flush()
+    answer: dict[str, Any] = json.loads(child.stdout.readline())
+    content = child.stdout.read(answer["n_bytes"])
+    if len(content) < answer["n_bytes"]:
+        raise ValueError("the answer is cut off")
+    return answer, content
+
+
+def serve(answered: Callable[[Request], tuple[dict[str, object], bytes]]) -> None:
+    """Answer requests until the pipe ends, then end this process and all that it has started.
+
+    A SynthesisError of `answered` is the answer.
+    """
+    resource.setrlimit(resource.RLIMIT_FSIZE, (LARGEST_BYTES, LARGEST_BYTES))
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a library prints is no answer
+    requests: queue.Queue[bytes] = queue.Queue()
+    threading.Thread(target=_read, args=(sys.stdin.buffer, requests), daemon=True).start()
+    while True:
+        answer, content = _answer(answered, requests.get())
+        answers.write(json.dumps({**answer, "n_bytes": len(content)}).encode() + b"\n" + content)
+        answers.flush()
+
+
+def _read(lines: IO[bytes], requests: "queue.Queue[bytes]") -> None:
+    for line in lines:
+        requests.put(line)
+    if os.getpgrp() == os.getpid():
+        os.killpg(0, signal.SIGKILL)
+    os._exit(0)
+
+
+def _answer(
+    answered: Callable[[Request], tuple[dict[str, object], bytes]], line: bytes
+) -> tuple[dict[str, object], bytes]:
+    try:
+        return answered(json.loads(line))
+    except SynthesisError as error:
+        return {"error": str(error)}, b""

@@ -1,0 +1,186 @@
+"""Any program that writes WAV speaks, with times or without; whatever it does costs one text."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lipsync.text_to_speech import command_voice, voice_process
+from lipsync.text_to_speech.command_voice import CommandVoice
+from lipsync.text_to_speech.piper import joined
+from lipsync.text_to_speech.synthesis import SynthesisError, UnspeakableTextError, Voice
+
+PATIENCE_S = 30.0
+
+
+@pytest.fixture
+def tts(tmp_path):
+    """A program that says half a second of anything, and what it was given."""
+    sound = tmp_path / "said.wav"
+    tone = 0.1 * np.sin(np.arange(8000) * 0.05)
+    soundfile.write(sound, np.stack([tone, tone], axis=1), 16_000, subtype="PCM_16")
+    return f"cp {sound} {{wav}}"
+
+
+def speak(command, text="Thumbs up.", language="en-us"):
+    return CommandVoice().speak(text, Voice(language, command))
+
+
+def writes(words):
+    return f"sh -c 'cat > {{words}}.text; echo {json.dumps(json.dumps(words))} > {{words}}'"
+
+
+def test_a_program_without_times_has_its_text_told(tts):
+    spoken = speak(tts)
+
+    assert (len(spoken.samples), spoken.sample_rate_hz) == (8000, 16_000)
+    assert 0.09 < np.abs(spoken.samples).max() < 0.11
+    assert spoken.phonemes == ()
+    assert [unit.label for unit in spoken.told.units] == ["Thumbs up."]
+
+
+def test_sound_may_come_from_the_standard_output(tts):
+    assert len(speak(f"cat {tts.split()[1]}").samples) == 8000
+
+
+def test_the_text_comes_by_standard_input_and_never_as_a_command(tts, tmp_path):
+    text = "Thumbs; touch x $(touch y) `z` {wav} ü"
+    speak(f"sh -c 'cat > {tmp_path}/text; {tts}'", text)
+
+    assert (tmp_path / "text").read_text("utf-8") == text
+    assert not (tmp_path / "x").exists()
+
+
+def test_phonemes_with_times_move_the_mouth_whoever_wrote_them(tts):
+    rows = [{"audioOffset": 0, "visemeId": 21}, {"audioOffset": 1_000_000, "visemeId": 2}]
+    spoken = speak(f"sh -c '{tts}; echo {json.dumps(json.dumps(rows))} > {{words}}'")
+
+    assert [(e.phoneme, e.start_s) for e in spoken.phonemes] == [("P", 0.0), ("AA", 0.1)]
+    assert spoken.told is None
+
+
+def test_words_with_times_are_told_with_them(tts):
+    rows = {"words": ["Thumbs", "up"], "start": [0.0, 0.25], "end": [0.2, 0.5]}
+    spoken = speak(f"sh -c '{tts}; echo {json.dumps(json.dumps(rows))} > {{words}}'")
+
+    assert [(unit.label, unit.start_sample) for unit in spoken.told.units] == [
+        ("Thumbs", 0),
+        ("up", 4000),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("command", "error"),
+    [
+        ("", "no command speaks: write it as `sound: {synthesizer: command"),
+        ("no-such-program {wav}", "cannot be run"),
+        ("sh -c 'echo first; echo no voice >&2; exit 3'", "failed with status 3: no voice"),
+        ("true", "wrote no sound to {wav} or its standard output"),
+        ("sh -c 'echo hello'", "wrote no sound"),
+        ("sh 'unfinished", "the voice's command cannot be read: No closing quotation"),
+    ],
+)
+def test_a_command_that_fails_is_one_line(command, error):
+    with pytest.raises(SynthesisError) as raised:
+        speak(command)
+
+    assert error in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_times_that_cannot_be_used_are_one_line(tts):
+    with pytest.raises(SynthesisError, match=r"\{words\}: no times of words"):
+        speak(f"sh -c '{tts}; echo [] > {{words}}'")
+
+
+def test_another_language_needs_its_place_in_the_command(tts):
+    with pytest.raises(SynthesisError, match=r"put \{language\} into it for 'de'"):
+        speak(tts, language="de")
+    assert len(speak(f"sh -c 'test {{language}} = de; {tts}'", language="de").samples)
+
+
+def test_silence_is_no_speech(tmp_path):
+    soundfile.write(tmp_path / "empty.wav", np.zeros(0), 16_000)
+    with pytest.raises(UnspeakableTextError, match="nothing was said"):
+        speak(f"cp {tmp_path}/empty.wav {{wav}}")
+
+
+def test_a_program_that_writes_without_end_is_stopped(monkeypatch):
+    process = voice_process.VoiceProcess(command_voice.__name__, "failed")
+    monkeypatch.setattr(command_voice, "_process", lambda: process)
+
+    with pytest.raises(SynthesisError, match="failed with status"):
+        speak("cat /dev/zero")
+    process.close()
+
+
+def test_a_program_that_hangs_is_killed_with_all_that_it_started(monkeypatch, tmp_path):
+    monkeypatch.setattr(voice_process, "LONGEST_S", 1.0)
+    pid = tmp_path / "pid"
+    with pytest.raises(SynthesisError, match="did not answer within"):
+        speak(f"sh -c 'sleep 600 & echo $! > {pid}; wait'")
+
+    wait_until_gone(int(pid.read_text()))
+    assert speak(f"sh -c 'cat {make_sound(tmp_path)}'").phonemes == ()
+
+
+SPEAKER = """
+from lipsync.text_to_speech.command_voice import CommandVoice
+from lipsync.text_to_speech.synthesis import Voice
+CommandVoice().speak("Hi.", Voice(name="sh -c 'sleep 600 & echo $! > {pid}; wait'"))
+"""
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
+def test_a_program_ends_with_the_face_however_that_ends(tmp_path, how):
+    pid = tmp_path / "pid"
+    face = subprocess.Popen([sys.executable, "-c", SPEAKER.replace("{pid}", str(pid))])
+    give_up_s = time.monotonic() + PATIENCE_S
+    while not (pid.exists() and pid.read_text().strip()):
+        assert time.monotonic() < give_up_s
+        time.sleep(0.01)
+    face.send_signal(how)
+    face.wait()
+
+    wait_until_gone(int(pid.read_text()))
+
+
+def make_sound(folder):
+    path = folder / "sound.wav"
+    soundfile.write(path, np.full(1600, 0.1), 16_000)
+    return path
+
+
+def wait_until_gone(pid):
+    give_up_s = time.monotonic() + PATIENCE_S
+    while Path(f"/proc/{pid}").exists() and "Z" not in state_of(pid):
+        assert time.monotonic() < give_up_s
+        time.sleep(0.01)
+
+
+def state_of(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return "Z"
+
+
+def test_stress_and_diphthongs_of_piper_are_one_phoneme_with_what_they_belong_to():
+    letters = [("b", 1), ("ˈ", 2), ("e", 3), ("ɪ", 4), ("t", 5), (" ", 6), ("ʃ", 7)]
+
+    assert joined(letters) == [("b", 1), ("eɪ", 9), ("t", 5), (" ", 6), ("ʃ", 7)]
+
+
+@given(st.lists(st.tuples(st.sampled_from("abeɪˈˌtʃ ^"), st.integers(0, 99)), max_size=8))
+def test_no_sample_of_piper_is_lost_before_the_last_phoneme(letters):
+    letters = [*letters, ("$", 1)]
+
+    assert sum(n for _, n in joined(letters)) == sum(n for _, n in letters)
