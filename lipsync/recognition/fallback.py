@@ -31,7 +31,7 @@ from lipsync.phonemes import (
 )
 from lipsync.recognition.energy_recognizer import NeutralRecognizer
 from lipsync.recognition.streaming import PreparingRecognizer
-from lipsync.recognition.text_decoder import MovedBy, TextFollower
+from lipsync.recognition.text_decoder import MovedBy, TextError, TextFollower
 from lipsync.spoken_text import PronouncedWord
 
 #: So much sound may wait for a recogniser without being called a backlog.
@@ -377,14 +377,22 @@ class FallbackRecognizer:
 
     def forget(self) -> None:
         """What was told and is not being said yet never will be."""
-        self._level.forget()
+        try:
+            self._level.forget()
+        except Exception as error:  # as in feed
+            self._fall_back(_in_words(error))
 
     def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
         """What is said next, after all that was told; to the level in use, until it is left.
 
         behind_s: so much of their sound was heard already. Raises TextError for too many words.
         """
-        self._level.tell(words, behind_s)
+        try:
+            self._level.tell(words, behind_s)
+        except TextError:
+            raise
+        except Exception as error:  # as in feed
+            self._fall_back(_in_words(error))
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
         """Pass it to the level in use, and to the one that is tried; never raises for them."""
