@@ -16,7 +16,7 @@ from livekit.agents.utils import is_given
 from livekit.agents.voice.io import AudioOutput, AudioOutputCapabilities
 
 from lipservo_client.async_face import AsyncFace, AsyncSpeech
-from lipservo_client.protocol import Told, FaceError, mono_pcm
+from lipservo_client.protocol import FaceError, Told, mono_pcm
 
 _LOG: Final = logging.getLogger(__name__)
 

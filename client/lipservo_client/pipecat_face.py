@@ -203,7 +203,7 @@ class PipecatFace(_FaceProcessor):
         return speech
 
     async def _tell(self, frame: frames.AggregatedTextFrame) -> None:
-        """The face knows what it says: words with their times, else sentences before their sound."""
+        """Words with their times, else sentences before their sound."""
         is_said = isinstance(frame, frames.TTSTextFrame)
         n = self._sample_of(frame)
         text = frame.text.strip()
@@ -226,7 +226,8 @@ class PipecatFace(_FaceProcessor):
             return None
         if speech is None:
             return None
-        return max(0, context[0] + round(1e-9 * (frame.pts - context[1]) * speech.rate_hz))
+        since_s = 1e-9 * (frame.pts - context[1])
+        return max(0, int(context[0] + round(since_s * speech.rate_hz)))
 
     def _wait_in_line(self, frame: frames.Frame) -> None:
         """Put a frame behind the sound that came before it, or where in the sound its time is."""

@@ -85,7 +85,7 @@ class FaceSpeech:
             hears=speech.hears,
             moved_by=speech.moved_by,
             words=words,
-            word=word if words else None,
+            word=word if words and speech.moved_by != "sound" else None,
             settings={
                 **{name: settings.get(name, value) for name, value in asked.items()},
                 **({} if speech.lip_gap is None else {LIP_GAP_OFFSET: speech.lip_gap.wanted_mm}),

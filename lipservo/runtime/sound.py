@@ -28,7 +28,7 @@ from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
 from lipsync.audio.source import AudioSource, Loudspeaker, SilenceAfter, SilentSource
 from lipsync.errors import UserError
 from lipsync.phonemes import PhonemeEvent
-from lipsync.spoken_text import SpokenText, SpokenUnit
+from lipsync.spoken_text import LONGEST_LABEL, SpokenText, SpokenUnit
 
 if TYPE_CHECKING:
     from lipservo_client.vendors import TimedUnit
@@ -179,6 +179,11 @@ def spoken_text(
         stream.push(sentence.samples)
         if sentence.told is not None:
             _tell(stream, sentence.told, voice.language)
+        else:
+            starts = (round(word.start_s * sentence.sample_rate_hz) for word in sentence.words)
+            labels = (word.text[:LONGEST_LABEL] for word in sentence.words)
+            units = map(SpokenUnit, labels, starts)
+            stream.tell(SpokenText("word", tuple(units), sentence.sample_rate_hz))
         stream.end()
         return stream
 

@@ -308,10 +308,13 @@ class Playout:
         around = told.units[first : number + _WORDS_AFTER]
         return tuple(unit.label for unit in around), number - first
 
-    def known_kind(self, timeline_s: float) -> Literal["phonemes", "visemes"]:
-        """Of a place whose phonemes are known: as what its sender told them."""
-        found = self.stream_at(timeline_s)
-        told = None if found is None else told_phonemes(found[0])
+    def known_kind(self, timeline_s: float) -> Literal["phonemes", "visemes"] | None:
+        """What is known of the sound there by its stream; None: nothing, or nothing is said."""
+        if not any(start_s <= timeline_s < end_s for start_s, end_s, _ in self._known.after(0.0)):
+            return None
+        if (found := self.stream_at(timeline_s)) is None:
+            return None
+        told = told_phonemes(found[0])
         return "visemes" if told is not None and told.kind == "viseme" else "phonemes"
 
     def __enter__(self) -> "Playout":

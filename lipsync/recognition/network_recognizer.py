@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -30,6 +31,10 @@ _WINDOW_S = 0.025
 _AHEAD_S = 0.64
 #: Between two keys that are struck there is noise still.
 _NOISE_LASTS_S = 0.5
+
+
+#: What is followed in a text is settled so long after it began; what is heard, after `latency_s`.
+FOLLOWING_LATENCY_S: Final = _WINDOW_S + FOLLOWING.settled_frames / FRAMES_PER_S
 
 
 class NetworkRecognizer:

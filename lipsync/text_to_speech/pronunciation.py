@@ -38,6 +38,10 @@ _TAG = re.compile(r"<[^<>]*>")
 #: What no voice reads out: emoji and other symbols, control characters, half surrogate pairs.
 _UNSPOKEN = ("So", "Sk", "Cc", "Cf", "Cs", "Cn", "Co")
 DEFAULT_LANGUAGE: Final = "en-us"
+#: As `Mr.` and `Capt.`, which gruut writes out; a word of capitals alone is spelt.
+_LONGEST_ABBREVIATION: Final = 4
+_PLAIN = re.compile(r"[A-Za-z]?[a-z]*('[a-z]+)?")
+_PUNCTUATION: Final = ".,;:!?\"“”‘’'()[]…-–—"
 #: Phonemes without words are followed in pieces of so many, as long as a word has.
 _PHONES: Final = 6
 
@@ -95,6 +99,11 @@ def pronounced_units(
 
 
 def _english(text: str) -> Iterator[PronouncedWord]:
+    """Plain words come from the lexicon alone: gruut itself takes seconds to load, and 43 MB."""
+    plain = _plain_words(text)
+    if plain is not None:
+        yield from plain
+        return
     from gruut import sentences
 
     for sentence in sentences(text, lang=DEFAULT_LANGUAGE):
@@ -105,6 +114,23 @@ def _english(text: str) -> Iterator[PronouncedWord]:
             found = dict.fromkeys([*_in_lexicon(word.text.lower()), guessed])
             if known := tuple(phones for phones in found if phones):
                 yield PronouncedWord(word.text, known)
+
+
+def _plain_words(text: str) -> list[PronouncedWord] | None:
+    """The words of a text that the lexicon has all; None where one is a number, a name, or short."""
+    words = []
+    for written in text.split():
+        word = written.strip(_PUNCTUATION)
+        if not word and not any(map(str.isalnum, written)):
+            continue
+        is_short = written[-1] == "." and len(word) <= _LONGEST_ABBREVIATION and word[:1].isupper()
+        if is_short or not _PLAIN.fullmatch(word):
+            return None
+        known = tuple(dict.fromkeys(phones for phones in _in_lexicon(word.lower()) if phones))
+        if not known:
+            return None
+        words.append(PronouncedWord(word, known))
+    return words
 
 
 @cache

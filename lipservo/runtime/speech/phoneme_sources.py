@@ -150,10 +150,9 @@ class SpokenPhonemes:
     @property
     def moved_by(self) -> MovedBy | None:
         """What moves the mouth; phonemes or visemes where the stream brings them."""
-        settled_s = self._playout.committed_s - self.latency_s
-        known = self._playout.known_phonemes(settled_s)
-        if any(start_s <= settled_s < end_s for start_s, end_s, _ in known):
-            return self._playout.known_kind(settled_s)
+        known = self._playout.known_kind(self._playout.committed_s - self.latency_s)
+        if known is not None:
+            return known
         if self._follower is None or (moved_by := self._follower.moved_by) != "text":
             return None if self._follower is None else moved_by
         return _FOLLOWED[self._followed]

@@ -67,10 +67,11 @@ class SpeechStatus:
     `speech`, `noise` or `silence`; moved_by: what that is known from, `sound`, `text`, `words`,
     `phonemes` or `visemes`; words: those around the one that is said, as far as they are known,
     word: which of them that is. delay_ms: how much later than its sound the face is shown.
-    n_phonemes: that moved the mouth; n_lost_sound_blocks: sound not heard. output: the loudspeaker, None: nothing is played; output_lost: it is gone; listens_on: where voice
-    agents are waited for; speaking: the stream that is being said; n_playout_underruns: how often
-    sound that was to be played was not there in time, a stream's or the device's. arousal: of the
-    voice that is shown, -1 to 1;
+    n_phonemes: that moved the mouth; n_lost_sound_blocks: sound not heard. output: the
+    loudspeaker, None: nothing is played; output_lost: it is gone; listens_on: where voice agents
+    are waited for; speaking: the stream that is being said; n_playout_underruns: how often sound
+    that was to be played was not there in time, a stream's or the device's. arousal: of the voice
+    that is shown, -1 to 1;
     is_resting: after a long silence its servos are let go until somebody speaks; expression: how
     lively it is, where it looks and what affect was set, by name.
     """

@@ -137,7 +137,7 @@ def test_words_that_are_forgotten_are_heard_and_those_told_instead_are_followed(
     assert decoder.saying == (("mama", "big"), 2)
 
 
-def test_a_text_that_comes_late_is_taken_up_where_the_voice_is():
+def test_a_text_that_comes_seven_words_late_is_looked_for_around_the_voice():
     words = [MAMA, BIG, FISH, SEEK] * 3
     phones = ["SIL", *(p for word in words for p in word.pronunciations[0]), *SILENCE]
     n_late = 8 * (1 + sum(len(w.pronunciations[0]) for w in words[:7]))

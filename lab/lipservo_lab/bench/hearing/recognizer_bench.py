@@ -21,6 +21,7 @@ from lipservo_lab.corpus.transcribed import (
     read_speakers,
     read_transcribed,
 )
+from lipservo_lab.evaluation.recognition.stream_observers import NOTHING_TOLD, ToldText
 from lipsync.errors import UserError, check_extra
 from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition.energy_recognizer import EnergyRecognizer
@@ -81,17 +82,23 @@ def measured_recognizer(
 
 
 def told_texts(
-    utterances: Sequence[TranscribedUtterance], which: Literal["own", "another"] | None
-) -> dict[str, str]:
+    utterances: Sequence[TranscribedUtterance],
+    which: Literal["own", "another", "pieces"] | None,
+    late_s: float,
+) -> dict[str, ToldText]:
     """What the recogniser is told of each utterance, by name; None: nothing.
 
-    another: the text of the utterance half the list away.
+    another: the text of the utterance half the list away. pieces: its own, in pieces of three
+    words. late_s: so long after the sound.
     """
     if which is None:
-        return {u.name: "" for u in utterances}
-    shift = 0 if which == "own" else max(1, len(utterances) // 2)
+        return {u.name: NOTHING_TOLD for u in utterances}
+    shift = max(1, len(utterances) // 2) if which == "another" else 0
     others = [*utterances[shift:], *utterances[:shift]]
-    return {u.name: other.text.lower() for u, other in zip(utterances, others, strict=True)}
+    return {
+        u.name: ToldText(other.text.lower(), late_s, which == "pieces")
+        for u, other in zip(utterances, others, strict=True)
+    }
 
 
 class SpeakerGroupError(UserError):

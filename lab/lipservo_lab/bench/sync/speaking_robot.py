@@ -31,6 +31,8 @@ from lipsync.offline.performance import Performance
 from lipsync.phonemes import SILENCE, LiveRecognizer, PhonemeEvent, PhonemeUpdate
 from lipsync.recognition.network import LATENCY_S
 from lipsync.recognition.recognizers import make_recognizer, no_recognizer
+from lipsync.spoken_text import SpokenText, SpokenUnit, UnitKind
+from lipsync.text_to_speech.pronunciation import pronounced_units
 from lipsync.text_to_speech.synthesis import SynthesizedSpeech
 
 Samples = NDArray[np.float32]
@@ -249,10 +251,30 @@ class SpeakingRobot:
         return np.asarray(upper[:, 1] - lower[:, 1])
 
 
-def spoken_stream(text: SynthesizedSpeech, playout: Playout, *, knows: bool) -> PlayoutStream:
-    """A whole text as a stream that has ended. knows: with its phonemes."""
+def spoken_stream(
+    text: SynthesizedSpeech, playout: Playout, *, knows: bool, told: UnitKind | None = None
+) -> PlayoutStream:
+    """A whole text as a stream that has ended. knows: with its phonemes.
+
+    told: what its sender tells beside it, before it sounds, as a voice agent does.
+    """
     known = text.phonemes if knows else ()
     stream = PlayoutStream("text", text.sample_rate_hz, playout.output_rate_hz, known)
+    if told is not None:
+        spoken = _told(text, told)
+        stream.tell(spoken, () if spoken.moves_mouth else pronounced_units(spoken))
     stream.push(text.samples)
     stream.end()
     return stream
+
+
+def _told(text: SynthesizedSpeech, kind: UnitKind) -> SpokenText:
+    rate_hz = text.sample_rate_hz
+    if kind == "text":
+        said = " ".join(word.text for word in text.words)
+        return SpokenText(kind, (SpokenUnit(said),), rate_hz)
+    if kind == "word":
+        units = [SpokenUnit(word.text, round(word.start_s * rate_hz)) for word in text.words]
+    else:
+        units = [SpokenUnit(e.phoneme, round(e.start_s * rate_hz)) for e in text.phonemes]
+    return SpokenText(kind, tuple(units), rate_hz)

@@ -29,6 +29,7 @@ from lipsync.motion.finishing import BILABIALS
 from lipsync.offline.line_methods import DEFAULT_METHOD, Line
 from lipsync.offline.performance import Performance, PerformedSound
 from lipsync.phonemes import SILENCE, PhonemeEvent
+from lipsync.spoken_text import UnitKind
 from lipsync.text_to_speech.synthesis import SynthesizedSpeech
 
 #: An event belongs to the nearest of its kind within this time.
@@ -161,12 +162,14 @@ def speech_timing(
     texts: Sequence[SynthesizedSpeech],
     *,
     knows: bool,
+    told: UnitKind | None = None,
     performances: Sequence[Performance] | None = None,
     loudspeaker_seed: int = 0,
 ) -> SpeechTiming:
     """Say each by a robot of its own. knows: the phonemes come with the sound; else it listens.
 
-    performances: of the texts, which are performed then.
+    told: of a voice that listens, what is told beside the stream. performances: of the texts, which
+    are performed then.
 
     Every loudspeaker is another: its latency 20 to 120 ms, its clock up to 200 parts in a million
     off, its reports up to 5 ms.
@@ -177,7 +180,7 @@ def speech_timing(
     others_s: dict[float, list[Array]] = {closed_mm: [] for closed_mm in _OTHER_GAPS_MM}
     n_asked = n_unmatched = n_closures = n_hits = 0
     for text, performance in zip(texts, rendered, strict=True):
-        watched, sound_s = _said(text, _loudspeaker(rng), performance, knows=knows)
+        watched, sound_s = _said(text, _loudspeaker(rng), performance, knows=knows, told=told)
         times_s = watched.times_s - sound_s
         asked, seen = sounding_closures(text), seen_closures(times_s, watched.gap_mm)
         for asked_s, seen_s in (
@@ -216,11 +219,12 @@ def _said(
     performance: Performance | None,
     *,
     knows: bool,
+    told: UnitKind | None,
 ) -> tuple[Watched, float]:
     """What was seen, and when the first sample of the text left the loudspeaker."""
     robot = SpeakingRobot(loudspeaker, hears=not knows, performance=performance)
     if performance is None:
-        stream = spoken_stream(text, robot.playout, knows=knows)
+        stream = spoken_stream(text, robot.playout, knows=knows, told=told)
     else:
         stream = performed_stream(text, performance, robot.playout)
     robot.playout.requests.append(PlayoutRequest("say", stream))

@@ -25,6 +25,7 @@ from lipservo_lab.bench.sync.speech_timing import SpeechTiming, performances_of,
 from lipservo_lab.bench.sync.stream_timing import barge_in, first_seen, stuck_open_s
 from lipsync.audio.playout import Playout
 from lipsync.motion.finishing import Style
+from lipsync.spoken_text import UnitKind
 from lipsync.text_to_speech.synthesizers import synthesizer_for
 
 SENTENCES = (
@@ -95,33 +96,39 @@ def sync_figures(advance: Advance, *, quick: bool = False) -> dict[str, object]:
     voice = synthesizer_for()
     sentences = SENTENCES[:3] if quick else SENTENCES
     texts = [voice.speak(sentence) for sentence in sentences]
-    steps = 7
+    steps = 8
     advance("known phonemes", 0, steps)
     known = speech_timing(texts, knows=True)
     advance("recognised phonemes", 1, steps)
     heard = speech_timing(texts, knows=False)
-    advance("performances", 2, steps)
+    advance("what is told", 2, steps)
+    kinds: tuple[UnitKind, ...] = ("phoneme", "word", "text")
+    told = {kind: speech_timing(texts, knows=False, told=kind) for kind in kinds}
+    advance("performances", 3, steps)
     performed = speech_timing(texts, knows=True, performances=performances_of(texts))
-    advance("drift", 3, steps)
+    advance("drift", 4, steps)
     minutes_s = 60.0 if quick else _DRIFT_DURATION_S
     drifts_s = [drift_s(skew, minutes_s) for skew in (-_SKEW, _SKEW)]
-    advance("microphone", 4, steps)
+    advance("microphone", 5, steps)
     quickest = MotionOptions(
         style=Style(LOW_LATENCY_LOOKAHEAD_S), recognizer_latency_s=LOW_LATENCY_S
     )
     microphone_s = clip_to_bus_s(quickest, 4 if quick else _N_MICROPHONE)
-    advance("streams", 5, steps)
+    advance("streams", 6, steps)
     openings = [first_seen(voice.speak(opening)) for opening in _OPENINGS]
     cuts = [
         barge_in(texts[0], after_s, rate_hz)
         for rate_hz in _RATES_HZ
         for after_s in _INTERRUPTED_AFTER_S
     ]
-    advance("jitter", 6, steps)
+    advance("jitter", 7, steps)
     stuck_s, opening_s, n_underruns = stuck_open_s(texts, np.random.default_rng(0))
     return {
         **_timing("playback", known),
         **_timing("recognized", heard),
+        **_timing("stream_phonemes", told["phoneme"]),
+        **_timing("stream_words", told["word"]),
+        **_timing("stream_text", told["text"]),
         **_timing("performed", performed),
         "drift_10min_ms": _ms(max(drifts_s)),
         "mic_to_bus_p95_ms": _ms(np.percentile(microphone_s, 95)),

@@ -64,12 +64,16 @@ def recognition(
         ),
     ] = False,
     text: Annotated[
-        Literal["own", "another"] | None,
+        Literal["own", "another", "pieces"] | None,
         typer.Option(
-            help="The recogniser is told the words: those said, or another utterance's.",
+            help="The recogniser is told the words: those said, at once or in pieces of three, or "
+            "another utterance's; then also how soon a text is left that is not said.",
             show_default=False,
         ),
     ] = None,
+    late_s: Annotated[
+        float, typer.Option(min=0.0, help="With --text: told so long after the sound began.")
+    ] = 0.0,
     by: Annotated[
         Literal["speaker", "group"] | None,
         typer.Option(help="Also the figures of each speaker, or of each group of speakers."),
@@ -95,7 +99,7 @@ def recognition(
         speaker_groups,
         told_texts,
     )
-    from lipservo_lab.evaluation.recognition.benchmark import measure
+    from lipservo_lab.evaluation.recognition.benchmark import leaving_figures, measure
     from lipservo_lab.evaluation.recognition.conditions import parse_condition
 
     condition = None
@@ -112,10 +116,13 @@ def recognition(
             heard.append(name)
             advance("listening", len(heard), len(utterances))
 
-        texts = told_texts(utterances, text)
+        texts = told_texts(utterances, text, late_s)
         figures = measure(
             utterances, alignments, make, condition, count, groups_of, lambda u: texts[u.name]
-        )
+        ).as_dict()
+        if text == "another":
+            heard.clear()
+            figures |= leaving_figures(utterances, alignments, make, count)
     for utterance in alignments.values():
         if utterance.error:
             MESSAGES.print(f"not aligned: {utterance.name}: {utterance.error}", soft_wrap=True)
@@ -126,8 +133,9 @@ def recognition(
         "noise": noise,
         "servo_speeds": servo_speeds,
         "text": text,
+        "late_s": late_s,
     }
-    _print({**figures.as_dict(), **settings, "machine": machine_class()}, as_json=as_json)
+    _print({**figures, **settings, "machine": machine_class()}, as_json=as_json)
 
 
 def listening(

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lipservo_lab.corpus.alignment_cache import LABELLED, AlignedUtterance
+from lipservo_lab.corpus.alignment_cache import LABELLED, PHONEME_INDEX, AlignedUtterance
 from lipservo_lab.corpus.transcribed import TranscribedUtterance
 from lipservo_lab.evaluation.recognition.conditions import (
     Condition,
@@ -17,11 +17,16 @@ from lipservo_lab.evaluation.recognition.conditions import (
     servo_noise,
 )
 from lipservo_lab.evaluation.recognition.recognition_scores import Score, phone_sequence
-from lipservo_lab.evaluation.recognition.stream_observers import label_frames
+from lipservo_lab.evaluation.recognition.stream_observers import (
+    NOTHING_TOLD,
+    ToldText,
+    label_frames,
+    time_to_leave,
+)
 from lipservo_lab.learning.recognition import noise
 from lipsync.audio.file import read_speech
 from lipsync.audio_block import SAMPLE_RATE_HZ
-from lipsync.phonemes import LiveRecognizer
+from lipsync.phonemes import SILENCE, LiveRecognizer
 from lipsync.recognition.alignment import (
     DOUBTFUL_SCORE,
     LEAST_SCORE,
@@ -29,6 +34,7 @@ from lipsync.recognition.alignment import (
     align,
     goodness_of_pronunciation,
 )
+from lipsync.recognition.features import FRAMES_PER_S
 from lipsync.recognition.network import NetworkWeights
 from lipsync.text_to_speech.pronunciation import PronunciationError
 
@@ -97,12 +103,13 @@ def measure(
     condition: Condition | None = None,
     progress: Callable[[str], None] = lambda _name: None,
     groups_of: Callable[[str], Sequence[str]] = lambda _speaker: (),
-    text_of: Callable[[TranscribedUtterance], str] = lambda _utterance: "",
+    told_of: Callable[[TranscribedUtterance], ToldText] = lambda _utterance: NOTHING_TOLD,
 ) -> Figures:
     """Recognise every utterance aligned at the default beams or labelled, each as a new stream.
 
     Alignments that needed the second try are no reference: they are counted, not scored. groups_of:
-    names of the groups that a speaker is counted in. text_of: what the recogniser is told.
+    names of the groups that a speaker is counted in. told_of: what the recogniser is told; where
+    that comes late, the frames after it are scored.
     """
     counts = Counter(alignments[u.name].beams for u in utterances if not alignments[u.name].error)
     scored = [u for u in utterances if alignments[u.name].beams in ("default", LABELLED)]
@@ -119,10 +126,12 @@ def measure(
         if condition is not None:
             samples = condition.apply(samples, utterance.name, voices)
             servos_deg = condition.servo_positions_deg(utterance.name, len(samples))
-        heard, block_costs = label_frames(recognizer, samples, servos_deg, text_of(utterance))
+        told = told_of(utterance)
+        heard, block_costs = label_frames(recognizer, samples, servos_deg, told)
         reference = alignments[utterance.name].labels(len(heard.labels))
+        first = round(told.late_s * FRAMES_PER_S)
         for each in (score, *(groups[name] for name in groups_of(utterance.speaker))):
-            each.add(heard.labels, reference)
+            each.add(heard.labels[first:], reference[first:])
         duration_s += len(samples) / SAMPLE_RATE_HZ
         n_revisions += heard.n_revisions
         n_said += len(phone_sequence(heard.labels))
@@ -146,6 +155,41 @@ def measure(
     )
 
 
+def leaving_figures(
+    utterances: Sequence[TranscribedUtterance],
+    alignments: Mapping[str, AlignedUtterance],
+    make_recognizer: Callable[[], LiveRecognizer],
+    progress: Callable[[str], None] = lambda _name: None,
+) -> dict[str, object]:
+    """How soon a text is left where the sound stops saying it.
+
+    Each utterance is followed by that half the list away, while the words of the one after it are
+    told: what moves the mouth from the first phone of the second sound on.
+    """
+    recognizer, half = make_recognizer(), len(utterances) // 2
+    times_s: list[float | None] = []
+    for number, said in enumerate(utterances):
+        other = utterances[(number + half) % len(utterances)]
+        told = utterances[(number + half + 1) % len(utterances)]
+        sounds = read_speech(said.sound), read_speech(other.sound)
+        n_frames = round(len(sounds[1]) / SAMPLE_RATE_HZ * FRAMES_PER_S)
+        spoken = np.flatnonzero(alignments[other.name].labels(n_frames) != PHONEME_INDEX[SILENCE])
+        if alignments[said.name].error or not len(spoken):
+            continue
+        onset_s = float(spoken[0]) / FRAMES_PER_S
+        text = f"{said.text} {told.text}".lower()
+        times_s.append(time_to_leave(recognizer, *sounds, onset_s, text).left_s)
+        progress(said.name)
+    left_s = [each for each in times_s if each is not None]
+    return {
+        "leaving_ms_p50": 1e3 * float(np.median(left_s)) if left_s else None,
+        "leaving_ms_p95": 1e3 * float(np.percentile(left_s, 95)) if left_s else None,
+        "leaving_within_300_ms": sum(each <= 0.3 for each in left_s) / max(1, len(times_s)),
+        "leavings": len(times_s),
+        "never_left": len(times_s) - len(left_s),
+    }
+
+
 def false_speech(
     recognizer: LiveRecognizer, samples: np.ndarray, servos_deg: np.ndarray | None = None
 ) -> float:
@@ -153,9 +197,6 @@ def false_speech(
 
     servos_deg: as `label_frames` has it.
     """
-    from lipservo_lab.corpus.alignment_cache import PHONEME_INDEX
-    from lipsync.phonemes import SILENCE
-
     labels = label_frames(recognizer, samples.astype(np.float32), servos_deg)[0].labels
     return float(np.mean(labels != PHONEME_INDEX[SILENCE])) if len(labels) else 0.0
 

@@ -4,8 +4,10 @@ Hours of speech without a pause: a recogniser must not grow, neither in memory n
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +23,11 @@ from lipsync.phonemes import (
     PhonemeUpdate,
     ServoListener,
 )
+from lipsync.recognition.network_recognizer import FOLLOWING_LATENCY_S
 from lipsync.recognition.own_noise import ServoSpeeds
 from lipsync.recognition.streaming import RecognizerStream, StreamStep, blocks_of
 from lipsync.recognition.text_decoder import TextFollower
+from lipsync.spoken_text import PronouncedWord
 from lipsync.text_to_speech.pronunciation import pronounced
 from lipsync.timeline import PhonemeTimeline
 
@@ -84,11 +88,41 @@ class UpdateLog:
             self.updates.append(update)
 
 
+#: A sender that tells its text in pieces tells so many words, each time as long before their sound.
+_PIECE_WORDS, _PIECE_AHEAD_S = 3, 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class ToldText:
+    """What a recogniser is told, when: before the sound, so long after it began, or in pieces."""
+
+    text: str
+    late_s: float = 0.0
+    in_pieces: bool = False
+
+    def pieces(self, duration_s: float) -> list[tuple[float, str]]:
+        """(seconds after the sound began, text), of a sound that says it evenly."""
+        words = self.text.split()
+        if not self.in_pieces:
+            return [(self.late_s, self.text)] if words else []
+        firsts = range(0, len(words), _PIECE_WORDS)
+        return [
+            (
+                max(0.0, duration_s * first / len(words) - _PIECE_AHEAD_S) + self.late_s,
+                " ".join(words[first : first + _PIECE_WORDS]),
+            )
+            for first in firsts
+        ]
+
+
+NOTHING_TOLD: Final = ToldText("")
+
+
 def label_frames(
     recognizer: LiveRecognizer,
     samples: Array32,
     servos_deg: Array | None = None,
-    text: str = "",
+    told: ToldText = NOTHING_TOLD,
 ) -> tuple[FrameLabels, StepCosts]:
     """Reset and feed samples (n,) at 16 kHz as a live stream, and silence until all is settled.
 
@@ -96,11 +130,9 @@ def label_frames(
     of the frame. So frame t is judged by what was settled when the sound to 10 t ms + latency was
     heard, and nothing later. The costs are those of the blocks. servos_deg: what encoders read of
     the robot's servos, a row (n_servos,) each 10 ms, which the recogniser is told when it is read.
-    text: that it is told before; what it follows is settled later, and judged by that.
+    told: what it follows is settled later, and judged by that.
     """
     recognizer.reset()
-    if text and isinstance(recognizer, TextFollower):
-        recognizer.tell(pronounced(text))
     n_tail = round((recognizer.latency_s + 0.1) * SAMPLE_RATE_HZ)
     padded = np.concatenate((samples, np.zeros(n_tail, np.float32)))
     n_first = round(recognizer.latency_s * SAMPLE_RATE_HZ) % _HOP or _HOP
@@ -109,8 +141,54 @@ def label_frames(
     blocks = blocks_of(whole, n_first)
     if servos_deg is not None and isinstance(recognizer, ServoListener):
         blocks = _with_servos(blocks, recognizer, servos_deg)
+    if told.text and isinstance(recognizer, TextFollower):
+        pieces = told.pieces(len(samples) / SAMPLE_RATE_HZ)
+        blocks = _telling(blocks, recognizer, [(at_s, pronounced(t)) for at_s, t in pieces])
     RecognizerStream(recognizer, (labels, costs)).run(blocks)
     return labels, costs
+
+
+def _telling(
+    blocks: Iterable[AudioBlock],
+    recognizer: TextFollower,
+    pieces: Sequence[tuple[float, Sequence[PronouncedWord]]],
+) -> Iterator[AudioBlock]:
+    """The blocks; before each, the recogniser is told what is due."""
+    waiting, is_first = deque(pieces), True
+    for block in blocks:
+        while waiting and waiting[0][0] <= block.start_s:
+            at_s, words = waiting.popleft()
+            recognizer.tell(words, at_s if is_first else 0.0)
+            is_first = False
+        yield block
+
+
+@dataclass(frozen=True, slots=True)
+class Leaving:
+    """How long a text that is not said moves the mouth, s; None: to the end of the sound."""
+
+    left_s: float | None
+
+
+def time_to_leave(
+    recognizer: LiveRecognizer, said: Array32, other: Array32, onset_s: float, told: str
+) -> Leaving:
+    """A sound (n,) with its words, and another (m,) whose words differ from those that are told.
+
+    onset_s: from the beginning of the other sound to its first phone.
+    """
+    recognizer.reset()
+    assert isinstance(recognizer, TextFollower)
+    recognizer.tell(pronounced(told))
+    samples = np.concatenate((said, other))
+    onset_s += len(said) / SAMPLE_RATE_HZ
+    stream = RecognizerStream(recognizer)
+    for block in blocks_of(samples[: len(samples) // _HOP * _HOP], _HOP):
+        stream.feed([block])
+        frame_s = block.end_s - FOLLOWING_LATENCY_S
+        if frame_s >= onset_s and recognizer.moved_by == "sound":
+            return Leaving(frame_s - onset_s)
+    return Leaving(None)
 
 
 def _with_servos(

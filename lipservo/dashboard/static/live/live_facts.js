@@ -7,11 +7,12 @@ const MOST_LINES = 4;
 class FaceFacts extends HTMLElement {
   connectedCallback() {
     this.innerHTML =
-      '<div class="phoneme"><b></b><span></span></div>' +
+      '<div class="phoneme"><b></b><span></span></div><p class="words"></p>' +
       '<div class="arousal"><span>calm</span><i><u></u></i><span>excited</span></div>' +
       '<dl></dl><ul class="troubles"></ul>';
     this.letters = this.querySelector(".phoneme b");
     this.saying = this.querySelector(".phoneme span");
+    this.words = this.querySelector(".words");
     this.needle = this.querySelector(".arousal u");
     this.list = this.querySelector("dl");
     this.troubles = this.querySelector(".troubles");
@@ -35,6 +36,7 @@ class FaceFacts extends HTMLElement {
   }
 
   tell(status) {
+    this.words.innerHTML = caption(status);
     this.list.innerHTML = rows(status)
       .map(([word, value]) => `<dt>${escaped(word)}</dt><dd>${escaped(value)}</dd>`)
       .join("");
@@ -47,6 +49,21 @@ class FaceFacts extends HTMLElement {
   }
 }
 
+/** The words around the one that is said, which stands out; as HTML. Pure. */
+export function caption(status) {
+  return (status?.words ?? [])
+    .map((word, n) => (n === status.word ? `<b>${escaped(word)}</b>` : escaped(word)))
+    .join(" ");
+}
+
+const MOVED_BY = {
+  sound: "what is heard",
+  text: "its text, followed in the sound",
+  words: "its words, followed in the sound",
+  phonemes: "its phonemes",
+  visemes: "its visemes",
+};
+
 /** [word, value] for each line. Pure. */
 export function rows(status) {
   if (status === null) return [["face", "does not answer"]];
@@ -54,6 +71,7 @@ export function rows(status) {
   if (isStopped(status) && status.stopped_by) said.push(["stopped by", status.stopped_by]);
   if (status.speaking) said.push(["says", status.speaking]);
   else if (status.sound) said.push(["hears", status.sound]);
+  if (status.moved_by) said.push(["mouth moved by", MOVED_BY[status.moved_by]]);
   if (status.delay_ms != null) said.push(["face after sound", shown(status.delay_ms, 0, "ms")]);
   if (status.n_ticks != null) said.push(["late ticks", lateWords(status.n_late, status.n_ticks)]);
   if (status.recognizer) said.push(["listener", status.recognizer]);
