@@ -1,4 +1,4 @@
-"""Reading Praat TextGrids: labelled intervals."""
+"""Reading Praat TextGrids: labelled intervals, and the phonemes of a tier."""
 
 from os import PathLike
 from pathlib import Path
@@ -9,6 +9,7 @@ from praatio.utilities.errors import PraatioException
 
 from lipsync.errors import UserError
 from lipsync.output_file import written_whole
+from lipsync.phonemes import SILENCE, VISEME_OF, PhonemeEvent
 
 
 class LabelError(UserError):
@@ -28,6 +29,23 @@ def read_tier(path: str | PathLike[str], tier: str) -> tuple[Interval, ...]:
     if tier not in tiers:
         raise LabelError(f"{path}: no interval tier {tier!r}; the file has: {', '.join(tiers)}")
     return tiers[tier]
+
+
+def read_phonemes(path: str | PathLike[str], tier: str = "phones") -> tuple[PhonemeEvent, ...]:
+    """The phonemes of a TextGrid's tier; stretches without a label are silence.
+
+    Raises LabelError when the file cannot be read or holds a label outside the inventory.
+    """
+    intervals = read_tier(path, tier)
+    for label, start_s, _ in intervals:
+        if label and label not in VISEME_OF:
+            raise LabelError(
+                f"{path}: {label!r} at {start_s:.3f} s in tier {tier!r} is no phoneme; "
+                "use ARPAbet in upper case without stress, SIL for silence"
+            )
+    return tuple(
+        PhonemeEvent(label or SILENCE, start_s, end_s) for label, start_s, end_s in intervals
+    )
 
 
 def read_tiers(path: str | PathLike[str]) -> dict[str, tuple[Interval, ...]]:

@@ -12,8 +12,7 @@ from lipservo_client.vendors import TimedUnit, VendorError, VendorUnits, vendor_
 from lipsync.alphabets import ARPABET, AlphabetError, phones_of
 from lipsync.errors import UserError
 from lipsync.phonemes import SILENCE, PhonemeEvent
-from lipsync.recognition.scripted import read_phonemes
-from lipsync.textgrid import LabelError, is_textgrid
+from lipsync.textgrid import LabelError, is_textgrid, read_phonemes
 
 #: An hour of phonemes in JSON is about 4 MB.
 _LARGEST_BYTES: Final = 64 * 2**20

@@ -1,29 +1,10 @@
-"""Phonemes that are known beforehand, from a label file or a speech synthesiser, told in time."""
+"""Phonemes that are known beforehand, from a label file or a voice, let out in time."""
 
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from os import PathLike
 
-from lipsync.phonemes import SILENCE, VISEME_OF, PhonemeEvent, PhonemeUpdate
-from lipsync.textgrid import LabelError, read_tier
-
-
-def read_phonemes(path: str | PathLike[str], tier: str = "phones") -> tuple[PhonemeEvent, ...]:
-    """The phonemes of a TextGrid's tier; stretches without a label are silence.
-
-    Raises LabelError when the file cannot be read or holds a label outside the inventory.
-    """
-    intervals = read_tier(path, tier)
-    for label, start_s, _ in intervals:
-        if label and label not in VISEME_OF:
-            raise LabelError(
-                f"{path}: {label!r} at {start_s:.3f} s in tier {tier!r} is no phoneme; "
-                "use ARPAbet in upper case without stress, SIL for silence"
-            )
-    return tuple(
-        PhonemeEvent(label or SILENCE, start_s, end_s) for label, start_s, end_s in intervals
-    )
+from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 
 
 class ScriptedPhonemes:

@@ -1,18 +1,21 @@
 """Piper, a neural voice: the extra `piper` and a model, NAME.onnx with NAME.onnx.json beside it.
 
 It loads a model in a second or two, so it has a process of its own, which keeps the model that
-spoke last. Models are patched in memory to tell how long each phoneme is; where the package onnx is
-absent they tell nothing, and the text is followed in the sound. Why it is not imported into the
-face: docs/decisions/0062-voices-of-others.md.
+spoke last. Its phonemes are told, without the times that its network planned for them, and followed
+in the sound: P B M begin 34 ms before their planned times (docs/benchmarks.md). Why it is not
+imported into the face: docs/decisions/0062-voices-of-others.md.
 """
 
-import json
-from functools import cache
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
+from lipsync.alphabets import IPA, in_inventory
 from lipsync.errors import MissingExtraError, check_extra
 from lipsync.ipa import ipa_table
+from lipsync.spoken_text import SpokenUnit
 from lipsync.text_to_speech.command_voice import speech_of
 from lipsync.text_to_speech.synthesis import (
     DEFAULT_VOICE,
@@ -24,7 +27,6 @@ from lipsync.text_to_speech.synthesis import (
 from lipsync.text_to_speech.voice_process import Request, VoiceProcess, serve
 
 _RATES_WPM = range(80, 401)
-_STRESS = "ˈˌ"
 
 
 class Piper:
@@ -68,7 +70,10 @@ class Piper:
                 "stretch": DEFAULT_VOICE.rate_wpm / voice.rate_wpm,
             }
         )
-        return speech_of(sound, answer["sample_rate_hz"], written, answer["words"], voice.name)
+        speech = speech_of(sound, answer["sample_rate_hz"], written, "")
+        letters = [SpokenUnit(each) for each in joined(answer["phonemes"])]
+        told = in_inventory("phoneme", letters, IPA, speech.sample_rate_hz)
+        return replace(speech, told=told) if told.units else speech
 
 
 @cache
@@ -76,11 +81,11 @@ def _process() -> VoiceProcess:
     return VoiceProcess(__name__, "Piper crashes or hangs at this text, or with this model")
 
 
-@cache
+@lru_cache(maxsize=1)
 def _loaded(model: str) -> Any:
     from piper import PiperVoice
 
-    return PiperVoice.load(model, include_alignments=True)
+    return PiperVoice.load(model)
 
 
 def _answered(request: Request) -> tuple[dict[str, object], bytes]:
@@ -95,38 +100,21 @@ def _answered(request: Request) -> tuple[dict[str, object], bytes]:
     spoken, wanted = voice.config.espeak_voice, request["language"]
     if wanted not in (DEFAULT_VOICE.language, spoken):
         raise SynthesisError(f"{request['model']} speaks {spoken!r} alone, not {wanted!r}")
-    chunks = list(
-        voice.synthesize(
-            request["text"],
-            SynthesisConfig(length_scale=voice.config.length_scale * request["stretch"]),
-            include_alignments=True,
-        )
-    )
-    words = ""
-    if chunks and all(chunk.phoneme_alignments for chunk in chunks):
-        timed = [
-            (each.phoneme, int(each.num_samples))
-            for chunk in chunks
-            for each in chunk.phoneme_alignments
-        ]
-        rows = [{"phoneme": name, "num_samples": n} for name, n in joined(timed)]
-        words = json.dumps({"sample_rate": voice.config.sample_rate, "alignments": rows})
+    stretch = SynthesisConfig(length_scale=voice.config.length_scale * request["stretch"])
+    chunks = list(voice.synthesize(request["text"], stretch))
     sound = b"".join(chunk.audio_int16_bytes for chunk in chunks)
-    return {"sample_rate_hz": voice.config.sample_rate, "words": words}, sound
+    phonemes = [each for chunk in chunks for each in chunk.phonemes]
+    return {"sample_rate_hz": voice.config.sample_rate, "phonemes": phonemes}, sound
 
 
-def joined(timed: list[tuple[str, int]]) -> list[tuple[str, int]]:
-    """Letters as phonemes: stress counts to what follows it, the two of a diphthong are one."""
-    found: list[tuple[str, int]] = []
-    n_before = 0
-    for name, n_samples in timed:
-        if name in _STRESS:
-            n_before += n_samples
-        elif found and not n_before and found[-1][0] + name in ipa_table():
-            found[-1] = (found[-1][0] + name, found[-1][1] + n_samples)
+def joined(letters: Sequence[str]) -> list[str]:
+    """Letters as phonemes: the two of a diphthong or an affricate are one, in one word."""
+    found: list[str] = []
+    for letter in letters:
+        if found and found[-1] + letter in ipa_table():
+            found[-1] += letter
         else:
-            found.append((name, n_before + n_samples))
-            n_before = 0
+            found.append(letter)
     return found
 
 

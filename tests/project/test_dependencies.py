@@ -28,6 +28,7 @@ DISTRIBUTION_OF = {
     "cv2": "opencv-python-headless",
     "livekit": "livekit-agents",
     "pipecat": "pipecat-ai",
+    "piper": "piper-tts",
     "serial": "pyserial",
     "sklearn": "scikit-learn",
     "yaml": "pyyaml",

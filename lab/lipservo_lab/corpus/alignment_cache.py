@@ -25,7 +25,7 @@ from lipsync.output_file import check_output, write_whole
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent
 from lipsync.recognition.alignment import align, check_aligner, goodness_of_pronunciation
 from lipsync.recognition.features import FRAMES_PER_S
-from lipsync.recognition.scripted import read_phonemes
+from lipsync.textgrid import read_phonemes
 
 #: In place of the beams: the phones are those of the corpus's own label files.
 LABELLED = "labelled"

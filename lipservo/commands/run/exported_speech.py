@@ -45,8 +45,9 @@ from lipsync.face.model import load_face
 from lipsync.phonemes import PhonemeEvent
 from lipsync.recognition.fallback import FallbackRecognizer
 from lipsync.recognition.recognizers import make_recognizer
-from lipsync.recognition.scripted import ScriptedPhonemes, read_phonemes
+from lipsync.recognition.scripted import ScriptedPhonemes
 from lipsync.text_to_speech.pronunciation import pronounced
+from lipsync.textgrid import read_phonemes
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from firmware_bridge.pulse_bus import PulseBus
 from firmware_bridge.pulse_servos import PulseScale
 from firmware_bridge.simulator.ports import MemoryTransport
 from lipservo.runtime.servos.assembly import assemble_face, simulated_wire
-from lipsync.recognition.scripted import read_phonemes
+from lipsync.textgrid import read_phonemes
 
 RATE_HZ = 50.0
 #: The jaw's own degrees at which the lips of this face touch.

@@ -17,7 +17,7 @@ from lipservo.traces.trace_file import read_trace
 from lipsync.animpho.units import load_face_with_animphos
 from lipsync.errors import UserError
 from lipsync.export.arkit import ARKIT_NAMES, ArkitMap, lip_measures
-from lipsync.recognition.scripted import read_phonemes
+from lipsync.textgrid import read_phonemes
 
 LABELS = ("--phonemes", CLIP_LABELS_PATH)
 

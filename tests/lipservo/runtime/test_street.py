@@ -6,7 +6,7 @@ from speech import CLIP_LABELS_PATH
 
 from firmware_bridge.clock import ManualClock, ticks
 from lipservo.runtime.servos.assembly import assemble_face, bus_for
-from lipsync.recognition.scripted import read_phonemes
+from lipsync.textgrid import read_phonemes
 
 RATE_HZ = 50.0
 

@@ -11,8 +11,8 @@ from places import DATA
 from lipsync.errors import UserError
 from lipsync.phoneme_files.reader import phonemes_in, read_known_phonemes
 from lipsync.phonemes import PHONEMES
-from lipsync.recognition.scripted import ScriptedPhonemes, read_phonemes
-from lipsync.textgrid import LabelError
+from lipsync.recognition.scripted import ScriptedPhonemes
+from lipsync.textgrid import LabelError, read_phonemes
 
 POLLY = """\
 {"time":0,"type":"sentence","start":0,"end":9,"value":"Mary had."}

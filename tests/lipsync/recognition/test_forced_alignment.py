@@ -23,9 +23,8 @@ from lipsync.recognition.alignment import (
     words_of,
 )
 from lipsync.recognition.network import load_weights
-from lipsync.recognition.scripted import read_phonemes
 from lipsync.text_to_speech.pronunciation import PronunciationError, pronounce
-from lipsync.textgrid import read_tier, write_tiers
+from lipsync.textgrid import read_phonemes, read_tier, write_tiers
 
 CLIP_TEXT = CLIP_PATH.with_suffix(".txt").read_text()
 

@@ -4,8 +4,8 @@ import pytest
 from speech import CLIP_LABELS_PATH
 
 from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
-from lipsync.recognition.scripted import ScriptedPhonemes, read_phonemes
-from lipsync.textgrid import LabelError, read_tier
+from lipsync.recognition.scripted import ScriptedPhonemes
+from lipsync.textgrid import LabelError, read_phonemes, read_tier
 from lipsync.timeline import PhonemeTimeline
 
 MAP = (PhonemeEvent("M", 0.1, 0.2), PhonemeEvent("AE", 0.2, 0.35), PhonemeEvent("P", 0.35, 0.4))

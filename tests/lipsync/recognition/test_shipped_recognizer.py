@@ -32,7 +32,7 @@ from lipsync.recognition.features import LevelNormalizer, LogMelStream
 from lipsync.recognition.network import SHIPPED, StreamingNetwork, load_shipped_weights
 from lipsync.recognition.network_recognizer import NetworkRecognizer
 from lipsync.recognition.recognizers import make_recognizer
-from lipsync.recognition.scripted import read_phonemes
+from lipsync.textgrid import read_phonemes
 from lipsync.timeline import PhonemeTimeline
 
 RATE_HZ = 16_000

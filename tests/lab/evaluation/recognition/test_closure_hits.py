@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from lipservo.cli import app
 from lipsync.phonemes import PhonemeEvent
-from lipsync.recognition.scripted import read_phonemes
+from lipsync.textgrid import read_phonemes
 
 
 def test_a_phone_is_met_where_the_lips_come_near_enough_within_40_ms_of_it():

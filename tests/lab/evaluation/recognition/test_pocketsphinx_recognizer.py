@@ -15,8 +15,7 @@ from speech import (
 
 from lipsync.audio_block import AudioBlock
 from lipsync.phonemes import SILENCE, PhonemeEvent
-from lipsync.recognition.scripted import read_phonemes
-from lipsync.textgrid import LabelError
+from lipsync.textgrid import LabelError, read_phonemes
 from lipsync.timeline import PhonemeTimeline
 
 RATE_HZ = 16_000
