@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from voice_agents.served_face import RATE_HZ, ServedFace, tone, until
 
+from lipsync.text_to_speech.pronunciation import pronounced
+
 # Its own imports warn of what it will drop one day.
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
@@ -14,6 +16,7 @@ with warnings.catch_warnings():
     from lipservo_client.livekit_face import LiveKitFace
     from livekit import rtc
     from livekit.agents import Agent, AgentSession
+    from livekit.agents.types import USERDATA_TIMED_TRANSCRIPT, TimedString
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 
@@ -58,6 +61,29 @@ def test_segments_are_heard_whole_and_told_in_order(channels):
         (0.4, False),
         (0.2, False),
     ]
+
+
+def test_a_timed_transcript_beside_the_sound_is_told_with_its_times():
+    async def talk(url):
+        async with LiveKitFace(url) as output:
+            for n, frame in enumerate(frames(0.8)):
+                if n == 0:
+                    words = [
+                        TimedString("good ", start_time=0.1),
+                        TimedString("day", start_time=0.4),
+                    ]
+                    frame.userdata[USERDATA_TIMED_TRANSCRIPT] = words
+                await output.capture_frame(frame)
+            output.flush()
+            await asyncio.wait_for(output.wait_for_playout(), 60.0)
+
+    pronounced("good day")  # or the sound is over before the dictionary is there
+    with ServedFace(step_s=0.001) as face:
+        asyncio.run(talk(face.url))
+        told = [word for each in face.playout.take_words() for word in each.words]
+
+    assert [word.label for word in told] == ["good", "day"]
+    assert told[1].start_s - told[0].start_s == pytest.approx(0.3, abs=1e-3)
 
 
 def test_a_cleared_buffer_tells_what_was_heard_and_the_next_segment_is_heard():

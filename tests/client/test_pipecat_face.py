@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 from voice_agents.served_face import RATE_HZ, ServedFace, tone
 
+from lipsync.text_to_speech.pronunciation import pronounced
+
 # Its own imports warn of what it will drop one day.
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
     pytest.importorskip("pipecat", reason="pip install 'lipservo-client[pipecat]', 512 MB")
     from lipservo_client.pipecat_face import PipecatFace, PipecatFollower
     from pipecat.frames.frames import (
+        AggregatedTextFrame,
         BotSpeakingFrame,
         BotStartedSpeakingFrame,
         BotStoppedSpeakingFrame,
@@ -22,6 +25,7 @@ with warnings.catch_warnings():
         TTSAudioRawFrame,
         TTSStartedFrame,
         TTSStoppedFrame,
+        TTSTextFrame,
     )
     from pipecat.tests.utils import SleepFrame, run_test
 
@@ -127,6 +131,54 @@ def test_of_mixed_sound_the_rest_of_what_may_not_be_interrupted_is_said_again():
 
     # As much as was heard before the interruption, and then the last two seconds.
     assert 2.0 <= heard_s <= 4.0
+
+
+def told_words(face):
+    """(kind, word, whether it has a time) of all that the face was told."""
+    return [
+        (told.kind, word.label, word.start_s is not None)
+        for told in face.playout.take_words()
+        for word in told.words
+    ]
+
+
+def test_the_face_knows_the_sentence_before_its_sound_and_not_twice():
+    def frames():
+        sentence = AggregatedTextFrame("Good day.", "sentence")
+        sentence.will_be_spoken = True
+        started, *rest = spoken(0.8)
+        yield from (started, sentence, *rest[:-1])
+        yield TTSTextFrame("Good day.", "sentence")
+        yield rest[-1]
+
+    pronounced("good day")  # or the sound is over before the dictionary is there
+    with ServedFace(step_s=0.001) as face:
+        down, _ = piped(PipecatFace(face.url), list(frames()))
+        told = told_words(face)
+
+    assert told == [("text", "Good", False), ("text", "day", False)]
+    assert {AggregatedTextFrame, TTSTextFrame} <= set(kinds(down))
+
+
+def test_words_that_the_tts_times_are_told_with_their_times():
+    class Timed(PipecatFace):
+        """The service's clock is the pipeline's: a word's time is known when its sound has come."""
+
+        async def process_frame(self, frame, direction):
+            if isinstance(frame, TTSTextFrame):
+                frame.pts = self.get_clock().get_time() + 200_000_000
+            await super().process_frame(frame, direction)
+
+    def frames():
+        *audio, stopped = spoken(1.0)
+        yield from (*audio[:4], TTSTextFrame("good", "word"), *audio[4:], stopped)
+
+    pronounced("good day")  # or the sound is over before the dictionary is there
+    with ServedFace(step_s=0.001) as face:
+        piped(Timed(face.url), list(frames()))
+        told = told_words(face)
+
+    assert told == [("word", "good", True)]
 
 
 def test_more_sentences_than_a_face_keeps_streams_are_all_heard():

@@ -21,7 +21,7 @@ from lipservo_lab.corpus.transcribed import (
     read_speakers,
     read_transcribed,
 )
-from lipservo_lab.evaluation.recognition.stream_observers import NOTHING_TOLD, ToldText
+from lipservo_lab.evaluation.recognition.stream_observers import ToldText
 from lipsync.errors import UserError, check_extra
 from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition.energy_recognizer import EnergyRecognizer
@@ -89,10 +89,10 @@ def told_texts(
     """What the recogniser is told of each utterance, by name; None: nothing.
 
     another: the text of the utterance half the list away. pieces: its own, in pieces of three
-    words. late_s: so long after the sound.
+    words. late_s: so long after the sound began; what came before it is not scored.
     """
     if which is None:
-        return {u.name: NOTHING_TOLD for u in utterances}
+        return {u.name: ToldText("", late_s) for u in utterances}
     shift = max(1, len(utterances) // 2) if which == "another" else 0
     others = [*utterances[shift:], *utterances[:shift]]
     return {
