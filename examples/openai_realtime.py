@@ -11,6 +11,7 @@ import asyncio
 import base64
 import json
 import sys
+from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +27,7 @@ RATE_HZ = 24_000
 DELTAS = {"response.output_audio.delta", "response.audio.delta"}
 DONES = {"response.output_audio.done", "response.audio.done"}
 TRANSCRIPTS = {"response.output_audio_transcript.delta", "response.audio_transcript.delta"}
+TRANSCRIBED = {"response.output_audio_transcript.done", "response.audio_transcript.done"}
 
 
 @dataclass
@@ -45,6 +47,7 @@ class RealtimeVoice:
     def __init__(self, face: AsyncFace) -> None:
         self._face = face
         self._items: list[Item] = []
+        self._done: deque[str] = deque(maxlen=64)
 
     async def hear(self, event: Any) -> list[dict[str, Any]]:
         """Do what one server event asks for; the client events to answer with.
@@ -56,17 +59,26 @@ class RealtimeVoice:
             item = await self._item(event)
             await item.speech.write(base64.b64decode(field_of(event, "delta")))
         elif kind in DONES:
+            self._done.append(field_of(event, "item_id"))
             for item in self._items:
                 if item.item_id == field_of(event, "item_id"):
-                    await item.speech.tell(item.rest)
                     await item.speech.end()
         elif kind in TRANSCRIPTS:
-            item = await self._item(event)
-            words, space, item.rest = (item.rest + field_of(event, "delta")).rpartition(" ")
-            await item.speech.tell(words + space)
+            await self._tell(event, field_of(event, "delta"))
+        elif kind in TRANSCRIBED:
+            await self._tell(event, " ")
         elif kind == "input_audio_buffer.speech_started":
             return await self._truncated()
         return []
+
+    async def _tell(self, event: Any, text: str) -> None:
+        """What an item says, in whole words; of one that was heard nothing need be known."""
+        item_id = field_of(event, "item_id")
+        is_said = any(item.item_id == item_id for item in self._items)
+        if is_said or item_id not in self._done:
+            item = await self._item(event)
+            words, space, item.rest = (item.rest + text).rpartition(" ")
+            await item.speech.tell(words + space)
 
     async def _item(self, event: Any) -> Item:
         item_id = field_of(event, "item_id")

@@ -76,6 +76,26 @@ def test_the_audio_of_a_realtime_session_is_heard(face, tmp_path, name):
     assert sounding_s(face) == pytest.approx(0.4, abs=0.02)
 
 
+def test_the_transcript_of_a_realtime_session_is_told_in_whole_words(tmp_path):
+    *spoken, done = deltas("item_1", tone(4.0))
+    about = {"type": "response.output_audio_transcript.delta", "item_id": "item_1"}
+    pieces = [
+        {**about, "content_index": 0, "delta": text} for text in ("Good mor", "ning, a", "ll")
+    ]
+    over = {**about, "type": "response.output_audio_transcript.done", "content_index": 0}
+    events = [*pieces[:1], *spoken, pieces[1], done, pieces[2], over]
+    (tmp_path / "events.jsonl").write_text("\n".join(map(json.dumps, events)))
+    with ServedFace(step_s=0.001) as face:
+        run("openai_realtime.py", tmp_path / "events.jsonl", face.url)
+        words: list[str] = []
+
+        def has_all():
+            words.extend(w.label for each in face.playout.take_words() for w in each.words)
+            return words[:3] == ["Good", "morning", "all"]
+
+        until(has_all)
+
+
 def test_a_barge_in_truncates_the_item_to_what_was_heard(tmp_path):
     # Positions are not told, so that nothing but the session's events drives the example.
     with ServedFace(AgentSettings(position_s=3600.0)) as face:
