@@ -40,6 +40,8 @@ from lipsync.text_to_speech.pronunciation import PronunciationError
 
 #: Recordings that speak at once in babble noise.
 _N_VOICES = 20
+#: Over a sound whose cost is measured.
+_N_PASSES = 5
 #: Whose servos are heard alone.
 _N_ROBOTS = 4
 
@@ -235,13 +237,15 @@ def quiet_sounds(rng: np.random.Generator) -> dict[str, np.ndarray]:
     }
 
 
-def block_costs_s(recognizer: LiveRecognizer, samples: np.ndarray, n_passes: int = 5) -> np.ndarray:
+def block_costs_s(
+    recognizer: LiveRecognizer, samples: np.ndarray, told: ToldText = NOTHING_TOLD
+) -> np.ndarray:
     """Processor time of each 10 ms block (m,): the least of several passes over the sound.
 
     What other programs cost on a shared machine (caches emptied, memory slowed) goes away with the
     least; what this block costs by itself stays.
     """
-    passes = [label_frames(recognizer, samples)[1].costs_s for _ in range(n_passes)]
+    passes = [label_frames(recognizer, samples, told=told)[1].costs_s for _ in range(_N_PASSES)]
     least: np.ndarray = np.min(passes, axis=0)
     return least
 
