@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lipservo_client.protocol import told_messages
 from lipservo_client.vendors import VendorError, VendorUnits, vendor_units
+from places import ROOT
 
 ELEVENLABS = {
     "audio_base64": "UklGRg==",
@@ -203,6 +204,16 @@ def word(*units):
 )
 def test_each_message_tells_its_units_the_most_precise_first(message, told):
     assert list(vendor_units(message)) == told
+
+
+def test_every_example_of_the_page_is_read():
+    page = (ROOT / "docs" / "text.md").read_text("utf-8")
+    block = page.partition("```json\n")[2].partition("```")[0]
+    examples = [line for line in block.splitlines() if line and not line.startswith("//")]
+
+    assert len(examples) > 15
+    for each in examples:
+        assert vendor_units(json.loads(each))[0].units, each
 
 
 def test_what_a_vendor_sends_is_told_to_a_stream_in_samples():
