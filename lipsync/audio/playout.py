@@ -35,7 +35,7 @@ from lipsync.audio.playout_stream import (
 )
 from lipsync.audio.source import BLOCK_SAMPLES, AudioSource, Loudspeaker
 from lipsync.audio_block import BLOCK_S, AudioBlock, samples_before
-from lipsync.spoken_text import SpokenUnit
+from lipsync.spoken_text import PronouncedWord, SpokenUnit
 
 Samples = NDArray[np.float32]
 
@@ -363,13 +363,15 @@ class Playout:
         told_words = playing.stream.told_words
         while told_words:
             told = told_words.popleft()
-            shift_s = playing.shift_s
+            shift_s, behind_s, given = playing.shift_s, 0.0, told.words
+            began_s = given[0].start_s if told.kind == "text" and given else None
+            if began_s is not None and began_s + shift_s < start_s:
+                behind_s, given = start_s - began_s - shift_s, (_untimed(given[0]), *given[1:])
             words = tuple(
                 each if each.start_s is None else replace(each, start_s=each.start_s + shift_s)
-                for each in told.words
+                for each in given
                 if each.start_s is None or each.start_s + shift_s > start_s - _OVER_S
             )
-            behind_s = start_s - shift_s if told.is_new or not playing.is_followed else 0.0
             playing.is_followed = True
             self._told.append(ToldWords(told.kind, words, told.is_new, behind_s))
 
@@ -496,6 +498,10 @@ class Playout:
             self._playing.popleft()
             self._is_paused = self._is_paused and bool(self._playing)
             self._quiet_from_s = position_s + _ECHO_S
+
+
+def _untimed(word: PronouncedWord) -> PronouncedWord:
+    return replace(word, start_s=None)
 
 
 def _start_sample(unit: SpokenUnit) -> int:

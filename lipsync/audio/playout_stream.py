@@ -179,7 +179,8 @@ class PlayoutStream:
             raise PlayoutTextError(
                 f"sample {newest} is more than {MOST_WAITING_S:g} s after the sound that was sent"
             )
-        if sum(len(each.words) for each in self.told_words) + len(words) > _MOST_WORDS:
+        waiting = list(self.told_words)  # at once: the live loop takes them meanwhile
+        if sum(len(each.words) for each in waiting) + len(words) > _MOST_WORDS:
             raise PlayoutTextError(f"{_MOST_WORDS} words wait to be said; tell the others later")
         before = self.spoken.get(told.kind)
         whole = told if before is None else before.revised(told)

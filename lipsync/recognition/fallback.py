@@ -31,7 +31,7 @@ from lipsync.phonemes import (
 )
 from lipsync.recognition.energy_recognizer import NeutralRecognizer
 from lipsync.recognition.streaming import PreparingRecognizer
-from lipsync.recognition.text_decoder import MovedBy, TextFollower
+from lipsync.recognition.text_decoder import MovedBy, TextError, TextFollower
 from lipsync.spoken_text import PronouncedWord
 
 #: So much sound may wait for a recogniser without being called a backlog.
@@ -169,15 +169,14 @@ class LadderLevel:
 
     def tell(self, words: Sequence[PronouncedWord], behind_s: float) -> None:
         """What is said next, in sound time; nothing for one that follows no text."""
-        if self._follower is not None:
-            offset_s = self._offset_s
-            self._follower.tell(
-                [
-                    each if each.start_s is None else replace(each, start_s=each.start_s - offset_s)
-                    for each in words
-                ],
-                behind_s,
-            )
+        if self._follower is None:
+            return
+        offset_s = self._offset_s
+        own_time = [
+            each if each.start_s is None else replace(each, start_s=each.start_s - offset_s)
+            for each in words
+        ]
+        self._follower.tell(own_time, behind_s)
 
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
         """Work on blocks that will be fed next; nothing for one that cannot."""
@@ -377,14 +376,19 @@ class FallbackRecognizer:
 
     def forget(self) -> None:
         """What was told and is not being said yet never will be."""
-        self._level.forget()
+        try:
+            self._level.forget()
+        except Exception as error:  # as in feed
+            self._fall_back(_in_words(error))
 
     def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
-        """What is said next, after all that was told; to the level in use, until it is left.
-
-        behind_s: so much of their sound was heard already. Raises TextError for too many words.
-        """
-        self._level.tell(words, behind_s)
+        """To the level in use, until it is left; else as a `TextFollower`. Raises TextError."""
+        try:
+            self._level.tell(words, behind_s)
+        except TextError:
+            raise
+        except Exception as error:  # as in feed
+            self._fall_back(_in_words(error))
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
         """Pass it to the level in use, and to the one that is tried; never raises for them."""

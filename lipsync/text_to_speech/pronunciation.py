@@ -117,7 +117,7 @@ def _english(text: str) -> Iterator[PronouncedWord]:
 
 
 def _plain_words(text: str) -> list[PronouncedWord] | None:
-    """The words of a text that the lexicon has all; None where one is a number, a name, or short."""
+    """The words of a text; None where the lexicon lacks one, or it may be written short."""
     words = []
     for written in text.split():
         word = written.strip(_PUNCTUATION)

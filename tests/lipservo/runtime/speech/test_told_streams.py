@@ -144,16 +144,16 @@ def test_words_are_looked_for_where_their_stream_sounds():
     assert face.source.moved_by == "words"
 
 
-def test_text_that_comes_late_says_how_late_and_a_correction_puts_it_aside():
+def test_a_text_that_comes_late_and_a_correction_from_the_beginning_which_says_how_late():
     face = Face()
     stream = face.say(2.0)
     face.go_on(1.0)
     stream.tell(told("text", ("mama",)), [MAMA])
     face.go_on(1.2)
-    stream.tell(told("text", ("papa", 0)), [PronouncedWord("papa", MAMA.pronunciations)])
+    stream.tell(told("text", ("papa", 0)), [PronouncedWord("papa", MAMA.pronunciations, 0.0)])
     face.go_on(1.4)
 
-    assert face.ears.told == [("mama", None, 1.0), "forget", ("papa", None, 1.2)]
+    assert face.ears.told == [("mama", None, 0.0), "forget", ("papa", None, 1.2)]
 
 
 def test_an_interruption_forgets_the_words():
