@@ -238,6 +238,12 @@ def test_a_piece_of_a_stream_is_counted_from_where_its_sound_begins():
     assert words.units == (("Hi", 2.0, 2.2), ("Bob.", 2.25, 2.7))
 
 
+def test_white_space_between_words_is_no_word():
+    spaced = {"words": ["Hi", " ", "Bob"], "start": [0, 0.2, 0.3], "end": [0.2, 0.3, 0.7]}
+
+    assert [each.label for each in vendor_units(spaced)[0].units] == ["Hi", "Bob"]
+
+
 def test_what_reaches_into_the_next_ends_where_that_begins():
     rows = [{"phoneme": "m", "start": 0.0, "end": 0.3}, {"phoneme": "a", "start": 0.2, "end": 0.4}]
 
