@@ -7,13 +7,13 @@ import pytest
 from scripted_street import scripted_street
 from speech import CLIP_LABELS_PATH
 
-from firmware_bridge.simulator.bus import SimulatedBus
 from firmware_bridge.capabilities import BusCapabilities, mixed_capabilities
 from firmware_bridge.clock import ManualClock, ticks
 from firmware_bridge.maestro.controller import MaestroController
 from firmware_bridge.maestro.kind import BAUD_RATE, CAPABILITIES
 from firmware_bridge.maestro.simulator import maestro_for
 from firmware_bridge.pulse_bus import PulseBus
+from firmware_bridge.simulator.bus import SimulatedBus
 from firmware_bridge.simulator.ports import MemoryTransport
 from lipservo.runtime.servos.assembly import assemble_face
 from lipservo.runtime.speech.speech_side import SpeechSide

@@ -4,6 +4,7 @@ The clip of `make run` goes through recogniser, synthesiser, calibration, plan a
 simulated to the byte. What counts is where their shafts stand, not what they were sent.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -16,11 +17,13 @@ from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.joints import Joint
+from firmware_bridge.several_buses import SeveralBuses
 from firmware_bridge.simulator.chain import chain_for
 from firmware_bridge.simulator.ports import MemoryTransport, WatchedServos
 from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
 from lipservo.runtime.servos.assembly import Face, assemble_face, simulated_wire
 from lipservo.runtime.street import make_street
+from lipservo.settings.settings import FaceSettings
 from lipservo_lab.evaluation.recognition.heard_motion import recognize_file
 from lipsync.arrays import Array
 from lipsync.audio.file import FileSource
@@ -38,6 +41,9 @@ _AFTER_S: Final = 0.5
 #: Until the last of staggered servos has come on and has caught up.
 _COMES_ON_S: Final = 0.5
 _BAUD_RATE: Final = 1_000_000
+#: Threads of several buses are waited for, however busy the computer is: so many ticks a second
+#: would be as slow as that.
+_PATIENT_HZ: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +69,7 @@ def closures_at_shaft(name: str) -> dict[str, float]:
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         events = recognize_file(make_recognizer(), clip).events
         closures = [each for each in events if each.phoneme in _BILABIALS]
-        met = _n_met(face, _shown(face, _own_servos(face), clip), closures)
+        met = _n_met(face, _shown(face, _own_servos(face.settings), clip), closures)
         on_dynamixel = _n_met(face, _shown(face, _dynamixels(face), clip), closures)
     return {
         "closures": len(closures),
@@ -73,16 +79,48 @@ def closures_at_shaft(name: str) -> dict[str, float]:
     }
 
 
-def _own_servos(face: Face) -> WatchedServos:
-    """Those of the face's YAML."""
-    watch = getattr(face.settings.bus_kind.simulator(), "watched_servos", None)
+class _ClockOfAll(ManualClock):
+    """A clock that takes those of several buses along."""
+
+    def __init__(self, clocks: Sequence[ManualClock]) -> None:
+        super().__init__()
+        self._clocks = tuple(clocks)
+
+    def sleep_until(self, time_s: float) -> None:
+        """All are there; a bus that spoke for longer stays."""
+        super().sleep_until(time_s)
+        for clock in self._clocks:
+            clock.sleep_until(time_s)
+
+
+def _own_servos(settings: FaceSettings) -> WatchedServos:
+    """Those of the face's YAML, on all of its buses."""
+    if settings.buses:
+        return _on_several_buses(settings)
+    watch = getattr(settings.bus_kind.simulator(), "watched_servos", None)
     if watch is not None:
-        watched: WatchedServos = watch(face.settings.wiring)
+        watched: WatchedServos = watch(settings.wiring)
         return watched
-    bus, clock = simulated_wire(face.settings)
+    bus, clock = simulated_wire(settings)
     if not bus.capabilities.place:
-        raise UserError(f"{face.settings.name}: where the shafts of its simulator stand is unknown")
+        raise UserError(f"{settings.name}: where the shafts of its simulator stand is unknown")
     return WatchedServos(bus, clock, None, lambda: bus.feedback().positions_deg, lambda: True)
+
+
+def _on_several_buses(settings: FaceSettings) -> WatchedServos:
+    parts = {name: _own_servos(alone) for name, alone in settings.alone.items()}
+    clock = _ClockOfAll([part.clock for part in parts.values()])
+    buses = {name: part.bus for name, part in parts.items()}
+    bus = SeveralBuses(buses, settings.bus_of, clock, _PATIENT_HZ)
+    at = {name: np.flatnonzero(np.array(settings.bus_of) == name) for name in parts}
+
+    def shafts_deg() -> Array:
+        found_deg = np.full(len(settings.servos), np.nan)
+        for name, part in parts.items():
+            found_deg[at[name]] = part.shafts_deg()
+        return found_deg
+
+    return WatchedServos(bus, clock, None, shafts_deg, lambda: True)
 
 
 def _dynamixels(face: Face) -> WatchedServos:
