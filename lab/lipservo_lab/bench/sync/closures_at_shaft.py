@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from calibration.simulated.practice_robot import markers_of_face
 from firmware_bridge.clock import ManualClock, ticks
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import servo_models
@@ -20,6 +21,7 @@ from firmware_bridge.joints import Joint
 from firmware_bridge.several_buses import SeveralBuses
 from firmware_bridge.simulator.chain import chain_for
 from firmware_bridge.simulator.ports import MemoryTransport, WatchedServos
+from lipservo.calibrating.calibration_setup import CalibrationSetup
 from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
 from lipservo.runtime.servos.assembly import Face, assemble_face, simulated_wire
 from lipservo.runtime.street import make_street
@@ -35,8 +37,8 @@ from lipsync.recognition.recognizers import make_recognizer
 _BILABIALS: Final = ("P", "B", "M")
 #: A closure counts from so long before its phoneme until so long after it.
 _AROUND_S: Final = 0.06
-#: So near to the angles of closed lips a joint has closed them: a jaw of 80 mm moves 1.4 mm.
-_MET_DEG: Final = 1.0
+#: Lips that come so near to where the angles of closed lips would bring them are closed.
+_MET_MM: Final = 0.5
 _AFTER_S: Final = 0.5
 #: Until the last of staggered servos has come on and has caught up.
 _COMES_ON_S: Final = 0.5
@@ -62,8 +64,8 @@ class Shown:
 def closures_at_shaft(name: str) -> dict[str, float]:
     """Closures of the clip that the shafts of a face meet, and the same face on Dynamixels.
 
-    A closure is met where every joint of the mouth comes within a degree of its angle for the face
-    whose lips are nearest, during the phoneme or 60 ms beside it.
+    A closure is met where the lips come within half a millimetre of the gap that the angles leave
+    for the face whose lips are nearest, during the phoneme or 60 ms beside it.
     """
     face = assemble_face(name, None)
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
@@ -157,10 +159,17 @@ def _shown(face: Face, servos: WatchedServos, clip: Path) -> Shown:
     return Shown(np.array(sound_s), np.array(faces), np.array(shafts_deg))
 
 
-def _n_met(face: Face, shown: Shown, closures: list[PhonemeEvent]) -> int:
-    markers_mm = face.model.markers_mm(shown.faces)
+def _gap_mm(markers_mm: Array) -> Array:
+    """(n, 47, 3) -> (n,): between the inner lips."""
     upper, lower = markers_mm[:, MARKERS_47.upper_lip], markers_mm[:, MARKERS_47.lower_lip]
-    gap_mm = upper[:, 1] - lower[:, 1]
+    return np.asarray(upper[:, 1] - lower[:, 1])
+
+
+def _n_met(face: Face, shown: Shown, closures: list[PhonemeEvent]) -> int:
+    servos = CalibrationSetup(face.settings, face.model, quiet=True).servos
+    markers_of = markers_of_face(face.model.markers_mm(face.model.rest[None])[0], servos)
+    gap_mm = _gap_mm(face.model.markers_mm(shown.faces))
+    shown_mm = _gap_mm(markers_of(shown.shafts_deg))
     n_met = 0
     for event in closures:
         end_s = np.inf if event.end_s is None else event.end_s + _AROUND_S
@@ -168,6 +177,6 @@ def _n_met(face: Face, shown: Shown, closures: list[PhonemeEvent]) -> int:
         if around.any():
             nearest = int(np.argmin(np.where(around, gap_mm, np.inf)))
             closed_deg = face.calibration.positions_deg(shown.faces[nearest])
-            off_deg = np.abs(shown.shafts_deg[around] - closed_deg).max(axis=1)
-            n_met += bool(off_deg.min() <= _MET_DEG)
+            closed_mm = _gap_mm(markers_of(closed_deg[None]))[0]
+            n_met += bool(shown_mm[around].min() <= closed_mm + _MET_MM)
     return n_met
