@@ -1,6 +1,7 @@
 """`new-face`: the servos that there are become the YAML of a face."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -131,6 +132,8 @@ def _found(
 
     tools = kind.workshop()
     recorded = {} if ranges is None else by_id(read_ranges(ranges))
+    if not tools.CLEARS_MIDDLE:  # servos go on to show their place as it was recorded
+        recorded = {key: replace(each, homing_offset_ticks=0) for key, each in recorded.items()}
     rate, found = tools.find_unknown(port, baud_rate)
     MESSAGES.print(f"{len(found)} servos at {rate:,} baud: ids {', '.join(map(str, found))}")
     _clear_foreign(tools, port, rate, found)
