@@ -67,6 +67,52 @@ def test_bad_input_is_one_line_and_no_file(tmp_path, arguments, words):
     assert not path.exists()
 
 
+TWO = ("--bus", "lips=maestro", "--bus", "eyes=pca9685", "--yes")
+
+
+def test_a_face_on_two_buses_is_written_and_can_be_moved(tmp_path):
+    path = tmp_path / "mine.yaml"
+    wired = ("--channel", "lips/jaw=0:opens", "--channel", "eyes/lids=3:opens")
+    where = ("--port", "lips=/dev/ttyACM0", "--board", "lips=mini12")
+    done = lipservo("new-face", "-o", path, *TWO, *where, *wired)
+
+    assert done.returncode == 0, done.stderr
+    face = load_face(path)
+    assert [(name, bus.kind, bus.port) for name, bus in face.buses.items()] == [
+        ("lips", "maestro", "/dev/ttyACM0"), ("eyes", "pca9685", None),
+    ]  # fmt: skip
+    assert face.buses["lips"].model == "mini12"
+    assert face.bus_of == ("lips", "eyes")
+    assert (face.servos["lids"].channel, face.servos["lids"].min_us) == (3, 1400.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--bus", "maestro", "--bus", "pca9685"), "--bus is given 2 times; a face with several"),
+        ((*TWO, "--bus", "lips=maestro"), "--bus: lips is given twice"),
+        ((*TWO, "--bus", "maestro"), "--bus 'maestro': needs NAME=..."),
+        ((*TWO, "--port", "/dev/ttyACM0"), "--port '/dev/ttyACM0': needs NAME=..."),
+        ((*TWO, "--board", "neck=nano"), "buses that have one: lips, eyes"),
+        ((*TWO, *JAW), "'jaw=0:opens': say on which bus: lips/jaw=0:opens"),
+        ((*TWO, "--channel", "neck/jaw=0:opens"), "buses of hobby servos: lips, eyes"),
+        ((*TWO, "--channel", "lips/jaw=0:opens"), "which servos: give --channel"),
+        (
+            (*TWO, "--channel", "lips/jaw=0:opens", "--channel", "eyes/jaw=0:opens"),
+            "jaw is another servo of this face already",
+        ),
+        (("--bus", "lips=maestro", "--bus", "neck=dynamixel", "--yes", *JAW), "no port: give"),
+    ],
+)
+def test_bad_input_for_two_buses_is_an_error_and_no_file(tmp_path, arguments, words):
+    path = tmp_path / "mine.yaml"
+    done = lipservo("new-face", "-o", path, *arguments)
+
+    assert done.returncode == 1
+    assert words in done.stderr.splitlines()[-1]
+    assert not path.exists()
+
+
 @given(
     st.text(min_size=1, max_size=30),
     st.text(st.characters(codec="utf-8"), min_size=1, max_size=30).filter(str.strip),

@@ -27,6 +27,7 @@ from lipservo.runtime.servos.assembly import Face, assemble_face, simulated_wire
 from lipservo.runtime.street import make_street
 from lipservo.settings.settings import FaceSettings
 from lipservo_lab.evaluation.recognition.heard_motion import recognize_file
+from lipsync.animpho.units import load_face_with_animphos
 from lipsync.arrays import Array
 from lipsync.audio.file import FileSource
 from lipsync.errors import UserError
@@ -166,7 +167,7 @@ def _gap_mm(markers_mm: Array) -> Array:
 
 
 def _n_met(face: Face, shown: Shown, closures: list[PhonemeEvent]) -> int:
-    servos = CalibrationSetup(face.settings, face.model, quiet=True).servos
+    servos = CalibrationSetup(face.settings, load_face_with_animphos(), quiet=True).servos
     markers_of = markers_of_face(face.model.markers_mm(face.model.rest[None])[0], servos)
     gap_mm = _gap_mm(face.model.markers_mm(shown.faces))
     shown_mm = _gap_mm(markers_of(shown.shafts_deg))
