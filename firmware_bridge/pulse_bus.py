@@ -303,16 +303,22 @@ class PulseBus:
         return not self.enable_torque(index)
 
     def disable_torque(self, index: int) -> bool:
-        """No pulses for one servo; what it does then nobody knows."""
+        """No pulses for one servo, as the controller says; what it does then nobody knows."""
         self._check_open()
         self._release(np.arange(len(self._held)) == index)
-        return True
+        return self._controller.sending(index) == 0.0
 
     def disable_all(self) -> NDArray[np.bool_]:
-        """No pulses for anybody."""
+        """No pulses for anybody; a controller that hangs is not asked again for each servo."""
         self._check_open()
         self._release(np.ones_like(self._held))
-        return np.ones_like(self._held)
+        off = np.zeros_like(self._held)
+        for index in range(len(off)):
+            sending_us = self._controller.sending(index)
+            if np.isnan(sending_us):
+                break
+            off[index] = sending_us == 0.0
+        return off
 
     def reboot(self, index: int) -> None:
         """There is nothing to restart: no pulses."""
