@@ -111,7 +111,7 @@ def _report(
 ) -> None:
     """All of it measured, then written whole; ended in between it leaves nothing."""
     from firmware_bridge.stop_signals import DeferredSignals, StopRequested
-    from lipservo.health.hardware_report import about_face, as_text, examined, secrets_of
+    from lipservo.health.hardware_report import about_face, as_text, examined, scrubbed, secrets_of
     from lipsync.output_file import check_output, written_whole
 
     text_file = file.with_suffix(".txt")
@@ -120,16 +120,20 @@ def _report(
     joint = _joint(settings, move)
     for each in (file, text_file):
         check_output(each)
-    names = ", ".join(settings.servos)
+    names, secrets = ", ".join(settings.servos), secrets_of(settings, config)
     _consent(f"The servos are let go, and what they hold falls: {names}. Go on", yes=yes)
     status = 0
     with DeferredSignals() as signals:
         try:
             found: dict[str, Any] = about_face(settings)
             MESSAGES.print("examining")
-            found["findings"] = examined(settings, secrets_of(settings, config))
+            found["findings"] = examined(settings, secrets, _examined)
             MESSAGES.print(f"reading and writing for {seconds:g} s")
-            found["limp_loop"] = _limp_loop(settings, seconds)
+            try:
+                found["limp_loop"] = _limp_loop(settings, seconds)
+            except BusError as error:
+                complain(f"{error}; the report says so")
+                found["limp_loop"] = {"error": scrubbed(str(error), secrets)}
         except StopRequested as stop:
             status = 128 + stop.number
             with suppress(StopRequested), signals.finish_first():
@@ -137,7 +141,8 @@ def _report(
     if status:
         raise typer.Exit(status)
     found["steps"] = None
-    if move is not None or _wants_steps(joint, yes=yes):
+    is_dead = "error" in found["limp_loop"]
+    if not is_dead and (move is not None or _wants_steps(joint, yes=yes)):
         if move is not None:
             _consent(_move_question(joint), yes=yes)
         found["steps"] = _steps(settings, joint)
@@ -148,6 +153,8 @@ def _report(
         f"{file} and {text_file.name}: read them, then send them "
         '(docs/hardware.md, "Tell us what yours does")'
     )
+    if is_dead:
+        raise typer.Exit(1)
 
 
 def _joint(settings: "FaceSettings", name: str | None) -> str:
