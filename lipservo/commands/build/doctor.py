@@ -5,6 +5,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -35,6 +36,32 @@ def _examined(settings: "FaceSettings") -> "Iterator[Finding]":
                 yield replace(each, what=f"{name}: {each.what}")
         except BusError as error:
             yield Finding(Severity.BAD, f"{name}: {error}")
+
+
+def _lags(settings: "FaceSettings", config: str) -> "Iterator[Finding]":
+    """What is known of how late servos are that cannot say where they stand."""
+    from firmware_bridge.bus_kinds import Finding, Severity
+    from lipservo.runtime.servos.assembly import assemble_face
+
+    can, names = settings.capabilities, list(settings.servos)
+    blind = [name for name in settings.mouth_servos if not can.of(names.index(name)).place]
+    if not blind or settings.calibration is None:
+        return
+    calibration = assemble_face(config, None).calibration
+    if calibration.following is None:
+        yield Finding(
+            Severity.WARNING,
+            "how late these servos are is not known, and lips are late by as much: "
+            f"{', '.join(blind)}",
+            "film one (docs/calibration.md) and type it: `lipservo calibrate lags FILE --lag-ms "
+            f"{blind[0]}=60`",
+        )
+        return
+    late_s = dict(zip(calibration.servo_names, calibration.following.lag_s.tolist(), strict=True))
+    late = ", ".join(f"{name} {1e3 * late_s[name]:.0f} ms" for name in blind)
+    yield Finding(
+        Severity.GOOD, f"late by the calibration, which these servos cannot confirm: {late}"
+    )
 
 
 def doctor(
@@ -76,14 +103,14 @@ def doctor(
         return
     if move is not None or yes:
         raise typer.BadParameter("--move and --yes go with --report")
-    _examine(settings, as_json=as_json)
+    _examine(settings, config, as_json=as_json)
 
 
-def _examine(settings: "FaceSettings", *, as_json: bool) -> None:
+def _examine(settings: "FaceSettings", config: str, *, as_json: bool) -> None:
     from firmware_bridge.bus_kinds import Severity
 
     findings = []
-    for finding in _examined(settings):
+    for finding in chain(_examined(settings), _lags(settings, config)):
         findings.append(finding)
         if not as_json:
             mark = {0: "ok  ", 1: "warn", 2: "BAD "}[finding.severity]

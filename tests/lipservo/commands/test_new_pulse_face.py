@@ -7,6 +7,7 @@ from in_process import lipservo
 
 from firmware_bridge.bus_kinds import bus_kind
 from lipservo.runtime.servos.new_face import WiredJoint, check_wiring, pulse_face_yaml
+from lipservo.runtime.servos.sim_process import simulated_port
 from lipservo.settings.settings import load_face
 from lipsync.errors import UserError
 
@@ -200,6 +201,27 @@ def test_lags_of_servos_without_an_encoder_are_typed(tmp_path, typed, words):
     else:
         assert load_calibration(path).following.lag_s.tolist() == [0.0725]
         assert "72 ms late" in done.stdout
+
+
+def test_the_doctor_says_which_lags_no_servo_confirms_and_which_are_not_known(tmp_path):
+    from importlib import resources
+
+    files = resources.files("lipservo.config")
+    shipped = (files / "face_jaw.calibration.yaml").read_text()
+    (tmp_path / "face_jaw.calibration.yaml").write_text(shipped)
+    path = tmp_path / "jaw.yaml"
+    path.write_text((files / "face_jaw_maestro.yaml").read_text())
+
+    def said():
+        with simulated_port(["--config", str(path)]) as port:
+            return lipservo("doctor", "--config", path, "--port", port).stdout
+
+    assert "late by the calibration, which these servos cannot confirm: jaw" in said()
+    without = tmp_path / "face_jaw.calibration.yaml"
+    without.unlink()
+    assert lipservo("calibrate", "fit", "--config", path, "-o", without).returncode == 0
+    assert "how late these servos are is not known, and lips are late by as much: jaw" in said()
+    assert "lipservo calibrate lags FILE --lag-ms jaw=60" in said()
 
 
 def test_a_board_that_is_no_word_is_refused():

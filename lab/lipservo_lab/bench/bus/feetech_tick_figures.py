@@ -135,9 +135,8 @@ def _by_hand(name: str) -> Iterator[Call]:
             places = []
             for at in range(0, len(answer), 8):
                 status = answer[at : at + 8]
-                if len(status) == 8 and status[:2] == b"\xff\xff":
-                    if (~sum(status[2:7])) & 0xFF == status[7]:
-                        places.append(status[5] | status[6] << 8)
+                if status[:2] == b"\xff\xff" and ~sum(status[2:7]) & 0xFF == status[-1]:
+                    places.append(status[5] | status[6] << 8)
             return places
 
         assert len(work([0.0] * N_SERVOS)) == N_SERVOS
