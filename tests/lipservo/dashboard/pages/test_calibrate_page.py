@@ -1,5 +1,6 @@
 """What the page says of a calibration, and whether the commands that it names exist."""
 
+import re
 import shlex
 
 import pytest
