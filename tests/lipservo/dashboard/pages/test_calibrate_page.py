@@ -47,11 +47,12 @@ def test_a_command_that_a_page_names_exists_with_its_options(line):
 
 
 def test_hobby_servos_are_offered_no_way_that_asks_where_they_stand():
-    commands = {
-        has_place: steps_of("mine.yaml", has_place=has_place) for has_place in (True, False)
+    told = {
+        has_place: re.sub(r"<[^>]*>", "", steps_of("mine.yaml", has_place=has_place))
+        for has_place in (True, False)
     }
 
-    assert "calibrate measure" in commands[True]
     for words in ("calibrate measure", "calibrate guided", "jog --limp"):
-        assert words not in commands[False]
-    assert "--lag-ms jaw=60" in commands[False]
+        assert words in told[True]
+        assert words not in told[False]
+    assert "--lag-ms jaw=60" in told[False]
