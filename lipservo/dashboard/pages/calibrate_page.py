@@ -142,7 +142,7 @@ _FOLLOWING: Final = (
     ("backlash_deg", "{:.1f}° of play"),
 )
 #: Picture, heading, what happens, command.
-STEPS: Final = (
+STEPS: Final[tuple[tuple[str, str, str, str], ...]] = (
     (
         "rehearse", "Rehearse", "On a simulated robot of which nothing is known: the whole path in "
         "minutes, and nothing can break.",

@@ -330,6 +330,8 @@ def test_of_a_maestro_that_hangs_no_servo_is_said_to_have_no_pulses():
         report = face.bridge.stop_report()
         assert (report.released, report.complete) == ((), False)
         assert set(report.unconfirmed.values()) == {"does not answer"}
+        assert report.text().startswith(f"{N} servos may still be driven:\n  ")
+        assert "confirmed" not in report.text()
         face.maestro.deaf = False
         assert face.bus.disable_all().all()
     assert last_us(face) == [0.0] * N
