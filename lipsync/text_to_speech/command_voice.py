@@ -117,7 +117,8 @@ def _check(voice: Voice) -> None:
 @cache
 def _process() -> VoiceProcess:
     return VoiceProcess(
-        __name__, f"the voice's command did not answer within {LONGEST_S:g} s, or took its process"
+        __name__,
+        f"the voice's command took longer than {LONGEST_S:g} s for a sentence; it was ended",
     )
 
 
