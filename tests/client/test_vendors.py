@@ -290,11 +290,13 @@ KEYS = sorted(
     | {"BlendShapes", "fps", "FrameIndex", "jawOpen"}
 )
 LEAVES = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3)
-VALUES = st.recursive(
-    LEAVES | st.sampled_from(["viseme", "word", "phoneme"]),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(KEYS), inner),
-    max_leaves=12,
-)
+VALUES = LEAVES | st.sampled_from(["viseme", "word", "phoneme"])
+for _ in range(3):
+    VALUES = (
+        VALUES
+        | st.lists(VALUES, max_size=4)
+        | st.dictionaries(st.sampled_from(KEYS), VALUES, max_size=6)
+    )
 
 
 @given(message=VALUES)
