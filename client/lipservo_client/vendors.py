@@ -249,7 +249,8 @@ class _Found:
         for number, (name, *values) in enumerate(of_each):
             place = f"{here.place}[{number}]" if n > 1 else here.place or "message"
             text = _label(name, kind, place)
-            if text is not None:
+            is_blank = shape.kind == "word" and text is not None and not text.strip()
+            if text is not None and not is_blank:
                 start_s, end_s = self._times(values, unit_s, reached_s, place)
                 found.append(TimedUnit(text, start_s, end_s))
                 reached_s = start_s if end_s is None else end_s

@@ -322,13 +322,20 @@ def _alone(name: str) -> str:
 _PLAIN = {"drive_mode": 0, "operating_mode": 3, "homing_offset": 0, "startup_configuration": 0}
 
 
+#: What is taken back of a servo that another program has set up is its middle, too.
+CLEARS_MIDDLE: Final = True
+
+
 def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
     """The first rate at which anybody answers, and the model of every id there."""
     with unhurried_line(port, first_rate) as line:
         scanned = scan(line, [first_rate, *SCANNED_RATES])
         rate, found = next((each for each in scanned if each[1]), (0, {}))
     if not found:
-        raise ServoError(f"{port}: no servo answers at any rate; check power and cable")
+        raise ServoError(
+            f"{port}: no Dynamixel answers at any rate; check power and cable; servos of another "
+            "kind: say so: --bus feetech"
+        )
     models = {each: model_by_number(number) for each, number in sorted(found.items())}
     unknown = [each for each, model in models.items() if model is None]
     if unknown:

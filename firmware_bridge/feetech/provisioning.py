@@ -11,8 +11,9 @@ from typing import Final
 
 from firmware_bridge.bus_kinds import Wiring
 from firmware_bridge.dynamixel.provisioning import Difference, chain_is_complete, differences
-from firmware_bridge.dynamixel.wire.serial_transport import open_port
+from firmware_bridge.dynamixel.wire.serial_transport import SameAdapter, open_port
 from firmware_bridge.errors import ServoError
+from firmware_bridge.feetech.bus import FeetechBus
 from firmware_bridge.feetech.control_table import (
     EEPROM_SIZE,
     MANY_TURNS,
@@ -20,17 +21,20 @@ from firmware_bridge.feetech.control_table import (
     ServoModel,
     baud_rates,
     model_name,
+    servo_models,
 )
 from firmware_bridge.feetech.line import Line
-from firmware_bridge.feetech.mounting import MountedServo, mounted_servos
+from firmware_bridge.feetech.mounting import MountedServo, identify, mounted_servos
 from firmware_bridge.feetech.torque import torque_verified, write_verified
-from firmware_bridge.joints import SERVO_LIMIT_MARGIN_DEG
+from firmware_bridge.joints import SERVO_LIMIT_MARGIN_DEG, Joint
 
 __all__ = ["Difference", "chain_is_complete"]
 
 #: An answer that comes this late is still waited for, outside the loop: setting up, examining.
 UNHURRIED_S: Final = 0.06
 _TRIES: Final = 3
+#: Of a servo that is moved to see which it is.
+_CAREFUL_DEG_S: Final = 60.0
 #: What changes how a servo is spoken to is written last, in this order.
 _LAST: Final = {"id": 1, "baud_rate": 2}
 #: So many questions of each kind; so many of one kind whole and of the other spoilt.
@@ -226,3 +230,72 @@ def _other_model(servo: MountedServo, model: bytes) -> list[str]:
 
 def _alone(name: str) -> str:
     return f"connect the servo of {name!r} alone and run `lipservo setup-servos {name}`"
+
+
+#: What is taken back of a servo that another program has set up leaves its middle as it is.
+CLEARS_MIDDLE: Final = False
+
+
+def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
+    """The first rate at which anybody answers, and the model of every id there."""
+    rates = dict.fromkeys([first_rate, *baud_rates().values()])
+    with unhurried_line(port, first_rate) as line:
+        for rate in rates:
+            line.baud_rate = rate
+            found = line.scan()
+            if found:
+                doubled = [servo_id for servo_id in found if shares_id(line, servo_id)]
+                break
+        else:
+            raise ServoError(f"{port}: no servo answers at any rate; check power and cable")
+    if doubled:
+        raise ServoError(
+            f"two servos answer to id {doubled[0]}: connect one at a time and give each an id of "
+            "its own (`lipservo setup-servos`)"
+        )
+    models = {servo_id: model_name(answers[0]) for servo_id, answers in sorted(found.items())}
+    for servo_id, name in models.items():
+        if name not in servo_models():
+            raise ServoError(f"id {servo_id} is of {name}")
+    return rate, models
+
+
+def foreign_settings(port: str, rate: int, found: Mapping[int, str]) -> dict[int, list[Difference]]:
+    """What differs, by id, of servos found with their models; those that are plain are left out.
+
+    Raises PortError, and ServoError for a servo that falls silent.
+    """
+    differing = {}
+    with unhurried_line(port, rate) as line:
+        for servo_id, name in found.items():
+            held = read_eeprom(line, servo_id, servo_models()[name])
+            if "operating_mode" in held:
+                plain = {"operating_mode": 0, "phase": held["phase"] & ~MANY_TURNS}
+                differing[servo_id] = differences(held, plain)
+    return {servo_id: each for servo_id, each in differing.items() if each}
+
+
+def clear_foreign_settings(
+    port: str, rate: int, found: Mapping[int, str], foreign: Mapping[int, Sequence[Difference]]
+) -> None:
+    """Write what `foreign_settings` found, torque off. Raises PortError, ServoError."""
+    with unhurried_line(port, rate) as line:
+        for servo_id, changes in foreign.items():
+            for _ in set_up(line, servo_id, servo_models()[found[servo_id]], changes):
+                pass  # each is read back
+
+
+def lone_servo(
+    port: str, rate: int, servo_id: int, name: str, reach_deg: float
+) -> tuple[FeetechBus, Joint, int]:
+    """A bus of one servo whose joint has 0 where it stands now; and that place, in ticks."""
+    model = servo_models()[name]
+    joint = Joint(f"id_{servo_id}", servo_id, -reach_deg, reach_deg, _CAREFUL_DEG_S)
+    with unhurried_line(port, rate) as line:
+        found = identify(line, MountedServo(joint, model))
+    if found is None or found.doubled:
+        raise ServoError(f"servo id {servo_id} does not answer as it did")
+    dialect = model.dialect
+    zero_offset_deg = (found.place - dialect.center) / dialect.positions_per_deg
+    servo = MountedServo(joint, model, 1, zero_offset_deg)
+    return FeetechBus([servo], SameAdapter(port, rate)), joint, found.place

@@ -18,8 +18,9 @@ import numpy as np
 import soundfile
 from lipservo_client.vendors import VendorUnits
 
+from lipsync.audio.playout_stream import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
 from lipsync.phoneme_files.reader import events_of, units_in
-from lipsync.spoken_text import SpokenText, SpokenUnit
+from lipsync.spoken_text import SpokenText, SpokenTextError, SpokenUnit
 from lipsync.text_to_speech.synthesis import (
     DEFAULT_VOICE,
     SynthesisError,
@@ -82,7 +83,7 @@ def speech_of(
         if best.kind != "word":
             return replace(speech, phonemes=events_of(best, name), told=None)
         return replace(speech, told=_timed_words(best, sample_rate_hz))
-    except LabelError as error:
+    except (LabelError, SpokenTextError) as error:
         raise SynthesisError(str(error)) from None
 
 
@@ -116,7 +117,8 @@ def _check(voice: Voice) -> None:
 @cache
 def _process() -> VoiceProcess:
     return VoiceProcess(
-        __name__, f"the voice's command did not answer within {LONGEST_S:g} s, or took its process"
+        __name__,
+        f"the voice's command took longer than {LONGEST_S:g} s for a sentence; it was ended",
     )
 
 
@@ -156,6 +158,11 @@ def _sound_of(wav: Path, words: Path) -> tuple[dict[str, object], bytes]:
         raise SynthesisError(
             f"the voice's command wrote no sound to {_WAV} or its standard output ({error})"
         ) from None
+    if not LOWEST_RATE_HZ <= sample_rate_hz <= HIGHEST_RATE_HZ:
+        raise SynthesisError(
+            f"the voice's command wrote sound at {sample_rate_hz} Hz; {LOWEST_RATE_HZ} to "
+            f"{HIGHEST_RATE_HZ} Hz are possible"
+        )
     told = words.read_bytes()[: _LARGEST_WORDS_BYTES + 1] if words.is_file() else b""
     if len(told) > _LARGEST_WORDS_BYTES:
         raise SynthesisError(f"the voice's command wrote more than 1 MB to {_WORDS}")

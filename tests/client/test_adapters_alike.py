@@ -11,6 +11,7 @@ import pytest
 from voice_agents.served_face import RATE_HZ, ServedFace, tone
 
 import lipservo
+from lipservo.agents.listener import AgentSettings
 
 # Their own imports warn of what they will drop one day.
 with warnings.catch_warnings():
@@ -244,6 +245,22 @@ def test_while_another_client_speaks_a_turn_is_dropped_with_a_warning_and_the_ne
     assert "another client speaks" in warning
     assert after == (True, [])
     assert np.array_equal(said, samples)
+
+
+@kinds
+def test_where_clients_wait_for_each_other_a_turn_is_heard_behind_the_others(kind, unused_port):
+    first, second = distinct(0.3, 1), distinct(0.3, 2)
+
+    async def talk(url):
+        async with AGENTS[kind](url, unused_port) as say, lipservo.connect_async(url) as other:
+            async with other.stream() as speech:
+                await speech.write(first)
+                waiting = asyncio.ensure_future(say(second))
+            return await waiting
+
+    with ServedFace(AgentSettings(when_busy="queue")) as face:
+        assert run(talk(face.url)) == (True, [])
+        assert np.array_equal(heard(face), np.concatenate([first, second]))
 
 
 @kinds

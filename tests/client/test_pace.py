@@ -154,9 +154,10 @@ def test_an_agent_that_dies_in_mid_word_leaves_the_face_to_the_next(agent):
         assert asyncio.run(talk(face.url)).finished
 
 
+@pytest.mark.slow
 def test_an_agent_whose_computer_was_suspended_finds_the_face_again(agent):
     """Its monotonic clock has stood still; the face has given it up meanwhile."""
-    with ServedFace(AgentSettings(ping_s=0.05)) as face:
+    with ServedFace(AgentSettings(ping_s=0.5)) as face:
         face.hold()
         process = agent(face)
         process.send_signal(signal.SIGSTOP)

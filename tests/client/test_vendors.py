@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lipservo_client.protocol import told_messages
 from lipservo_client.vendors import VendorError, VendorUnits, vendor_units
+from places import ROOT
 
 ELEVENLABS = {
     "audio_base64": "UklGRg==",
@@ -205,6 +206,16 @@ def test_each_message_tells_its_units_the_most_precise_first(message, told):
     assert list(vendor_units(message)) == told
 
 
+def test_every_example_of_the_page_is_read():
+    page = (ROOT / "docs" / "text.md").read_text("utf-8")
+    block = page.partition("```json\n")[2].partition("```")[0]
+    examples = [line for line in block.splitlines() if line and not line.startswith("//")]
+
+    assert len(examples) > 15
+    for each in examples:
+        assert vendor_units(json.loads(each))[0].units, each
+
+
 def test_what_a_vendor_sends_is_told_to_a_stream_in_samples():
     words, visemes = vendor_units(CARTESIA)[0], vendor_units(AZURE_VISEMES)[0]
 
@@ -225,6 +236,12 @@ def test_a_piece_of_a_stream_is_counted_from_where_its_sound_begins():
     (words,) = vendor_units(CARTESIA, from_s=2.0)
 
     assert words.units == (("Hi", 2.0, 2.2), ("Bob.", 2.25, 2.7))
+
+
+def test_white_space_between_words_is_no_word():
+    spaced = {"words": ["Hi", " ", "Bob"], "start": [0, 0.2, 0.3], "end": [0.2, 0.3, 0.7]}
+
+    assert [each.label for each in vendor_units(spaced)[0].units] == ["Hi", "Bob"]
 
 
 def test_what_reaches_into_the_next_ends_where_that_begins():
@@ -273,11 +290,13 @@ KEYS = sorted(
     | {"BlendShapes", "fps", "FrameIndex", "jawOpen"}
 )
 LEAVES = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3)
-VALUES = st.recursive(
-    LEAVES | st.sampled_from(["viseme", "word", "phoneme"]),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(KEYS), inner),
-    max_leaves=12,
-)
+VALUES = LEAVES | st.sampled_from(["viseme", "word", "phoneme"])
+for _ in range(3):
+    VALUES = (
+        VALUES
+        | st.lists(VALUES, max_size=4)
+        | st.dictionaries(st.sampled_from(KEYS), VALUES, max_size=6)
+    )
 
 
 @given(message=VALUES)

@@ -61,6 +61,19 @@ def driven(jaw, *arguments):
         yield daemon
 
 
+def test_a_second_program_at_one_maestro_is_refused_and_the_first_goes_on(jaw):
+    with driven(jaw):
+        for command in (("run", "--wav", CLIP), ("jog", "jaw", "2"), ("calibrate", "neutral")):
+            done = run(*command, "--config", FACE, "--port", jaw.port)
+            assert done.returncode == 1
+            assert "another program" in done.stderr, done.stderr
+            assert "Traceback" not in done.stderr
+        n_before = len(pulses(jaw))
+        wait_for(lambda: len(pulses(jaw)) > n_before)
+        assert not is_off(jaw)
+    assert is_off(jaw)
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_after_a_signal_no_pulses_are_sent(jaw, number):
     with driven(jaw) as daemon:

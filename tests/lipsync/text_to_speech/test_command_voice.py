@@ -32,8 +32,8 @@ def speak(command, text="Thumbs up.", language="en-us"):
     return CommandVoice().speak(text, Voice(language, command))
 
 
-def writes(words):
-    return f"sh -c 'cat > {{words}}.text; echo {json.dumps(json.dumps(words))} > {{words}}'"
+def with_words(tts, rows):
+    return f"sh -c '{tts}; echo {json.dumps(json.dumps(rows))} > {{words}}'"
 
 
 def test_a_program_without_times_has_its_text_told(tts):
@@ -59,7 +59,7 @@ def test_the_text_comes_by_standard_input_and_never_as_a_command(tts, tmp_path):
 
 def test_phonemes_with_times_move_the_mouth_whoever_wrote_them(tts):
     rows = [{"audioOffset": 0, "visemeId": 21}, {"audioOffset": 1_000_000, "visemeId": 2}]
-    spoken = speak(f"sh -c '{tts}; echo {json.dumps(json.dumps(rows))} > {{words}}'")
+    spoken = speak(with_words(tts, rows))
 
     assert [(e.phoneme, e.start_s) for e in spoken.phonemes] == [("P", 0.0), ("AA", 0.1)]
     assert spoken.told is None
@@ -67,7 +67,7 @@ def test_phonemes_with_times_move_the_mouth_whoever_wrote_them(tts):
 
 def test_words_with_times_are_told_with_them(tts):
     rows = {"words": ["Thumbs", "up"], "start": [0.0, 0.25], "end": [0.2, 0.5]}
-    spoken = speak(f"sh -c '{tts}; echo {json.dumps(json.dumps(rows))} > {{words}}'")
+    spoken = speak(with_words(tts, rows))
 
     assert [(unit.label, unit.start_sample) for unit in spoken.told.units] == [
         ("Thumbs", 0),
@@ -96,13 +96,22 @@ def test_a_command_that_fails_is_one_line(command, error):
 
 def test_times_that_cannot_be_used_are_one_line(tts):
     with pytest.raises(SynthesisError, match=r"\{words\}: no times of words"):
-        speak(f"sh -c '{tts}; echo [] > {{words}}'")
+        speak(with_words(tts, []))
+    rows = [{"word": "a" * 200, "start": 0}]
+    with pytest.raises(SynthesisError, match="200 characters; 1 to 100 are possible"):
+        speak(with_words(tts, rows))
 
 
 def test_another_language_needs_its_place_in_the_command(tts):
     with pytest.raises(SynthesisError, match=r"put \{language\} into it for 'de'"):
         speak(tts, language="de")
     assert len(speak(f"sh -c 'test {{language}} = de; {tts}'", language="de").samples)
+
+
+def test_sound_at_an_impossible_rate_is_one_line(tmp_path):
+    soundfile.write(tmp_path / "slow.wav", np.full(100, 0.1), 1000)
+    with pytest.raises(SynthesisError, match="wrote sound at 1000 Hz; 4000 to 192000 Hz"):
+        speak(f"cp {tmp_path}/slow.wav {{wav}}")
 
 
 def test_silence_is_no_speech(tmp_path):
@@ -123,7 +132,7 @@ def test_a_program_that_writes_without_end_is_stopped(monkeypatch):
 def test_a_program_that_hangs_is_killed_with_all_that_it_started(monkeypatch, tmp_path):
     monkeypatch.setattr(voice_process, "LONGEST_S", 1.0)
     pid = tmp_path / "pid"
-    with pytest.raises(SynthesisError, match="did not answer within"):
+    with pytest.raises(SynthesisError, match="took longer than"):
         speak(f"sh -c 'sleep 600 & echo $! > {pid}; wait'")
 
     wait_until_gone(int(pid.read_text()))
