@@ -27,10 +27,11 @@ from firmware_bridge.feetech.control_table import (
     Dialect,
 )
 from firmware_bridge.feetech.line import Group, Line
-from firmware_bridge.feetech.mounting import MountedServo, Mounting, identify_all
-from firmware_bridge.feetech.state_cache import ServoStateCache
+from firmware_bridge.feetech.mounting import MountedServo, identify_all
+from firmware_bridge.feetech.present_state import PresentState
 from firmware_bridge.feetech.torque import TorqueSwitch
 from firmware_bridge.joints import named
+from firmware_bridge.serial_servos.mounting import Mounting
 from firmware_bridge.transport import Transport
 
 #: What computer and adapter add to a question; one USB frame.
@@ -88,13 +89,14 @@ class FeetechBus:
         """
         self._servos = tuple(servos)
         self._ids = [servo.joint.servo_id for servo in servos]
-        self._index = {servo_id: n for n, servo_id in enumerate(self._ids)}
         self._open_transport = open_transport
         self._strict = strict
         self._dialect = dialect = servos[0].model.dialect
         self._mounting = Mounting(servos)
-        self._cache = ServoStateCache(servos)
-        self._torque = TorqueSwitch(servos, self._cache, self._mounting)
+        self._present = PresentState(servos)
+        self._cache = self._present.cache
+        self._index = self._cache.index
+        self._torque = TorqueSwitch(servos, self._present, self._mounting)
         self._goal = dialect.registers["goal_position"].address
         self._goal_write = GoalWrite(self._ids, self._goal, dialect.byte_order)
         self._state = self._group(STATE, dialect.state_size)
@@ -131,13 +133,13 @@ class FeetechBus:
         taken = (cache.low <= pulses) & (pulses <= cache.high)
         if all_set(taken):
             self._cache.errors, self._cache.goals = cache.no_errors, pulses
-            if all_set(cache.driven):
+            if all_set(self._torque.driven):
                 line.tell(self._goal_write.request(pulses))
                 return
         else:
             self._cache.errors = np.where(taken, 0, GOAL_OUT_OF_RANGE).astype(np.uint8)
             self._cache.goals = np.where(taken, pulses, cache.goals)
-        sent = taken & cache.driven
+        sent = taken & self._torque.driven
         if any_set(sent):
             encode = self._dialect.encode
             line.tell(
@@ -170,7 +172,7 @@ class FeetechBus:
             goals[n] = cache.goals[n]
         cut = STATE - CONTROL
         states = [Status(each.servo_id, each.error, each.data[cut:]) for each in statuses]
-        ages_s = cache.take_state(states, now_s)
+        ages_s = self._present.take_state(states, now_s)
         return Readings(
             time_s=now_s,
             positions_deg=self._mounting.joint_deg(cache.pulses),
@@ -185,7 +187,7 @@ class FeetechBus:
         line, cache = self._line or self.line, self._cache
         found = self._state.ask(line)
         now_s = line.transport.clock.now()
-        ages_s = cache.take_state(found, now_s)
+        ages_s = self._present.take_state(found, now_s)
         return Feedback(
             time_s=now_s,
             positions_deg=self._mounting.joint_deg(cache.pulses),
@@ -207,7 +209,7 @@ class FeetechBus:
             for group in (self._state, self._whole, self._holding):
                 if group.leaves_out:
                     group.trust(servo_id)
-        return cache.health(line.transport.clock.now())
+        return cache.health(line.transport.clock.now(), self._present.current_ma)
 
     def obstacle(self, index: int) -> str:
         """Asked anew before every torque: it may have been replaced, or set up by somebody else."""
@@ -255,7 +257,7 @@ class FeetechBus:
     def reboot(self, index: int) -> None:
         """Torque off, which ends the servo's protection; not all know an instruction to restart."""
         self._torque.disable(self.line, index)
-        self._cache.forget_trouble(index)
+        self._present.forget_trouble(index)
 
     def reopen(self) -> None:
         """A new handle. Raises PortError."""
@@ -292,7 +294,7 @@ class FeetechBus:
     def _begin(self, line: Line) -> None:
         """Use this line from now on, with the deadlines that its slowest servo needs."""
         self._line = line
-        line.return_delay_s = self._torque.return_delay_s()
+        line.return_delay_s = float(self._cache.return_delay_s.max())
         for group in (self._state, self._whole, self._holding):
             group.reset()
 
