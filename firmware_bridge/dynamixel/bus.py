@@ -13,10 +13,11 @@ from firmware_bridge.dynamixel.mounting import MountedServo, identify_all
 from firmware_bridge.dynamixel.present_state import PresentState
 from firmware_bridge.dynamixel.torque import SoftStart, TorqueSwitch, Watchdogs
 from firmware_bridge.dynamixel.wire import codec
-from firmware_bridge.dynamixel.wire.codec import BITS_PER_BYTE, GoalWrite, Status, StatusError
+from firmware_bridge.dynamixel.wire.codec import GoalWrite, Status, StatusError
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.span_group import SpanGroup
 from firmware_bridge.errors import PortError
+from firmware_bridge.serial_servos.half_duplex import BITS_PER_BYTE
 from firmware_bridge.serial_servos.mounting import Mounting
 from firmware_bridge.transport import Transport
 

@@ -21,7 +21,6 @@ from firmware_bridge.dynamixel.control_table import (
 )
 from firmware_bridge.dynamixel.mounting import MountedServo, mounted_servos
 from firmware_bridge.dynamixel.wire.line import Line
-from firmware_bridge.dynamixel.wire.serial_transport import SameAdapter
 from firmware_bridge.errors import ServoError
 from firmware_bridge.joints import SERVO_LIMIT_MARGIN_DEG, Joint
 from firmware_bridge.serial_servos.provisioning import (
@@ -30,6 +29,7 @@ from firmware_bridge.serial_servos.provisioning import (
     chain_is_complete,
     differences,
 )
+from firmware_bridge.serial_servos.serial_transport import SameAdapter
 
 __all__ = ["chain_is_complete"]
 

@@ -15,7 +15,6 @@ from firmware_bridge.bus import (
     all_set,
     any_set,
 )
-from firmware_bridge.dynamixel.wire.codec import BITS_PER_BYTE
 from firmware_bridge.errors import PortError
 from firmware_bridge.feetech import codec
 from firmware_bridge.feetech.codec import EMPTY_SIZE, GoalWrite, Status, statuses_in
@@ -31,6 +30,7 @@ from firmware_bridge.feetech.mounting import MountedServo, identify_all
 from firmware_bridge.feetech.present_state import PresentState
 from firmware_bridge.feetech.torque import TorqueSwitch
 from firmware_bridge.joints import named
+from firmware_bridge.serial_servos.half_duplex import BITS_PER_BYTE
 from firmware_bridge.serial_servos.mounting import Mounting
 from firmware_bridge.transport import Transport
 

@@ -38,7 +38,7 @@ def examine(line: Line, servos: Sequence[MountedServo], rate_hz: float) -> Itera
     spoilt = False
     for rate, found in scan(line, rates):
         at_rate |= {each: (rate, model) for each, model in found.items() if each not in at_rate}
-        spoilt |= line.spoilt
+        spoilt |= line.heard_noise
         if set(ids) <= set(at_rate):
             break
     line.baud_rate = wanted_rate

@@ -88,7 +88,7 @@ def identify(
         if eeprom and state:
             place = dialect.decode("present_position", state.data, STATE)
             return ServoIdentity(eeprom.data[3:5], dialect.decode_all(eeprom.data), place)
-        n_spoilt += line.spoilt
+        n_spoilt += line.heard_noise
     if n_spoilt >= len(_EXTRA_WAITS_S) - 1:
         return ServoIdentity(b"", {}, 0, doubled=True)
     return None

@@ -67,8 +67,8 @@ def shares_id(line: Line, servo_id: int) -> bool:
     n_heard = n_spoilt = 0
     for _ in range(_ASKED):
         answer = line.read(servo_id, STATE, 8)
-        n_heard += answer is not None or line.spoilt
-        n_spoilt += answer is None and line.spoilt
+        n_heard += answer is not None or line.heard_noise
+        n_spoilt += answer is None and line.heard_noise
     return n_heard >= _HEARD and n_spoilt >= _SPOILT
 
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from firmware_bridge.bus_kinds import Wiring
-from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.errors import ServoError
 from firmware_bridge.serial_servos.mounting import MountedServo
+from firmware_bridge.serial_servos.serial_transport import open_port
 
 #: An answer that comes this late is still waited for, outside the loop: setting up, examining.
 UNHURRIED_S: Final = 0.06
