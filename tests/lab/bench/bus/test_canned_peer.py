@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from lipservo_lab.campaigns.fault_campaign import face
+from lipservo_lab.campaigns.chain_trials import face
 
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.wire.codec import SpanRead
