@@ -32,8 +32,8 @@ from lipservo_lab.campaigns.fault_campaign import (
 
 BAUD_RATE: Final = 1_000_000
 _PROBABILITIES: Final = (0.01, 0.1, 0.5)
-#: A place is read up to a few ms before it is compared, and servos go on meanwhile.
-_PLACE_DEG: Final = 3.0
+#: A place is compared so soon after it was read; servos go on meanwhile.
+_JUST_NOW_S, _PLACE_DEG = 0.005, 3.0
 _MUST_NOT: Final = (
     "goals_outside_limits",
     "steps_above_clamp",
@@ -88,7 +88,7 @@ class ChainStage:
     def look(self, bridge: Bridge) -> None:
         """Places that were read just now are compared with the shafts."""
         feedback = bridge.feedback
-        if feedback is None:
+        if feedback is None or self.clock.now() - feedback.time_s > _JUST_NOW_S:
             return
         shafts = [each.place for each in self.chain.servos]
         off_deg = np.abs(
