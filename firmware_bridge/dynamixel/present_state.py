@@ -63,7 +63,7 @@ class PresentState:
             n = cache.index[status.servo_id]
             cache.heard_s[n] = now_s
             if status.error:
-                cache.errors = cache.errors.copy()
+                self.cache.errors = cache.errors.copy()
                 cache.errors[n] = status.error
 
     def take_motion(self, statuses: Sequence[Status], now_s: float) -> Array:
@@ -76,14 +76,14 @@ class PresentState:
             self._frame[:] = statuses.stream
             cache.pulses[:] = self._positions
             self._current_units[:] = self._currents
-            cache.effort = np.abs(self._current_units) * self._effort_unit
+            self.cache.effort = np.abs(self._current_units) * self._effort_unit
             return cache.no_age_s
         self.note(statuses, now_s)
         if statuses:
             at = [cache.index[status.servo_id] for status in statuses]
             values = np.frombuffer(b"".join([status.data for status in statuses]), dtype=_MOTION)
             cache.pulses[at] = values["position"]
-            cache.effort = cache.effort.copy()
+            self.cache.effort = cache.effort.copy()
             cache.effort[at] = np.abs(values["current"]) * self._effort_unit[at]
         ages_s = cache.ages([status.servo_id for status in statuses], now_s)
         cache.count_silent(ages_s)

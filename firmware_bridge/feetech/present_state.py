@@ -96,17 +96,17 @@ class PresentState:
             ages_s = cache.ages([status.servo_id for status in found], now_s)
             cache.count_silent(ages_s)
         pulses: Array = self._places()
-        cache.effort = np.asarray((self._loads & 0x3FF) * 1e-3, np.float64)
+        self.cache.effort = np.asarray((self._loads & 0x3FF) * 1e-3, np.float64)
         self._take_conditions()
         if not self._all_heard:
             ever = np.isfinite(cache.pulses)
             ever[np.flatnonzero(ages_s == 0.0)] = True
             self._all_heard = bool(ever.all())
-            cache.voltage_v = np.where(ever, cache.voltage_v, np.nan)
-            cache.temperature_degc = np.where(ever, cache.temperature_degc, np.nan)
-            cache.room_degc = np.where(ever, cache.room_degc, ROOM_DEGC)
+            self.cache.voltage_v = np.where(ever, cache.voltage_v, np.nan)
+            self.cache.temperature_degc = np.where(ever, cache.temperature_degc, np.nan)
+            self.cache.room_degc = np.where(ever, cache.room_degc, ROOM_DEGC)
             pulses = np.where(ever, pulses, np.nan)
-        cache.pulses = pulses
+        self.cache.pulses = pulses
         return ages_s
 
     def _places(self) -> Array:
@@ -122,11 +122,11 @@ class PresentState:
         if seen == self._seen and self._all_heard:
             return
         self._seen = seen
-        cache.voltage_v = of["voltage"] * 0.1
-        cache.temperature_degc = of["temperature"].astype(np.float64)
-        cache.room_degc = cache.hottest - cache.temperature_degc
+        self.cache.voltage_v = of["voltage"] * 0.1
+        self.cache.temperature_degc = of["temperature"].astype(np.float64)
+        self.cache.room_degc = cache.hottest - cache.temperature_degc
         now = _HARDWARE[of["status"] & _STATUS_BITS]
-        cache.hardware = read_only(cache.hardware | now)
+        self.cache.hardware = read_only(cache.hardware | now)
 
     def forget_trouble(self, index: int) -> None:
         """It has been restarted: what it reports from now on counts."""

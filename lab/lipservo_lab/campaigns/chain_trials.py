@@ -90,7 +90,7 @@ class ChainStage:
         feedback = bridge.feedback
         if feedback is None or self.clock.now() - feedback.time_s > _JUST_NOW_S:
             return
-        shafts = [each.place for each in self.chain.servos]
+        shafts = self.chain.motors.position
         off_deg = np.abs(
             [
                 (each.pulse(deg) - place) / each.model.pulses_per_deg
