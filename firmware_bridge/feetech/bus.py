@@ -188,6 +188,8 @@ class FeetechBus:
         found = self._state.ask(line)
         now_s = line.transport.clock.now()
         ages_s = self._present.take_state(found, now_s)
+        if any_set(ages_s):
+            self._torque.doubt(ages_s)
         return Feedback(
             time_s=now_s,
             positions_deg=self._mounting.joint_deg(cache.pulses),
@@ -197,10 +199,17 @@ class FeetechBus:
         )
 
     def look_after(self) -> Health:
-        """Torque and bounds of one servo, in turns; the rest comes with every feedback."""
+        """Torque and bounds of one servo, in turns; the rest comes with every feedback.
+
+        Of one that is back from a silence first: until then it gets no goals.
+        """
         line, cache = self._line or self.line, self._cache
         index = self._turn
-        self._turn = (index + 1) % len(self._ids)
+        back = self._torque.doubted & (cache.heard_s == cache.heard_s.max())
+        if any_set(back):
+            index = int(back.argmax())
+        else:
+            self._turn = (index + 1) % len(self._ids)
         servo_id = self._ids[index]
         status = line.read(servo_id, CONTROL, self._dialect.control_size)
         if status is not None:

@@ -5,6 +5,7 @@ from typing import Final
 
 import numpy as np
 
+from firmware_bridge.bus import Array
 from firmware_bridge.bus_kinds import NOT_SEEN
 from firmware_bridge.feetech import codec
 from firmware_bridge.feetech.control_table import CONTROL, SOFT_START_S, TORQUE_ENABLE
@@ -24,6 +25,8 @@ _SPEED_MARGIN: Final = 1.05
 _STAGGER_S: Final = 0.010
 #: In a tick there is no time for more.
 _TRIES: Final = 2
+#: Silent for so long, it may have restarted, without bounds and with a goal switching torque on.
+_RESTART_S: Final = 0.1
 
 
 def write_verified(line: Line, servo_id: int, address: int, data: bytes) -> bool:
@@ -62,6 +65,8 @@ class TorqueSwitch:
         self._cache = present.cache
         #: Who gets goals: a goal may switch torque on.
         self.driven = np.zeros(n, dtype=np.bool_)
+        #: Who gets none until its bounds were read, having been silent.
+        self.doubted = np.zeros(n, dtype=np.bool_)
         self._mounting = mounting
         self._dialect = servos[0].model.dialect
         self._identities: list[ServoIdentity | None] = [None] * n
@@ -122,7 +127,7 @@ class TorqueSwitch:
 
     def disable(self, line: Line, index: int) -> bool:
         """Torque off; whether it was read back."""
-        self.driven[index] = False
+        self.driven[index] = self.doubted[index] = False
         self._full_at_s[index] = np.inf
         limp = torque_verified(line, self._servos[index].joint.servo_id, on=False)
         if limp:
@@ -132,8 +137,14 @@ class TorqueSwitch:
 
     def disable_all(self) -> None:
         """Nobody gets goals, nor full strength, any more."""
-        self.driven[:] = False
+        self.driven[:] = self.doubted[:] = False
         self._full_at_s[:] = np.inf
+
+    def doubt(self, ages_s: Array) -> None:
+        """Withhold goals from who has not answered for a while. ages_s: 0 of those who just have."""
+        silent = self.driven & (ages_s > _RESTART_S)
+        self.doubted |= silent
+        self.driven &= ~silent
 
     def look_after(self, line: Line, index: int, control: bytes) -> None:
         """Full strength once it is due; off, if it has forgotten its bounds: it has restarted.
@@ -141,11 +152,14 @@ class TorqueSwitch:
         control: the bytes from `CONTROL` on. Some come back from a brown-out with torque on.
         """
         self._cache.set_one("torque", index, control[0] != 0)
-        if not self.driven[index] or not control[0]:
+        if self.doubted[index] and not control[0]:
+            self.doubted[index] = False  # it is brought up anew
+        if not (self.driven[index] or self.doubted[index]) or not control[0]:
             return
         if self._dialect.decode("goal_speed", control, CONTROL) != self._speeds[index]:
             self.disable(line, index)
             return
+        self.driven[index], self.doubted[index] = True, False
         is_due = self._full_at_s[index] <= line.transport.clock.now()
         if is_due and self._bound(line, index, soft=False):
             self._full_at_s[index] = np.inf

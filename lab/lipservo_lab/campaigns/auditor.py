@@ -47,7 +47,12 @@ class SeenOrder(NamedTuple):
 
 
 class AuditedWire(Protocol):
-    """What one protocol's packets order, and when a servo may be armed."""
+    """What one protocol's packets order, and when a servo may be armed.
+
+    has_watchdog: servos stop by themselves where the computer is gone.
+    """
+
+    has_watchdog: bool
 
     def orders(self, data: bytes) -> Iterator[SeenOrder]:
         """Of one write of the computer."""
@@ -58,6 +63,8 @@ class AuditedWire(Protocol):
 
 class DynamixelWire:
     """Protocol 2.0."""
+
+    has_watchdog = True
 
     def __init__(self) -> None:
         self._parser = FrameParser()
@@ -92,6 +99,8 @@ class DynamixelWire:
 
 class FeetechWire:
     """Feetech's protocol, STS: little-endian, one sync write of goals a tick."""
+
+    has_watchdog = False
 
     def orders(self, data: bytes) -> Iterator[SeenOrder]:
         """Of one write of the computer, which holds whole packets."""
@@ -233,6 +242,8 @@ class Auditor:
     def _see_motion(self, time_s: float, position: Array) -> None:
         assert self._chain is not None  # it calls
         motors = self._chain.motors
+        if self._frozen and not (self._wire.has_watchdog or self._chain.plugged):
+            self._stopped_s = time_s  # they go on to their last goal, whatever a person wants
         seen, self._before = self._before, (position.copy(), motors.trajectory.copy())
         held, self._held = self._held & motors.torque_on, motors.torque_on.copy()
         span_s, self._before_s = time_s - self._before_s, time_s
