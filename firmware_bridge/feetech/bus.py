@@ -104,6 +104,13 @@ class FeetechBus:
         self._holding = self._group(TORQUE_ENABLE, 1)
         self._remarks: tuple[str, ...] = ()
         self._turn = 0
+        #: Goals sent last and when; who is yet behind, goals having been withheld.
+        self._sent = np.full(len(self._ids), np.nan)
+        self._sent_s = 0.0
+        self._behind = np.zeros(len(self._ids), dtype=np.bool_)
+        self._top_pulses_s = np.array(
+            [s.joint.max_speed_deg_s * s.model.pulses_per_deg for s in servos]
+        )
         self._line: Line | None = None
 
     def _group(self, address: int, size: int) -> Group:
@@ -131,15 +138,25 @@ class FeetechBus:
         line = self._line or self.line  # the property raises
         pulses = self._mounting.pulses(positions_deg)
         taken = (cache.low <= pulses) & (pulses <= cache.high)
+        torque, since_s = self._torque, self._sent_s
+        self._sent_s = line.transport.clock.now()
         if all_set(taken):
-            self._cache.errors, self._cache.goals = cache.no_errors, pulses
-            if all_set(self._torque.driven):
+            cache.errors, cache.goals = cache.no_errors, pulses
+            if all_set(torque.driven) and not any_set(self._behind):
+                self._sent = pulses
                 line.tell(self._goal_write.request(pulses))
                 return
         else:
-            self._cache.errors = np.where(taken, 0, GOAL_OUT_OF_RANGE).astype(np.uint8)
-            self._cache.goals = np.where(taken, pulses, cache.goals)
-        sent = taken & self._torque.driven
+            cache.errors = np.where(taken, 0, GOAL_OUT_OF_RANGE).astype(np.uint8)
+            cache.goals = np.where(taken, pulses, cache.goals)
+        # Whose goals were withheld for a while follows at its own top speed.
+        self._behind = (self._behind | torque.doubted) & (torque.doubted | torque.driven)
+        reach = np.trunc(self._top_pulses_s * (self._sent_s - since_s))
+        near = np.clip(cache.goals, self._sent - reach, self._sent + reach)
+        goals = np.where(self._behind, near, cache.goals)
+        self._behind &= torque.doubted | (goals != cache.goals)
+        self._sent = np.where(torque.doubted, self._sent, goals)
+        sent = taken & torque.driven
         if any_set(sent):
             encode = self._dialect.encode
             line.tell(
@@ -147,7 +164,7 @@ class FeetechBus:
                     self._goal,
                     2,
                     [
-                        (self._ids[n], encode("goal_position", int(pulses[n])))
+                        (self._ids[n], encode("goal_position", int(goals[n])))
                         for n in np.flatnonzero(sent).tolist()
                     ],
                 )
@@ -226,10 +243,12 @@ class FeetechBus:
 
     def enable_torque(self, index: int) -> str:
         """Identity, place, bounds, goal, torque; each read back before the next."""
+        self._behind[index] = False
         return self._torque.enable(self.line, index)
 
     def keep_torque(self, index: int) -> bool:
         """Goal := place, for a servo whose torque is on already."""
+        self._behind[index] = False
         return self._torque.keep(self.line, index)
 
     def disable_torque(self, index: int) -> bool:

@@ -141,7 +141,7 @@ class TorqueSwitch:
         self._full_at_s[:] = np.inf
 
     def doubt(self, ages_s: Array) -> None:
-        """Withhold goals from who has not answered for a while. ages_s: 0 of those who just have."""
+        """Withhold goals from who was silent for long. ages_s: 0 for those who just answered."""
         silent = self.driven & (ages_s > _RESTART_S)
         self.doubted |= silent
         self.driven &= ~silent
