@@ -125,7 +125,7 @@ class MaestroKind(BusKind):
 
 
 def _opener(port: str) -> Callable[[], Any]:
-    from firmware_bridge.dynamixel.wire.serial_transport import SameAdapter
+    from firmware_bridge.serial_servos.serial_transport import SameAdapter
 
     return SameAdapter(port, BAUD_RATE)
 

@@ -9,7 +9,7 @@ import pytest
 import soundfile
 
 from firmware_bridge.dynamixel.wire.line import Line
-from firmware_bridge.dynamixel.wire.serial_transport import open_port
+from firmware_bridge.serial_servos.serial_transport import open_port
 from lipservo.runtime.servos.sim_process import simulated_port
 from lipservo.settings.settings import load_face
 

@@ -26,8 +26,8 @@ from running_daemon import (
 )
 
 from firmware_bridge.dynamixel.wire.line import Line
-from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.process.control_client import ask
+from firmware_bridge.serial_servos.serial_transport import open_port
 from lipservo.runtime.servos.sim_process import simulated_port
 
 # Real processes in real time.

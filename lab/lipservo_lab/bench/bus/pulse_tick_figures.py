@@ -15,7 +15,6 @@ import smbus2
 
 from firmware_bridge.bus_kinds import Wiring
 from firmware_bridge.clock import ManualClock
-from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
@@ -30,6 +29,7 @@ from firmware_bridge.pca9685.registers import FULL, IDENTITY, Mode1, Register
 from firmware_bridge.pca9685.settings import Pca9685Settings
 from firmware_bridge.pulse_bus import PulseBus, PulseController
 from firmware_bridge.pulse_servos import PulseServo
+from firmware_bridge.serial_servos.serial_transport import open_port
 
 N_SERVOS: Final = 16
 _RATE_HZ: Final = 50.0

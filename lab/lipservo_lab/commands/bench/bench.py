@@ -165,11 +165,11 @@ def faults(
     Exit status 1 when anything happened that must not.
     """
     from lipservo_lab.bench.fault_figures import (
-        CAMPAIGN_BUSES,
         campaign_figures,
         signal_campaign_figures,
         stop_campaign_figures,
     )
+    from lipservo_lab.campaigns.fault_campaign import CAMPAIGN_BUSES
 
     if stops + signals + whole > 1:
         raise UserError("--stops, --signals and --whole: give one of them")
