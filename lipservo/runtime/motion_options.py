@@ -17,6 +17,7 @@ from lipservo.settings.motion_names import (
 from lipservo.settings.sections import MotionSettings
 from lipsync.errors import UserError
 from lipsync.expectation.expectation import read_expectation
+from lipsync.expectation.soft_expectation import read_soft_expectation
 from lipsync.face.frame import Synthesizer
 from lipsync.face.model import FaceModel, ModelError, open_model, read_face
 from lipsync.motion.finishing import (
@@ -195,13 +196,17 @@ def make_synthesizer(
             raise ModelError(f"{file.name}: has changed while it was being read; start again")
         style = options.style
         if options.strategy == LIVE_STRATEGY:
-            return LiveSynthesizer(face, read_expectation(file, face.n_components), style)
+            expectation = read_expectation(file, face.n_components)
+            soft = read_soft_expectation(file, face.n_components)
+            return LiveSynthesizer(face, expectation, style, soft=soft)
         from lipsync.animpho.selection import STRATEGIES as SELECTIONS
         from lipsync.animpho.synthesizer import PublishedSynthesizer
         from lipsync.animpho.units import read_animphos
 
         units = read_animphos(file, face)
         if options.strategy == UNIT_STRATEGY:
-            return LiveSynthesizer(face, read_expectation(file, face.n_components), style, units)
+            expectation = read_expectation(file, face.n_components)
+            soft = read_soft_expectation(file, face.n_components)
+            return LiveSynthesizer(face, expectation, style, units, soft)
         published = PublishedSynthesizer(units, SELECTIONS[options.strategy])
         return FinishedSynthesizer(face, published, style.strength)

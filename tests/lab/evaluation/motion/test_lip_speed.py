@@ -49,9 +49,7 @@ def test_the_gap_counts_apart_from_single_points(face):
 
 
 def test_steps_are_counted_by_the_second_of_speech():
-    figures = lip_speed_figures(
-        [LipSpeed(450.0, 1, 4.5, 2, 2.0), LipSpeed(300.0, 0, 3.0, 0, 3.0)]
-    )
+    figures = lip_speed_figures([LipSpeed(450.0, 1, 4.5, 2, 2.0), LipSpeed(300.0, 0, 3.0, 0, 3.0)])
     assert figures == {
         "fastest_lip_mm_s": 450.0,
         "fast_steps_per_s": pytest.approx(0.2),
