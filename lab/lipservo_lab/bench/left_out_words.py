@@ -87,7 +87,8 @@ def word_folds(corpus: Corpus) -> list[Part]:
 _MOST_KEPT: Final = 40
 #: The code that learns; another version of it learns another model.
 _LEARNING = (
-    "lipservo_lab.learning.motion", "lipservo_lab.learning.expectation", "lipservo_lab.baselines",
+    "lipservo_lab.learning.motion", "lipservo_lab.learning.recognition",
+    "lipservo_lab.learning.expectation", "lipservo_lab.baselines",
     "lipsync.expectation", "lipsync.animpho", "lipsync.face",
 )  # fmt: skip
 

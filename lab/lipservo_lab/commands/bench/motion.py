@@ -6,7 +6,6 @@
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -21,7 +20,7 @@ from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 
 if TYPE_CHECKING:
     from lipservo_lab.bench.motion_figures import Question
-    from lipservo_lab.corpus.utterance import Corpus, Utterance
+    from lipservo_lab.corpus.utterance import Utterance
     from lipservo_lab.evaluation.motion.offline_methods import OfflineModels
     from lipservo_lab.learning.motion.trained_model import TrainedModel
 
@@ -227,10 +226,9 @@ def _answer(
     from lipservo_lab.bench import motion_figures as measure
     from lipservo_lab.corpus.grid import read_grid
     from lipservo_lab.evaluation.motion.motion_scores import seen_in_training
-    from lipservo_lab.learning.expectation.deviation import hear_sentences
-    from lipservo_lab.learning.motion.face_training import train
+    from lipservo_lab.learning.motion.model_teacher import ModelTeacher
     from lipsync.markers import MARKERS_47
-    from lipsync.recognition.network import load_shipped_weights
+    from lipsync.recognition.network import DEFAULT_WEIGHTS
 
     sentences = read_grid(
         folder,
@@ -253,19 +251,15 @@ def _answer(
     def track(what: str, items: "Sequence[Utterance]") -> "Iterable[Utterance]":
         return progress.track(items, description=what)
 
-    heard = None
-    if given is None:  # once for all trainings: the recogniser has heard no sentence of the folder
-        labelled = sentences.labelled().utterances
-        heard = hear_sentences(load_shipped_weights(), labelled, partial(track, "listening"))
     step = progress.add_task("training", total=None, visible=given is None)
-
-    def learn(part: "Corpus") -> "TrainedModel":
-        return train(
-            part, heard=heard, progress=lambda text: progress.update(step, description=text)
-        )
-
     if given is None:
-        validated = measure.cross_validate(folder, sentences, asked, learn, track)
+        teacher = ModelTeacher(
+            sentences.labelled(),
+            DEFAULT_WEIGHTS,
+            track,
+            lambda text: progress.update(step, description=text),
+        )
+        validated = measure.cross_validate(folder, sentences, asked, teacher, track)
         rows, model, unseen = validated.rows, validated.model, validated.unseen
     else:
         rows, model, unseen = measure.score_model(given, sentences, asked, track), given, sentences
@@ -321,10 +315,9 @@ def _measure_left_out(
     from lipservo_lab.bench.readability.readability_figures import OnceListener
     from lipservo_lab.corpus.grid import read_grid
     from lipservo_lab.evaluation.motion.motion_scores import true_phonemes
-    from lipservo_lab.learning.expectation.deviation import hear_sentences
-    from lipservo_lab.learning.motion.face_training import train
+    from lipservo_lab.learning.motion.model_teacher import ModelTeacher
     from lipsync.markers import MARKERS_47
-    from lipsync.recognition.network import load_shipped_weights
+    from lipsync.recognition.network import DEFAULT_WEIGHTS
 
     began_s = time.perf_counter()
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
@@ -339,17 +332,14 @@ def _measure_left_out(
             progress=lambda names: progress.track(names, description="reading"),
         ).labelled()
         word_folds(sentences)  # what cannot be left out is refused before the long part
-        heard = hear_sentences(
-            load_shipped_weights(), sentences.utterances, partial(track, "listening")
-        )
         step = progress.add_task("training", total=None)
-
-        def learn(part: "Corpus") -> "TrainedModel":
-            return train(
-                part, heard=heard, progress=lambda text: progress.update(step, description=text)
-            )
-
-        models = KeptModels(cache_folder(), sentences, heard, learn)
+        teacher = ModelTeacher(
+            sentences,
+            DEFAULT_WEIGHTS,
+            track,
+            lambda text: progress.update(step, description=text),
+        )
+        models = KeptModels(cache_folder(), sentences, teacher.heard, teacher)
         listen = true_phonemes
         if asked.phonemes != measure.PHONEMES_TRUE:
             with_text = asked.phonemes == measure.PHONEMES_TEXT
