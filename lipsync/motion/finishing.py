@@ -160,6 +160,8 @@ def closures(
     first = bisect_right(track.starts_s, time_s) - 2
     for i in range(max(0, first), len(track.phonemes)):
         start_s, end_s = track.starts_s[i], track.ends_s[i]
+        if end_s > known_until_s + _ROUNDING_S:
+            end_s = math.inf
         if start_s > known_until_s + _ROUNDING_S:
             return
         if track.phonemes[i] in moments_s:
