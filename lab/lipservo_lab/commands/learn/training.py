@@ -223,7 +223,7 @@ def train_soft(
     """
     from lipservo_lab.corpus.grid import read_grid
     from lipservo_lab.learning.expectation.soft_training import hear_copies
-    from lipservo_lab.learning.motion.model_teacher import with_soft_expectation
+    from lipservo_lab.learning.motion.model_teacher import taught_sentences, with_soft_expectation
     from lipservo_lab.learning.motion.trained_model import load_trained_model, save_model
     from lipsync.face.model import is_model
     from lipsync.recognition.network import find_weights, weights_digest
@@ -241,7 +241,7 @@ def train_soft(
         ).labelled()
         copies = hear_copies(
             network,
-            sentences.utterances,
+            taught_sentences(face, sentences),
             lambda what, items: progress.track(items, description=what),
         )
         progress.add_task("posteriors to faces", total=None)

@@ -61,13 +61,19 @@ def with_soft_expectation(
     digest: of the weights that the copies were heard with. A corpus too small for a map leaves the
     model without one. Raises TrainingError where the model learned other sentences.
     """
+    utterances = taught_sentences(model, corpus)
+    coefficients = [model.coefficients(u.markers_mm) for u in utterances]
+    soft = fit_soft_expectation(utterances, coefficients, copies)
+    return replace(model, soft=soft, provenance={**model.provenance, "soft_weights": digest})
+
+
+def taught_sentences(model: TrainedModel, corpus: Corpus) -> tuple[Utterance, ...]:
+    """The sentences of a corpus that the model has learned; TrainingError where some are missing."""
     known = set(model.training_sentences)
-    utterances = [u for u in corpus.utterances if u.name in known and u.phones]
+    utterances = corpus.labelled().keep(known).utterances
     if len(utterances) != len(known):
         raise TrainingError(
             f"corpus {corpus.name}: {len(known) - len(utterances)} of the model's "
             f"{len(known)} sentences are not in it; give the folder that the model was made of"
         )
-    coefficients = [model.coefficients(u.markers_mm) for u in utterances]
-    soft = fit_soft_expectation(utterances, coefficients, copies)
-    return replace(model, soft=soft, provenance={**model.provenance, "soft_weights": digest})
+    return utterances
