@@ -68,7 +68,7 @@ def with_soft_expectation(
 
 
 def taught_sentences(model: TrainedModel, corpus: Corpus) -> tuple[Utterance, ...]:
-    """The sentences of a corpus that the model has learned; TrainingError where some are missing."""
+    """Those of a corpus that a model has learned; TrainingError where some are missing."""
     known = set(model.training_sentences)
     utterances = corpus.labelled().keep(known).utterances
     if len(utterances) != len(known):
