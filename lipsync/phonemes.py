@@ -4,11 +4,11 @@ The 39 phones of the CMU pronouncing dictionary plus SIL, upper case, without st
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Literal, Protocol, runtime_checkable
 
-from lipsync.arrays import Array
+from lipsync.arrays import Array, Array32
 from lipsync.audio_block import AudioBlock
 
 SILENCE = "SIL"
@@ -98,18 +98,36 @@ class PhonemeEvent:
 
 
 @dataclass(frozen=True, slots=True)
+class FramePosteriors:
+    """What a recogniser believes of each phoneme, frame by frame, before anything is decided.
+
+    values: (n, n_heads, len(PHONEMES)), in their order; the posteriors of a head in a frame sum to
+    1. The head that waits d = delays[h] frames speaks, in row i, about frame `first_frame` + i - d,
+    which begins at that number / frames_per_s; one that waits longer knows better.
+    """
+
+    frames_per_s: int
+    first_frame: int
+    delays: tuple[int, ...]
+    values: Array32
+
+
+@dataclass(frozen=True, slots=True)
 class PhonemeUpdate:
     """A source's whole belief from `replace_from_s` on, replacing all it said before about it.
 
     Events are in order of time, do not overlap, and only the last may have no end. The first may
     have begun before `replace_from_s`: it is then the one going on there, with its true start. The
     sound was heard until `heard_until_s`; nothing before `final_until_s` changes again.
+    posteriors: what it was decided from, of the frames heard since the last update; None where
+    nothing was heard, or what is said is known.
     """
 
     replace_from_s: float
     heard_until_s: float
     final_until_s: float
     events: tuple[PhonemeEvent, ...]
+    posteriors: FramePosteriors | None = field(default=None, compare=False, repr=False)
 
 
 class PhonemeScript(Protocol):

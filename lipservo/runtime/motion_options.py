@@ -1,5 +1,7 @@
 """How sound becomes motion: who listens, which strategy moves the mouth, and in what style."""
 
+import logging
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -17,8 +19,9 @@ from lipservo.settings.motion_names import (
 from lipservo.settings.sections import MotionSettings
 from lipsync.errors import UserError
 from lipsync.expectation.expectation import read_expectation
+from lipsync.expectation.soft_expectation import SoftExpectation, read_soft_expectation
 from lipsync.face.frame import Synthesizer
-from lipsync.face.model import FaceModel, ModelError, open_model, read_face
+from lipsync.face.model import FaceModel, ModelError, ModelFile, open_model, read_face
 from lipsync.motion.finishing import (
     DEFAULT_LOOKAHEAD_S,
     DEFAULT_UNIT_SHARE,
@@ -32,8 +35,12 @@ from lipsync.recognition.network import (
     DEFAULT_WEIGHTS,
     LATENCY_S,
     SHIPPED,
+    WeightsError,
     check_weights,
+    weights_digest,
 )
+
+_LOG = logging.getLogger(__name__)
 
 #: For `--low-latency`: the best of those with which a goal follows its sound within 150 ms
 #: (docs/benchmarks.md, From microphone to bus).
@@ -195,13 +202,30 @@ def make_synthesizer(
             raise ModelError(f"{file.name}: has changed while it was being read; start again")
         style = options.style
         if options.strategy == LIVE_STRATEGY:
-            return LiveSynthesizer(face, read_expectation(file, face.n_components), style)
+            expectation = read_expectation(file, face.n_components)
+            return LiveSynthesizer(face, expectation, style, soft=_soft_of(file, face, options))
         from lipsync.animpho.selection import STRATEGIES as SELECTIONS
         from lipsync.animpho.synthesizer import PublishedSynthesizer
         from lipsync.animpho.units import read_animphos
 
         units = read_animphos(file, face)
         if options.strategy == UNIT_STRATEGY:
-            return LiveSynthesizer(face, read_expectation(file, face.n_components), style, units)
+            expectation = read_expectation(file, face.n_components)
+            soft = _soft_of(file, face, options)
+            return LiveSynthesizer(face, expectation, style, units, soft)
         published = PublishedSynthesizer(units, SELECTIONS[options.strategy])
         return FinishedSynthesizer(face, published, style.strength)
+
+
+def _soft_of(file: ModelFile, face: FaceModel, options: MotionOptions) -> SoftExpectation | None:
+    """The model's map from posteriors; other weights than it was fitted to are logged, and work."""
+    soft = read_soft_expectation(file, face.n_components)
+    fitted = file.about["provenance"].get("soft_weights")
+    if soft is not None and options.engine == DEFAULT_RECOGNIZER:
+        with suppress(WeightsError):  # damaged weights are told of where they are loaded
+            if weights_digest(options.weights) != fitted:
+                _LOG.info(
+                    "%s was not fitted to the recogniser's weights %s: it works, less well; "
+                    "`lipservo learn soft` fits it", file.name, options.weights,
+                )  # fmt: skip
+    return soft

@@ -85,6 +85,10 @@ class ModelFile:
         except (KeyError, TypeError, IndexError, *UNREADABLE) as error:
             raise self._damaged(error) from error
 
+    def has(self, part: str) -> bool:
+        """Whether the file holds a part."""
+        return any(name.startswith(f"{part}/") for name in self._archive.names)
+
     def _damaged(self, error: Exception | None = None) -> ModelError:
         why = f" ({error})" if error is not None else ""
         return ModelError(

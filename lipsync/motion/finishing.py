@@ -93,10 +93,10 @@ def lip_gap_of(model: FaceModel) -> LipGap:
 BILABIALS = ("P", "B", "M")
 LABIODENTALS = ("F", "V")
 
-#: Lips take this long to close, and to part. Chosen on inner splits of the training part
-#: (docs/motion.md): shorter is more abrupt, longer closes the vowels around as well.
-CLOSING_S = 0.04
-PARTING_S = 0.04
+#: Lips take this long to close, and to part: 12 mm at 300 mm/s at most. Chosen on inner splits of
+#: the training part (docs/decisions/0063): shorter jumps, longer closes the vowels around as well.
+CLOSING_S = 0.06
+PARTING_S = 0.06
 #: They touch this long at least, around the moment at which the recordings are tightest.
 HOLD_S = 0.02
 #: While an M sounds the lips stay shut, from its onset until they must part for what follows.
@@ -160,6 +160,8 @@ def closures(
     first = bisect_right(track.starts_s, time_s) - 2
     for i in range(max(0, first), len(track.phonemes)):
         start_s, end_s = track.starts_s[i], track.ends_s[i]
+        if end_s > known_until_s + _ROUNDING_S:
+            end_s = math.inf
         if start_s > known_until_s + _ROUNDING_S:
             return
         if track.phonemes[i] in moments_s:
@@ -351,9 +353,9 @@ class FinishedSynthesizer:
         finish = self._ticks.at(time_s, self._decide)
         if finish is not None:
             face = self._rest + (1.0 - finish.rest.smooth(time_s)) * (face - self._rest)
-            labiodental = finish.labiodental.smooth(time_s)
+            labiodental = finish.labiodental.share(time_s)
             face = self._gap.narrowed(face, self._labiodental_gap_mm, labiodental)
-            face = self._gap.narrowed(face, BILABIAL_GAP_MM, finish.bilabial.smooth(time_s))
+            face = self._gap.narrowed(face, BILABIAL_GAP_MM, finish.bilabial.share(time_s))
         return replace(frame, coefficients=face)
 
     def window_after(self, frame: Frame) -> FaceWindow:

@@ -15,6 +15,7 @@ import numpy as np
 
 from lipsync.arrays import Array
 from lipsync.expectation.expectation import Expectation, PhonemeTrack, context_at, track_of
+from lipsync.expectation.soft_expectation import BelievedFrames, SoftExpectation
 from lipsync.face.frame import Frame
 from lipsync.face.model import FaceModel
 from lipsync.motion.finishing import USED_LOOKAHEAD_S, FinishedSynthesizer, Style
@@ -75,10 +76,20 @@ class ExpectedMotion:
     """The learned expectation over a revisable stream of phonemes, and nothing around it."""
 
     def __init__(
-        self, expectation: Expectation, rest: Array, *, lookahead_s: float, smoothness: float
+        self,
+        expectation: Expectation,
+        rest: Array,
+        *,
+        lookahead_s: float,
+        smoothness: float,
+        soft: SoftExpectation | None = None,
     ) -> None:
-        """rest: (n_components,), the closed mouth; smoothness: from 0 to 1, as in `Style`."""
+        """rest: (n_components,), the closed mouth; smoothness: from 0 to 1, as in `Style`.
+
+        soft: by posteriors; None: phonemes move the mouth as they are decided.
+        """
         self._expectation = expectation
+        self._soft = soft
         self._rest = rest
         self._lookahead_s = lookahead_s
         self.known_s = min(lookahead_s, USED_LOOKAHEAD_S)
@@ -103,6 +114,7 @@ class ExpectedMotion:
         rest, still = self._rest, np.zeros_like(self._rest)
         self._timeline = PhonemeTimeline()
         self._track = track_of(())
+        self._believed = BelievedFrames()
         self._wanted = rest
         self._expectations = deque([rest] * _LEAD_TICKS, maxlen=_LEAD_TICKS)
         self._newest = deque([rest] * len(self._weights), maxlen=len(self._weights))
@@ -115,6 +127,8 @@ class ExpectedMotion:
         """Take a revision of the phonemes; what has been shown stays as it is."""
         self._timeline.apply(update)
         self._track = track_of(self._timeline.events)
+        if update.posteriors is not None:
+            self._believed.push(update.posteriors)
 
     def frame_at(self, time_s: float) -> Frame:
         """The frame at sound time `time_s`; the same time gives the same frame.
@@ -129,7 +143,9 @@ class ExpectedMotion:
 
     def faces_after(self, frame: Frame, times_s: Array) -> Array:
         """The faces (k, n_components) expected at later sound times (k,); decides nothing."""
-        return self._expectation.faces_after(self._track, times_s, frame.time_s + self.known_s)
+        known_until_s = frame.time_s + self.known_s
+        faces = self._expectation.faces_after(self._track, times_s, known_until_s)
+        return self._softened(faces, times_s, known_until_s)
 
     def adjust_smoothness(self, smoothness: float) -> None:
         """Go over to another smoothness, 0 to 1, from the newest tick on."""
@@ -147,6 +163,8 @@ class ExpectedMotion:
         at_rest = is_reached(rest, begin_s)
         self._newest.append(self._expected(time_s, at_rest=at_rest))
         wanted = self._extrapolated(self._weights @ np.array(self._newest))
+        if not at_rest:
+            wanted = self._softened(wanted[None], np.array([time_s]), time_s + self.known_s)[0]
         slowness_s = self._smoothness.at(time_s) * _SLOWEST_S
         keep = math.exp(-TICK_S / slowness_s) if slowness_s else 0.0
         self._wanted = keep * self._wanted + (1.0 - keep) * wanted
@@ -166,6 +184,12 @@ class ExpectedMotion:
         phonemes, times_s = context_at(self._track, later_s, later_s + known_s)
         self._count(later_s - times_s[2])
         return self._expectation.at(phonemes, times_s, known_s)
+
+    def _softened(self, faces: Array, times_s: Array, known_until_s: float) -> Array:
+        """Faces (n, n_components) at times (n,), with their share of what is doubted."""
+        if self._soft is None:
+            return faces
+        return self._soft.mixed(faces, self._believed, self._track, times_s, known_until_s)
 
     def _extrapolated(self, expectation: Array) -> Array:
         """The expectation, and a little more of where it is going."""
@@ -194,11 +218,19 @@ class LiveSynthesizer(FinishedSynthesizer):
         expectation: Expectation,
         style: Style | None = None,
         units: "AnimPhoUnits | None" = None,
+        soft: SoftExpectation | None = None,
     ) -> None:
-        """units: AnimPhos to choose from; None: the expectation alone, whatever `unit_share` is."""
+        """soft: what posteriors say beside decided phonemes; None: those alone.
+
+        units: AnimPhos to choose from; None: the expectation alone, whatever `unit_share` is.
+        """
         style = style or Style()
         expected = ExpectedMotion(
-            expectation, model.rest, lookahead_s=style.lookahead_s, smoothness=style.smoothness
+            expectation,
+            model.rest,
+            lookahead_s=style.lookahead_s,
+            smoothness=style.smoothness,
+            soft=soft,
         )
         mixed_in = None
         if units is not None:

@@ -88,9 +88,13 @@ class Amount:
         change += slope * (1.0 - u) * (1.0 - 3.0 * u)
         return value, change / self.duration_s
 
+    def share(self, time_s: float) -> float:
+        """The value within 0 and 1."""
+        return min(1.0, max(0.0, self.at(time_s)[0]))
+
     def smooth(self, time_s: float) -> float:
         """The value within 0 and 1, with slope 0 at both ends whatever the cubic does there."""
-        value = min(1.0, max(0.0, self.at(time_s)[0]))
+        value = self.share(time_s)
         return value * value * (3.0 - 2.0 * value)
 
 

@@ -264,6 +264,7 @@ def _fed(
 
 
 def _later(update: PhonemeUpdate, by_s: float) -> PhonemeUpdate:
+    posteriors = update.posteriors
     return PhonemeUpdate(
         update.replace_from_s + by_s,
         update.heard_until_s + by_s,
@@ -275,6 +276,10 @@ def _later(update: PhonemeUpdate, by_s: float) -> PhonemeUpdate:
                 end_s=None if event.end_s is None else event.end_s + by_s,
             )
             for event in update.events
+        ),
+        posteriors
+        and replace(
+            posteriors, first_frame=posteriors.first_frame + round(by_s * posteriors.frames_per_s)
         ),
     )
 

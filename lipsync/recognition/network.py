@@ -6,6 +6,7 @@ head for each delay: head h, at frame n, gives the posteriors of the phones of f
 Its weights are one .npz of float16 arrays, never pickle.
 """
 
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -215,6 +216,17 @@ def find_weights(name_or_path: str) -> NetworkWeights:
     if name_or_path in SHIPPED:
         return load_shipped_weights(name_or_path)
     return load_weights(name_or_path)
+
+
+def weights_digest(name_or_path: str) -> str:
+    """16 hex digits that tell weights from others; WeightsError for none, or for no file."""
+    _check_name(name_or_path)
+    shipped = SHIPPED.get(name_or_path)
+    place = Path(name_or_path) if shipped is None else resources.files("lipsync.models") / shipped
+    try:
+        return hashlib.sha256(place.read_bytes()).hexdigest()[:16]
+    except OSError as error:
+        raise WeightsError(f"{name_or_path}: cannot be read: {error.strerror}") from error
 
 
 def check_weights(name_or_path: str) -> None:

@@ -2,14 +2,20 @@
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from lipsync.arrays import Array, Array32
 from lipsync.audio_block import AudioBlock
-from lipsync.phonemes import PHONEMES, Hearing, PhonemeUpdate, RecognizerKind
+from lipsync.phonemes import (
+    PHONEMES,
+    FramePosteriors,
+    Hearing,
+    PhonemeUpdate,
+    RecognizerKind,
+)
 from lipsync.recognition.decoder import (
     QUICK,
     SILENCE_INDEX,
@@ -124,6 +130,7 @@ class NetworkRecognizer:
         self._n_heard = 0  # frames whose window was heard, those jumped over among them
         self._n_reported = 0
         self._noticed_at = -(10**9)  # the last frame that a person would have noticed
+        self._believed: list[Array32] = []  # posteriors of the frames heard since the last update
         self._settled: list[int] = []  # phonemes from the first frame not final on
         self._provisional: list[int] = []  # of the frames after them that a head has spoken about
         self._text = None
@@ -162,10 +169,11 @@ class NetworkRecognizer:
         for start_s, n_silent, n_jumped, n_sound in counts:
             first, middle, end = end, end + n_silent, end + n_silent + n_sound
             is_noticed = bool(noticeable[first:end].any())
-            silence_scores, sound_scores = scores[first:middle], scores[middle:end]
-            self._prepared.append(
-                _PreparedBlock(start_s, silence_scores, n_jumped, sound_scores, is_noticed)
+            before, heard = (
+                _Frames(posteriors[part], scores[part])
+                for part in (slice(first, middle), slice(middle, end))
             )
+            self._prepared.append(_PreparedBlock(start_s, before, n_jumped, heard, is_noticed))
 
     def feed(self, block: AudioBlock) -> None:
         """Take the next block: any size, any rate; a gap before it counts as silence.
@@ -184,6 +192,8 @@ class NetworkRecognizer:
         # All that the decoder still holds is silence by now.
         self._settled.extend([SILENCE_INDEX] * prepared.n_jumped)
         self._n_heard += prepared.n_jumped
+        if prepared.n_jumped:
+            self._believed.clear()
         if self._text is not None:
             self._text.jump(prepared.n_jumped)
         self._decode(prepared.sound)
@@ -208,7 +218,16 @@ class NetworkRecognizer:
         known += [known[-1] if known else SILENCE_INDEX] * n_missing
         update = self._updates.update([PHONEMES[index] for index in known], n_later)
         del self._settled[: self._updates.n_final - n_final]
+        # Words that are known are not doubted.
+        if self._believed and self.moved_by == "sound":
+            update = replace(update, posteriors=self._posteriors_heard())
+        self._believed.clear()
         return [update]
+
+    def _posteriors_heard(self) -> FramePosteriors:
+        values = np.stack(self._believed)
+        delays = self._weights.delays
+        return FramePosteriors(FRAMES_PER_S, self._n_heard - len(values), delays, values)
 
     def _n_completed(self, n_samples: int) -> int:
         """How many frames so many more samples complete."""
@@ -216,8 +235,9 @@ class NetworkRecognizer:
         self._n_samples += n_samples
         return _n_frames(self._n_samples) - n_before
 
-    def _decode(self, scores: Array32) -> None:
-        for frame in scores:
+    def _decode(self, frames: "_Frames") -> None:
+        self._believed.extend(frames.posteriors)
+        for frame in frames.scores:
             settled, self._provisional = self._decoder.push(frame)
             if settled is not None:
                 self._settled.append(settled)
@@ -229,17 +249,25 @@ class NetworkRecognizer:
 
 
 @dataclass(frozen=True, slots=True)
+class _Frames:
+    """Posteriors and what the decoder makes of them, (n, n_heads, n_phonemes) each."""
+
+    posteriors: Array32
+    scores: Array32
+
+
+@dataclass(frozen=True, slots=True)
 class _PreparedBlock:
-    """Scores (n, n_heads, n_phonemes) of the frames that a block completes, and frames jumped over.
+    """The frames that a block completes, and how many are jumped over.
 
     In order: the silence put in place of a gap, the jump over the rest of it, the block's sound.
     is_noticed: a person would hear something in it.
     """
 
     start_s: float
-    silence: Array32
+    silence: _Frames
     n_jumped: int
-    sound: Array32
+    sound: _Frames
     is_noticed: bool
 
 

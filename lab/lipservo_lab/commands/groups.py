@@ -72,6 +72,9 @@ class LearnGroup(LazyGroup):
     table = MappingProxyType(
         {
             "face": Command(f"{_LEARN}.training:train", "A face model from recordings."),
+            "soft": Command(
+                f"{_LEARN}.training:train_soft", "A face model fitted to a recogniser's weights."
+            ),
             "recognizer": Command(
                 f"{_LEARN}.recognizer:train_recognizer", "The recogniser's weights."
             ),

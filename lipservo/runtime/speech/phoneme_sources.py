@@ -205,8 +205,9 @@ def with_known(update: PhonemeUpdate, stretches: Iterable[KnownStretch]) -> Phon
 
     stretches: (start_s, end_s, events) in order of time, not overlapping.
     """
-    events = list(update.events)
+    events, posteriors = list(update.events), update.posteriors
     for start_s, end_s, known in stretches:
+        posteriors = None  # what is known is not doubted
         told_until_s = min(end_s, update.heard_until_s + _AHEAD_S)
         near = [event for event in known if event.start_s < told_until_s]
         near = [event for event in near if _end_s(event) > update.replace_from_s]
@@ -215,7 +216,7 @@ def with_known(update: PhonemeUpdate, stretches: Iterable[KnownStretch]) -> Phon
         # Beyond what is told of a stretch nothing else is, or the two would overlap later.
         after = _cut(events, end_s, math.inf) if told_until_s == end_s else []
         events = [*_cut(events, -math.inf, start_s), *said, *after]
-    return replace(update, events=tuple(events))
+    return replace(update, events=tuple(events), posteriors=posteriors)
 
 
 def _cut(events: Iterable[PhonemeEvent], from_s: float, until_s: float) -> list[PhonemeEvent]:

@@ -15,6 +15,8 @@ from lipsync.recognition.batch import settled_phonemes
 from lipsync.recognition.features import LevelNormalizer, LogMelStream, log_mel
 from lipsync.recognition.network import StreamingNetwork
 from lipsync.recognition.network_recognizer import NetworkRecognizer
+from lipsync.recognition.posteriors import PosteriorStream
+from lipsync.text_to_speech.pronunciation import pronounced
 from lipsync.timeline import PhonemeTimeline
 
 RATE_HZ = 16_000
@@ -233,3 +235,36 @@ def test_a_long_stream_is_measured_block_by_block(clip):
     assert figures["endurance_hours"] == pytest.approx(20.0 / 3600.0)
     assert 0.0 <= figures["endurance_clock_error_ms"] <= 15.0
     assert figures["endurance_rss_mb_end"] == figures["endurance_rss_mb_after_10_min"] == 50.0
+
+
+def heard_posteriors(updates):
+    """Of all updates, in order: (n, n_heads, n_phonemes), and the first frame."""
+    told = [update.posteriors for update in updates if update.posteriors is not None]
+    for one, following in itertools.pairwise(told):
+        assert one.first_frame + len(one.values) == following.first_frame
+    return np.concatenate([each.values for each in told]), told[0].first_frame
+
+
+@pytest.mark.parametrize("n_block", [160, 1234])
+def test_updates_carry_the_posteriors_that_they_were_decided_from(clip, n_block):
+    _, updates = listen(NetworkRecognizer(WEIGHTS), blocks_of(clip, n_block))
+    values, first = heard_posteriors(updates)
+    expected = PosteriorStream(WEIGHTS).push(clip)[: len(values)]
+    assert first == 0
+    np.testing.assert_allclose(values, expected, atol=1e-4)
+
+
+def test_after_a_jump_in_time_frames_are_counted_in_sound_time(clip):
+    recognizer = NetworkRecognizer(WEIGHTS)
+    before = blocks_of(clip[:16_000], 160)
+    after = blocks_of(clip[16_000:32_000], 160, start_s=61.0)
+    _, updates = listen(recognizer, itertools.chain(before, after))
+    last = updates[-1].posteriors
+    assert last.first_frame + len(last.values) == round(updates[-1].heard_until_s * 100) - 1
+
+
+def test_words_that_are_followed_are_not_doubted(clip):
+    recognizer = NetworkRecognizer(WEIGHTS)
+    recognizer.tell(pronounced("hello there"))
+    _, updates = listen(recognizer, blocks_of(clip[:16_000], 160))
+    assert updates[-1].posteriors is None

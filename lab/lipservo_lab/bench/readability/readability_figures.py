@@ -131,8 +131,8 @@ def reading_rows(
     """The rows of all parts. model_of: one that has learned no sentence of the part's test."""
     listeners: dict[str, Listen] = {
         PHONEMES_TRUE: true_phonemes,
-        PHONEMES_RECOGNIZED: _RememberingListener(live_listener()),
-        PHONEMES_TEXT: _RememberingListener(live_listener(with_text=True)),
+        PHONEMES_RECOGNIZED: OnceListener(live_listener()),
+        PHONEMES_TEXT: OnceListener(live_listener(with_text=True)),
     }
     rows: list[Row] = []
     for part in parts:
@@ -262,13 +262,14 @@ def _row(
 
 
 @dataclass(slots=True)
-class _RememberingListener:
+class OnceListener:
     """A listener who hears every sentence once."""
 
     listen: Listen
     heard: dict[str, Heard] = field(default_factory=dict)
 
     def __call__(self, utterance: Utterance) -> Heard:
+        """As it was heard the first time."""
         if utterance.name not in self.heard:
             self.heard[utterance.name] = self.listen(utterance)
         return self.heard[utterance.name]

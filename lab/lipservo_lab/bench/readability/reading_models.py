@@ -7,10 +7,9 @@ from lipservo_lab.bench.motion_figures import BenchError
 from lipservo_lab.corpus.utterance import Corpus, CorpusError
 from lipservo_lab.evaluation.motion.motion_scores import Part, words_part
 from lipservo_lab.evaluation.readability.reading_scores import reading_parts
-from lipservo_lab.learning.expectation.deviation import Progress, hear_sentences
-from lipservo_lab.learning.motion.face_training import train
+from lipservo_lab.learning.motion.model_teacher import ModelTeacher, Track
 from lipservo_lab.learning.motion.trained_model import TrainedModel, load_trained_model
-from lipsync.recognition.network import load_shipped_weights
+from lipsync.recognition.network import DEFAULT_WEIGHTS
 
 ModelOf = Callable[[Part], TrainedModel]
 
@@ -61,18 +60,10 @@ def given_models(folder: Path, parts: Sequence[Part]) -> ModelOf:
     return lambda part: models[part.split]
 
 
-def trained_models(corpus: Corpus, track: Progress, tell: Callable[[str], None]) -> ModelOf:
+def trained_models(corpus: Corpus, track: Track, tell: Callable[[str], None]) -> ModelOf:
     """Models trained on each part's training sentences, when they are asked for.
 
     track: of what is heard, once for all trainings. tell: what training is doing.
     """
-    heard = hear_sentences(load_shipped_weights(), corpus.utterances, track)
-
-    def trained(part: Part) -> TrainedModel:
-        return train(
-            corpus.keep(set(part.train)),
-            heard=heard,
-            progress=lambda text: tell(f"{part.split}: {text}"),
-        )
-
-    return trained
+    teacher = ModelTeacher(corpus, DEFAULT_WEIGHTS, track, tell)
+    return lambda part: teacher(corpus.keep(set(part.train)))

@@ -6,7 +6,6 @@
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -21,7 +20,7 @@ from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 
 if TYPE_CHECKING:
     from lipservo_lab.bench.motion_figures import Question
-    from lipservo_lab.corpus.utterance import Corpus, Utterance
+    from lipservo_lab.corpus.utterance import Utterance
     from lipservo_lab.evaluation.motion.offline_methods import OfflineModels
     from lipservo_lab.learning.motion.trained_model import TrainedModel
 
@@ -135,6 +134,18 @@ def motion(
             help="Score the methods of `lipservo lines render` too: the published one and ours.",
         ),
     ] = False,
+    leave_words_out: Annotated[
+        bool,
+        typer.Option(
+            "--leave-words-out",
+            help="Instead: every word of the folder by a model that never met it, in ten folds. "
+            "Their models are kept in the user's cache.",
+        ),
+    ] = False,
+    limit: Annotated[
+        int,
+        typer.Option(min=1, help="--leave-words-out: at most so many sentences of each word."),
+    ] = 40,
     plots: Annotated[
         Path | None, typer.Option(help="Draw pictures into this folder.", show_default=False)
     ] = None,
@@ -172,6 +183,17 @@ def motion(
         published_derivatives=published_derivatives,
         unit_share=unit_share,
     )
+    if leave_words_out:
+        if model is not None or words is not None or offline or plots is not None:
+            raise typer.BadParameter(
+                "--leave-words-out trains models of its own; leave out --model, --words, "
+                "--offline and --plots"
+            )
+        _measure_left_out(
+            corpus, asked, strategy or LIVE_STRATEGY, limit, skip_bad=skip_bad, as_json=as_json,
+            quiet=quiet,
+        )  # fmt: skip
+        return
     given = None
     if model is not None:
         given = load_trained_model(shipped)
@@ -204,10 +226,9 @@ def _answer(
     from lipservo_lab.bench import motion_figures as measure
     from lipservo_lab.corpus.grid import read_grid
     from lipservo_lab.evaluation.motion.motion_scores import seen_in_training
-    from lipservo_lab.learning.expectation.deviation import hear_sentences
-    from lipservo_lab.learning.motion.face_training import train
+    from lipservo_lab.learning.motion.model_teacher import ModelTeacher
     from lipsync.markers import MARKERS_47
-    from lipsync.recognition.network import load_shipped_weights
+    from lipsync.recognition.network import DEFAULT_WEIGHTS
 
     sentences = read_grid(
         folder,
@@ -230,19 +251,15 @@ def _answer(
     def track(what: str, items: "Sequence[Utterance]") -> "Iterable[Utterance]":
         return progress.track(items, description=what)
 
-    heard = None
-    if given is None:  # once for all trainings: the recogniser has heard no sentence of the folder
-        labelled = sentences.labelled().utterances
-        heard = hear_sentences(load_shipped_weights(), labelled, partial(track, "listening"))
     step = progress.add_task("training", total=None, visible=given is None)
-
-    def learn(part: "Corpus") -> "TrainedModel":
-        return train(
-            part, heard=heard, progress=lambda text: progress.update(step, description=text)
-        )
-
     if given is None:
-        validated = measure.cross_validate(folder, sentences, asked, learn, track)
+        teacher = ModelTeacher(
+            sentences.labelled(),
+            DEFAULT_WEIGHTS,
+            track,
+            lambda text: progress.update(step, description=text),
+        )
+        validated = measure.cross_validate(folder, sentences, asked, teacher, track)
         rows, model, unseen = validated.rows, validated.model, validated.unseen
     else:
         rows, model, unseen = measure.score_model(given, sentences, asked, track), given, sentences
@@ -275,6 +292,76 @@ def _answer(
         "skipped": list(sentences.skipped),
         **({} if rendering is None else _rendering(rendering, folder, model, skip_bad=skip_bad)),
     }
+
+
+def _measure_left_out(
+    folder: Path,
+    asked: "Question",
+    strategy: str,
+    limit: int,
+    *,
+    skip_bad: bool,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Print the figures of words that no model has met."""
+    from lipservo_lab.bench import motion_figures as measure
+    from lipservo_lab.bench.left_out_words import (
+        KeptModels,
+        cache_folder,
+        left_out_figures,
+        word_folds,
+    )
+    from lipservo_lab.bench.readability.readability_figures import OnceListener
+    from lipservo_lab.corpus.grid import read_grid
+    from lipservo_lab.evaluation.motion.motion_scores import true_phonemes
+    from lipservo_lab.learning.motion.model_teacher import ModelTeacher
+    from lipsync.markers import MARKERS_47
+    from lipsync.recognition.network import DEFAULT_WEIGHTS
+
+    began_s = time.perf_counter()
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+
+        def track(what: str, items: "Sequence[Utterance]") -> "Iterable[Utterance]":
+            return progress.track(items, description=what)
+
+        sentences = read_grid(
+            folder,
+            MARKERS_47,
+            skip_bad=skip_bad,
+            progress=lambda names: progress.track(names, description="reading"),
+        ).labelled()
+        word_folds(sentences)  # what cannot be left out is refused before the long part
+        step = progress.add_task("training", total=None)
+        teacher = ModelTeacher(
+            sentences,
+            DEFAULT_WEIGHTS,
+            track,
+            lambda text: progress.update(step, description=text),
+        )
+        models = KeptModels(cache_folder(), sentences, teacher.heard, teacher)
+        listen = true_phonemes
+        if asked.phonemes != measure.PHONEMES_TRUE:
+            with_text = asked.phonemes == measure.PHONEMES_TEXT
+            listen = OnceListener(measure.live_listener(with_text=with_text))
+        method = next(each for each in asked.methods if each.name == strategy)
+        answer: dict[str, Any] = dict(
+            left_out_figures(
+                sentences, models.of, method, asked.lookaheads_ms, listen, limit, track
+            )
+        )
+    if not as_json:
+        for name, rows in answer.items():
+            _print_table(f"Words left out: {name}", rows)
+    answer |= {
+        "strategy": strategy,
+        "phonemes": asked.phonemes,
+        "limit": limit,
+        "machine": machine_class(),
+        "seconds": round(time.perf_counter() - began_s, 1),
+    }
+    if as_json:
+        print_json(answer)
 
 
 def _rendering(

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Iterator, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -140,7 +139,7 @@ def _measured(
     else:
         model_of = trained_models(
             labelled,
-            partial(track, "listening"),
+            track,
             lambda text: progress.update(step, description=text),
         )
 

@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 import typer
 from rich.progress import Progress
 
-from lipservo.commands.options import Json, Model, Quiet, SkipBad
+from lipservo.commands.options import Json, Model, Quiet, SkipBad, WeightsChoice
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json, progress_bar
+from lipsync.errors import UserError
 from lipsync.output_file import check_output
+from lipsync.recognition.network import DEFAULT_WEIGHTS
 
 if TYPE_CHECKING:
     from lipservo_lab.corpus.utterance import Corpus, Utterance
@@ -202,6 +204,66 @@ def _told_speakers(
 def _progress(*, quiet: bool) -> Iterator[Progress]:
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
         yield progress
+
+
+def train_soft(
+    corpus: Annotated[
+        Path, typer.Argument(help="Folder of recordings that the model was made of.")
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The model file to write.")],
+    model: Model = None,
+    weights: WeightsChoice = DEFAULT_WEIGHTS,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Fit a face model to what a recogniser believes, frame by frame, beside what it decides.
+
+    Every sentence is heard as it is and in four other voices and rooms. A model without this part
+    is moved by decided phonemes alone, and one that was fitted to other weights goes on with them.
+    """
+    from lipservo_lab.corpus.grid import read_grid
+    from lipservo_lab.learning.expectation.soft_training import hear_copies
+    from lipservo_lab.learning.motion.model_teacher import taught_sentences, with_soft_expectation
+    from lipservo_lab.learning.motion.trained_model import load_trained_model, save_model
+    from lipsync.face.model import is_model
+    from lipsync.recognition.network import find_weights, weights_digest
+
+    began_s = time.perf_counter()
+    face = load_trained_model(model)
+    network, digest = find_weights(weights), weights_digest(weights)
+    check_output(output, replaces=is_model, kind="face model")
+    with _progress(quiet=quiet) as progress:
+        sentences = read_grid(
+            corpus,
+            face.layout,
+            head_reference_mm=face.head_reference_mm,
+            progress=lambda names: progress.track(names, description="reading"),
+        ).labelled()
+        copies = hear_copies(
+            network,
+            taught_sentences(face, sentences),
+            lambda what, items: progress.track(items, description=what),
+        )
+        progress.add_task("posteriors to faces", total=None)
+        made = with_soft_expectation(face, sentences, copies, digest)
+    if made.soft is None:
+        raise UserError(f"{corpus}: too little speech with sound to learn from; record more")
+    save_model(made, output)
+    figures: dict[str, object] = {
+        "model": str(output),
+        "weights": weights,
+        "soft_weights": digest,
+        "sentences": len(made.training_sentences),
+        "bytes": output.stat().st_size,
+        "seconds": round(time.perf_counter() - began_s, 1),
+    }
+    if as_json:
+        print_json(figures)
+        return
+    RESULTS.print(
+        f"{output}: fitted to weights {weights} by {figures['sentences']} sentences in "
+        f"{figures['seconds']} s",
+    )
 
 
 def train_expression(

@@ -265,10 +265,16 @@ STEP_MM_S = 400.0
 
 @dataclass(frozen=True, slots=True)
 class LipSpeed:
-    """Of one piece of motion. n_steps: ticks in which a point of the lips is above STEP_MM_S."""
+    """Of one piece of motion.
+
+    n_steps: ticks in which a point of the lips is above STEP_MM_S, n_gap_steps: in which the lip
+    gap widens or narrows faster; widest_gap_step_mm: by how much in one tick.
+    """
 
     fastest_mm_s: float
     n_steps: int
+    widest_gap_step_mm: float
+    n_gap_steps: int
     spoken_s: float
 
 
@@ -277,10 +283,16 @@ def lip_speed(model: FaceModel, faces: Array, spoken_s: float) -> LipSpeed:
 
     spoken_s: how much of the time somebody speaks, which the steps are counted by.
     """
-    lips_mm = model.markers_mm(faces)[:, list(model.layout.lips)]
+    markers_mm = model.markers_mm(faces)
+    lips_mm = markers_mm[:, list(model.layout.lips)]
     fastest = np.linalg.norm(np.diff(lips_mm, axis=0), axis=2).max(axis=1, initial=0.0) / TICK_S
+    gap_steps_mm = np.abs(np.diff(model.lip_gaps_mm(markers_mm)))
     return LipSpeed(
-        float(fastest.max(initial=0.0)), int(np.count_nonzero(fastest > STEP_MM_S)), spoken_s
+        float(fastest.max(initial=0.0)),
+        int(np.count_nonzero(fastest > STEP_MM_S)),
+        float(gap_steps_mm.max(initial=0.0)),
+        int(np.count_nonzero(gap_steps_mm > STEP_MM_S * TICK_S)),
+        spoken_s,
     )
 
 
@@ -288,8 +300,11 @@ def lip_speed_figures(speeds: Iterable[LipSpeed]) -> dict[str, float | None]:
     """Of many pieces together; steps are None where nobody speaks."""
     found = list(speeds)
     spoken_s = sum(one.spoken_s for one in found)
-    n_steps = sum(one.n_steps for one in found)
+    n_steps, n_gap_steps = sum(one.n_steps for one in found), sum(one.n_gap_steps for one in found)
     return {
         "fastest_lip_mm_s": max((one.fastest_mm_s for one in found), default=0.0),
         "fast_steps_per_s": n_steps / spoken_s if spoken_s else None,
+        "widest_gap_step_mm": max((one.widest_gap_step_mm for one in found), default=0.0),
+        "gap_steps_per_s": n_gap_steps / spoken_s if spoken_s else None,
+        "spoken_s": spoken_s,
     }

@@ -178,9 +178,9 @@ class LiveMethod:
         """A fresh one."""
         if self.unit_share is None:
             style = Style(lookahead_s, self.strength, self.smoothness)
-            return LiveSynthesizer(model, model.expectation, style)
+            return LiveSynthesizer(model, model.expectation, style, soft=model.soft)
         style = Style(lookahead_s, self.strength, self.smoothness, self.unit_share)
-        return LiveSynthesizer(model, model.expectation, style, model.animphos)
+        return LiveSynthesizer(model, model.expectation, style, model.animphos, model.soft)
 
 
 def all_methods() -> dict[str, Method]:

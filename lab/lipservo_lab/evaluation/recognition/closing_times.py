@@ -72,7 +72,9 @@ class ClosingBench:
 
     def __init__(self, recognizer: LiveRecognizer, model: TrainedModel, lookahead_s: float) -> None:
         self._recognizer = recognizer
-        self._synthesizer = LiveSynthesizer(model, model.expectation, Style(lookahead_s))
+        self._synthesizer = LiveSynthesizer(
+            model, model.expectation, Style(lookahead_s), soft=model.soft
+        )
         self._gap = lip_gap_of(model)
         self._rest_mm = self._width_mm(model.rest)
 

@@ -59,12 +59,15 @@ def with_deviation(
     return _amplified(expectation, *gain_and_mean(expected, recorded))
 
 
-def gain_and_mean(expected: Sequence[Array], recorded: Sequence[Array]) -> tuple[Array, Array]:
+def gain_and_mean(
+    expected: Sequence[Array], recorded: Sequence[Array], share: float = SHARE
+) -> tuple[Array, Array]:
     """By how much each component is to deviate more, and from which mean: both (n_components,).
 
-    expected, recorded: (n_frames, n_components) of the speech of each sentence.
+    expected, recorded: (n_frames, n_components) of the speech of each sentence; share: of the
+    recorded deviation that is wanted.
     """
-    wanted = SHARE * _deviation(recorded)
+    wanted = share * _deviation(recorded)
     gain = np.clip(wanted / np.maximum(_deviation(expected), 1e-9), 1.0, _LARGEST_GAIN)
     return gain, np.concatenate(expected).mean(axis=0)
 

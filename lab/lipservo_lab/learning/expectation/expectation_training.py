@@ -202,7 +202,7 @@ Progress = Callable[[str], None]
 #: One model serves every look-ahead between these; learned with all three at once.
 TRAINED_LOOKAHEADS_S = (0.0, 0.1, 0.2)
 #: Silence this near to speech is learned too: the mouth opens before the sound, and closes after.
-_NEAR_SPEECH_S = 0.3
+NEAR_SPEECH_S = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,8 +278,8 @@ def collect_training_set(
             continue
         times_s = np.arange(len(motion)) / utterance.frame_rate_hz
         last_s = max(p.end_s or 0.0 for p in spoken)
-        near = times_s >= spoken[0].start_s - _NEAR_SPEECH_S
-        near &= times_s <= last_s + _NEAR_SPEECH_S
+        near = times_s >= spoken[0].start_s - NEAR_SPEECH_S
+        near &= times_s <= last_s + NEAR_SPEECH_S
         track = track_of(utterance.phones if heard is None else heard[utterance.name])
         for turn, lookahead_s in enumerate(TRAINED_LOOKAHEADS_S):
             frames = np.flatnonzero(near)[turn % n_turns :: n_turns]

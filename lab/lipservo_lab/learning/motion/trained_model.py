@@ -26,6 +26,12 @@ from lipsync.expectation.expectation import (
     expectation_arrays,
     read_expectation,
 )
+from lipsync.expectation.soft_expectation import (
+    SOFT_PART,
+    SoftExpectation,
+    read_soft_expectation,
+    soft_arrays,
+)
 from lipsync.face.model import FACE_PART, face_arrays, open_model, read_face, write_model
 
 
@@ -33,13 +39,15 @@ from lipsync.face.model import FACE_PART, face_arrays, open_model, read_face, wr
 class TrainedModel(FaceWithAnimPhos):
     """A face and all that can move it, with the names of the sentences it was learned from.
 
-    provenance: corpus, seed, and how much was learned from, by name.
+    soft: None where it was learned without a recogniser's posteriors. provenance: corpus, seed, and
+    how much was learned from, by name.
     """
 
     expectation: Expectation
     baselines: Baselines
     training_sentences: tuple[str, ...]
     provenance: Mapping[str, str | int | float]
+    soft: SoftExpectation | None = None
 
 
 def load_trained_model(path: Path | None = None) -> TrainedModel:
@@ -50,6 +58,7 @@ def load_trained_model(path: Path | None = None) -> TrainedModel:
             **face_fields(face),
             animphos=read_animphos(file, face),
             expectation=read_expectation(file, face.n_components),
+            soft=read_soft_expectation(file, face.n_components),
             baselines=read_baselines(file, face.n_components),
             training_sentences=tuple(file.about["training_sentences"]),
             provenance=dict(file.about["provenance"]),
@@ -68,4 +77,6 @@ def save_model(model: TrainedModel, path: Path) -> None:
         ANIMPHO_PART: animpho_arrays(model.animphos),
         BASELINES_PART: baseline_arrays(model.baselines),
     }
+    if model.soft is not None:
+        parts[SOFT_PART] = soft_arrays(model.soft)
     write_model(path, model.layout, about, parts)

@@ -10,7 +10,7 @@ from spoken_phonemes import spoken, update_streams
 from lipservo.runtime.speech.phoneme_sources import SpokenPhonemes, with_known
 from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
-from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
+from lipsync.phonemes import FramePosteriors, PhonemeEvent, PhonemeUpdate
 from lipsync.timeline import PhonemeTimeline
 
 RATE_HZ = 16_000
@@ -62,6 +62,14 @@ def test_known_phonemes_win_inside_their_stretches_and_nowhere_else(updates, str
 def test_with_nothing_known_an_update_stays_as_it_is():
     update = PhonemeUpdate(0.2, 0.5, 0.3, spoken(("M", 0.3), ("AA", 0.4)))
     assert with_known(update, []) == update
+
+
+def test_what_is_known_is_not_doubted_by_what_is_heard():
+    believed = FramePosteriors(100, 0, (2,), np.full((50, 1, 40), 1 / 40, np.float32))
+    update = PhonemeUpdate(0.2, 0.5, 0.3, spoken(("M", 0.3), ("AA", 0.4)), believed)
+    assert with_known(update, []).posteriors is believed
+    known = (0.3, 0.6, (PhonemeEvent(KNOWN, 0.3, 0.6),))
+    assert with_known(update, [known]).posteriors is None
 
 
 class Hears:

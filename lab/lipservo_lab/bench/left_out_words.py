@@ -1,0 +1,290 @@
+"""The figures of `lipservo bench motion --leave-words-out`: every word unseen by its model.
+
+A random split flatters whatever learns the fifty words by heart. Here the words are dealt into ten
+folds; a model trained without any sentence that holds a word of a fold moves the mouth in those
+words, and every word of the corpus is scored once. What is asked: how near, which words fail, and
+whether closures of contexts never heard come too early or too late.
+
+Models are kept from one run to the next, under the digest of all that made them: the sentences,
+what was heard of them, and the code that learns.
+"""
+
+import hashlib
+import math
+import os
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from lipservo_lab.corpus.utterance import Corpus, CorpusError, Utterance, Word, speech_frames
+from lipservo_lab.evaluation.motion.measures import (
+    Motion,
+    confidence_intervals,
+    figures,
+    sentence_sums,
+)
+from lipservo_lab.evaluation.motion.methods import REFERENCE, Heard, Method, all_methods
+from lipservo_lab.evaluation.motion.motion_scores import Listen, Part, words_part
+from lipservo_lab.evaluation.readability.readers import spoken_words
+from lipservo_lab.learning.motion.trained_model import TrainedModel, load_trained_model, save_model
+from lipservo_lab.video.sound_shift import ShiftCurve, correlation
+from lipsync.arrays import Array
+from lipsync.face.model import ModelError
+from lipsync.motion.tick_plan import TICK_S
+from lipsync.phonemes import SILENCE, PhonemeEvent
+
+Row = dict[str, object]
+N_FOLDS: Final = 10
+#: A word with fewer frames of speech has no line of its own.
+LEAST_FRAMES: Final = 300
+#: Sounds at the beginning or the end of a word, which meet contexts that training lacks.
+BORDER_CLASSES: Final[Mapping[str, tuple[str, ...]]] = {
+    "P B M": ("P", "B", "M"),
+    "F V": ("F", "V"),
+    "rounded": ("W", "R", "SH", "ZH", "CH", "JH", "UW", "UH", "OW", "AO", "OY", "ER"),
+    "other vowels": ("IY", "IH", "EH", "AE", "EY", "AA", "AH", "AY", "AW"),
+    "other consonants": (
+        "T", "D", "N", "S", "Z", "L", "TH", "DH", "K", "G", "NG", "HH", "Y",
+    ),
+}  # fmt: skip
+_CLASS_OF = {phoneme: name for name, members in BORDER_CLASSES.items() for phoneme in members}
+#: Our lips are compared with those recorded up to so much earlier and later.
+_SHIFTS_S: Array = np.arange(-6, 7, dtype=np.float64) * TICK_S
+#: With them a correlation says something of a class.
+_LEAST_SHIFTED = 100
+
+
+def word_folds(corpus: Corpus) -> list[Part]:
+    """`N_FOLDS` parts of words, each scored by a model of the sentences that hold none of them.
+
+    corpus: labelled. Words are dealt by turns, the most frequent first, so that every fold leaves
+    about as much to train on. Raises CorpusError for a corpus that leaves a fold nothing.
+    """
+    counts = Counter(w.text for u in corpus.utterances for w in spoken_words(u))
+    if len(counts) < 2:
+        raise CorpusError(f"{corpus.name}: {len(counts)} different words; none can be left out")
+    dealt = sorted(counts, key=lambda text: (-counts[text], text))
+    n_folds = min(N_FOLDS, len(dealt))
+    folds = []
+    for first in range(n_folds):
+        words = frozenset(dealt[first::n_folds])
+        part = words_part(f"fold {first + 1}", corpus, words)
+        if not part.train:
+            raise CorpusError(
+                f"{corpus.name}: every labelled sentence holds one of {', '.join(sorted(words))}, "
+                "so their fold has none to train on; leaving words out needs more sentences"
+            )
+        folds.append(part)
+    return folds
+
+
+#: Twice as many models as one corpus needs, and some.
+_MOST_KEPT: Final = 40
+#: The code that learns; another version of it learns another model.
+_LEARNING = (
+    "lipservo_lab.learning.motion", "lipservo_lab.learning.recognition",
+    "lipservo_lab.learning.expectation", "lipservo_lab.baselines",
+    "lipsync.expectation", "lipsync.animpho", "lipsync.face",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class KeptModels:
+    """Models of parts of one corpus, made when they are first asked for and kept in a folder.
+
+    heard: of the corpus's sentences, by name. Two runs at once make a model twice; its file is
+    written whole.
+    """
+
+    folder: Path
+    corpus: Corpus
+    heard: Mapping[str, Sequence[PhonemeEvent]]
+    learn: Callable[[Corpus], TrainedModel]
+
+    def of(self, part: Part) -> TrainedModel:
+        """The model trained on the part's sentences. Raises TrainingError, OutputError."""
+        training = self.corpus.keep(set(part.train))
+        path = self.folder / f"{self._digest(training)}.npz"
+        try:
+            model = load_trained_model(path)
+            os.utime(path)
+        except ModelError:
+            model = self.learn(training)
+            self.folder.mkdir(parents=True, exist_ok=True)
+            save_model(model, path)
+            self._forget_the_oldest()
+        return model
+
+    def _digest(self, training: Corpus) -> str:
+        digest = hashlib.sha256(_code())
+        for u in training.utterances:
+            digest.update(repr((u.name, u.weight, u.phones, self.heard.get(u.name))).encode())
+            digest.update(np.ascontiguousarray(u.markers_mm).tobytes())
+        return digest.hexdigest()[:24]
+
+    def _forget_the_oldest(self) -> None:
+        kept = sorted(self.folder.glob("*.npz"), key=lambda path: path.stat().st_mtime)
+        for path in kept[:-_MOST_KEPT]:
+            path.unlink(missing_ok=True)
+
+
+def cache_folder() -> Path:
+    """Where models are kept: in the user's cache (XDG Base Directory Specification)."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "lipservo" / "left-out-words"
+
+
+def _code() -> bytes:
+    files = sorted(
+        (name, path.name, path.read_bytes())
+        for name in _LEARNING
+        for path in resources.files(name).iterdir()
+        if path.is_file() and path.name.endswith(".py")
+    )
+    return hashlib.sha256(repr(files).encode()).digest()
+
+
+@dataclass(slots=True)
+class _Lips:
+    """Recorded lip gaps, and ours at each of `_SHIFTS_S` around them; lists may only grow."""
+
+    seen: list[Array] = field(default_factory=list)
+    ours: list[Array] = field(default_factory=list)
+
+    def best_ms(self) -> float | None:
+        """How much later than the recorded lips ours are; None for too few frames."""
+        if sum(map(len, self.seen)) < _LEAST_SHIFTED:
+            return None
+        seen, ours = np.concatenate(self.seen), np.concatenate(self.ours)
+        curve = ShiftCurve(_SHIFTS_S, np.array([correlation(seen, each) for each in ours.T]))
+        return round(1e3 * curve.best_s, 1)
+
+
+@dataclass(slots=True)
+class _Scores:
+    """Sums of words, by the look-ahead in ms and what they are counted for; may only grow."""
+
+    sums: dict[tuple[int, str], list[Array]] = field(default_factory=lambda: defaultdict(list))
+    lips: dict[tuple[int, str], _Lips] = field(default_factory=lambda: defaultdict(_Lips))
+
+    def row(self, lookahead_ms: int, name: str) -> Row:
+        """Figures with 95 % intervals over places where a word was said."""
+        sums = np.array(self.sums[lookahead_ms, name])
+        found = figures(sums.sum(axis=0))
+        intervals = confidence_intervals(sums, ("ratio", "gap_r"))
+        return {
+            **{key: _rounded(found[key]) for key in ("ratio", "gap_r", "closure_hits")},
+            **{f"{key}_95": list(map(_rounded, ends)) for key, ends in intervals.items()},
+            "best_shift_ms": self.lips[lookahead_ms, name].best_ms(),
+            "frames": int(sums[:, 0].sum()),
+        }
+
+
+_ALL = "all"
+
+
+def left_out_figures(
+    corpus: Corpus,
+    model_of: Callable[[Part], TrainedModel],
+    method: Method,
+    lookaheads_ms: Sequence[int],
+    listen: Listen,
+    limit: int,
+    track: Callable[[str, list[Utterance]], Iterable[Utterance]],
+) -> dict[str, list[Row]]:
+    """Rows over all words for each look-ahead; by class and by word for the last but one, or one.
+
+    corpus: labelled. limit: at most so many sentences of each word are played, spread evenly over
+    their names. classes: words that begin or end with such a sound. words: those of `LEAST_FRAMES`
+    frames, the worst first. Raises CorpusError.
+    """
+    scores, folds = _Scores(), word_folds(corpus)
+    for part in folds:
+        model = model_of(part)
+        played = _chosen(corpus, part, limit)
+        sentences = corpus.keep({name for name, _ in played}).utterances
+        for utterance in track(f"scoring {part.split}", list(sentences)):
+            said = [w for w in spoken_words(utterance) if (utterance.name, w.text) in played]
+            _add(scores, model, utterance, said, method, lookaheads_ms, listen(utterance))
+    main_ms = lookaheads_ms[len(lookaheads_ms) // 2]
+    words = {text: scores.row(main_ms, text) for part in folds for text in part.words or ()}
+    told = [
+        {"word": text, "lookahead_ms": main_ms, **row}
+        for text, row in words.items()
+        if int(str(row["frames"])) >= LEAST_FRAMES
+    ]
+    return {
+        "all": [{"lookahead_ms": ms, **scores.row(ms, _ALL)} for ms in lookaheads_ms],
+        "classes": [
+            {"class": name, "lookahead_ms": main_ms, **scores.row(main_ms, name)}
+            for name in BORDER_CLASSES
+            if scores.sums[main_ms, name]
+        ],
+        "words": sorted(told, key=lambda row: float(str(row["gap_r"]))),
+    }
+
+
+def _chosen(corpus: Corpus, part: Part, limit: int) -> set[tuple[str, str]]:
+    """(sentence, word) of a fold: at most `limit` sentences for each of its words."""
+    chosen: set[tuple[str, str]] = set()
+    for text in part.words or ():
+        holding = sorted(
+            u.name for u in corpus.utterances if any(w.text == text for w in spoken_words(u))
+        )
+        step = max(1.0, len(holding) / limit)
+        chosen |= {(holding[int(n * step)], text) for n in range(min(limit, len(holding)))}
+    return chosen
+
+
+def _add(
+    scores: _Scores,
+    model: TrainedModel,
+    utterance: Utterance,
+    words: Sequence[Word],
+    method: Method,
+    lookaheads_ms: Sequence[int],
+    heard: Heard,
+) -> None:
+    """Play a sentence tick by tick and add what some of its words come to."""
+    times_s = np.arange(len(utterance.markers_mm)) / utterance.frame_rate_hz
+    ticks_s = np.arange(int(times_s[-1] / TICK_S) + 1, dtype=np.float64) * TICK_S
+    recorded = Motion(utterance.markers_mm, model.coefficients(utterance.markers_mm))
+    reference = all_methods()[REFERENCE].faces(model, Heard(utterance.phones), times_s, 0.0)
+    ideal = Motion(model.markers_mm(reference), reference)
+    seen_mm = model.lip_gaps_mm(utterance.markers_mm)
+    for ms in lookaheads_ms:
+        ticks = method.faces(model, heard, ticks_s, ms / 1e3)
+        ours_mm = model.lip_gaps_mm(model.markers_mm(ticks))
+        faces = np.stack([np.interp(times_s, ticks_s, column) for column in ticks.T], axis=1)
+        made = Motion(model.markers_mm(faces), faces)
+        for word in words:
+            scored = speech_frames(utterance, frozenset({word.text}))
+            if not scored.any():
+                continue
+            sums = sentence_sums(model, utterance, scored, recorded, made, ideal)
+            at_s = times_s[scored][:, None] + _SHIFTS_S
+            around_mm = np.interp(at_s, ticks_s, ours_mm)
+            for name in (_ALL, word.text, *_borders(utterance, word)):
+                scores.sums[ms, name].append(sums)
+                scores.lips[ms, name].seen.append(seen_mm[scored])
+                scores.lips[ms, name].ours.append(around_mm)
+
+
+def _borders(utterance: Utterance, word: Word) -> set[str]:
+    """The classes of the first and the last sound of a word."""
+    inside = [
+        phone.phoneme
+        for phone in utterance.phones
+        if phone.phoneme != SILENCE
+        and word.start_s <= (phone.start_s + (phone.end_s or phone.start_s)) / 2.0 < word.end_s
+    ]
+    return {_CLASS_OF[phoneme] for phoneme in (inside[:1] + inside[-1:])}
+
+
+def _rounded(value: float) -> float | None:
+    return None if math.isnan(value) else round(value, 4)

@@ -1,0 +1,194 @@
+"""What the mouth is expected to do by all that a recogniser believes, not by what it decides alone.
+
+A decoder names one phoneme for each instant and throws away how sure it was; what it throws away
+is what the eye misses. Here the posteriors of the frames around an instant, written as what
+phonemes look like (articulation and viseme class, so that words never met are made of known
+parts), become a face: by a ridge over random cosines (Rahimi and Recht, "Random features for
+large-scale kernel machines", NIPS 2007) and a small network of rectifiers, averaged. The face has
+its share in the motion where the recogniser doubts, and none where it is sure: phonemes known from
+a text or a file are as sharp as posteriors can be, and move the mouth as they are decided.
+
+Inference only, NumPy only, bounded. Its arrays are one part of a model file, where there is one.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.arrays import Array, Array32
+from lipsync.expectation.expectation import PhonemeTrack
+from lipsync.face.model import ModelFile
+from lipsync.phonemes import PHONEMES, FramePosteriors
+
+#: Of the posteriors that it was learned from.
+FRAMES_PER_S: Final = 100
+#: First and last frame of each mean that is taken, from an instant. Further back a window tells
+#: words apart by heart, and those never met are read worse (docs/decisions/0063).
+WINDOWS: Final = (
+    (-15, -11), (-10, -8), (-7, -5), (-4, -2), (-1, 1), (2, 4), (5, 7), (8, 10), (11, 15),
+)  # fmt: skip
+#: Frames that a window reaches, from an instant.
+OFFSETS: Final = np.arange(WINDOWS[0][0], WINDOWS[-1][1] + 1)
+_FIRST_OF = np.array([first - WINDOWS[0][0] for first, _ in WINDOWS])
+_LENGTHS = np.array([last - first + 1 for first, last in WINDOWS], np.float32)[:, None]
+#: How sure a recogniser is: its largest posterior, on average over so many frames before and after.
+_DOUBT_FRAMES = 10
+_NEAR = slice(-WINDOWS[0][0] - _DOUBT_FRAMES, -WINDOWS[0][0] + _DOUBT_FRAMES + 1)
+#: Share of the soft face for each unit of doubt, and the most of it; chosen on inner splits.
+SHARE_PER_DOUBT, LARGEST_SHARE = 3.0, 0.6
+#: Frames remembered: more than any window and look-ahead reach.
+_KEPT = 256
+#: Posteriors that sum to something else are none.
+_SUM_TOLERANCE = 0.05
+#: Sums of the same times differ by less.
+_ROUNDING_S = 1e-6
+
+
+class BelievedFrames:
+    """Posteriors of the last frames, each by the head that knows best so far."""
+
+    def __init__(self) -> None:
+        self._rows = np.zeros((_KEPT, len(PHONEMES)), np.float32)
+        self._frames = np.full(_KEPT, -1)
+
+    def push(self, posteriors: FramePosteriors) -> None:
+        """Take what became known; of another inventory or rate, or no posteriors: passed over."""
+        values = posteriors.values[-_KEPT:]
+        is_ours = values.shape[1:] == (len(posteriors.delays), len(PHONEMES))
+        if not is_ours or posteriors.frames_per_s != FRAMES_PER_S:
+            return
+        first = posteriors.first_frame + len(posteriors.values) - len(values)
+        sums = values.sum(axis=2)
+        # Also false for NaN.
+        usable = (np.abs(sums - 1.0) <= _SUM_TOLERANCE) & (values.min(axis=2) >= 0.0)
+        for head, delay in enumerate(posteriors.delays):
+            frames = np.arange(first - delay, first - delay + len(values))
+            kept = usable[:, head] & (frames >= 0)
+            places = frames[kept] % _KEPT
+            self._rows[places] = values[kept, head]
+            self._frames[places] = frames[kept]
+
+    def around(self, track: PhonemeTrack, times_s: Array, known_until_s: float) -> Array32:
+        """(n, n_frames, n_phonemes) around times (n,), frame by frame of all `WINDOWS`.
+
+        Where nothing was believed the decided phonemes stand, all or nothing, as far as they are
+        known; beyond `known_until_s` all is 0.
+        """
+        frames = np.rint(times_s * FRAMES_PER_S).astype(np.int64)[:, None] + OFFSETS
+        places = frames % _KEPT
+        rows: Array32 = self._rows[places]
+        missing = self._frames[places] != frames
+        if missing.any():
+            middles_s = (frames[missing] + 0.5) / FRAMES_PER_S
+            at = np.searchsorted(np.array(track.starts_s), middles_s, side="right") - 1
+            sharp = _SHARP[np.array(track.phonemes)[at]]
+            sharp[middles_s > known_until_s + _ROUNDING_S] = 0.0
+            rows[missing] = sharp
+        return rows
+
+
+_SHARP = np.eye(len(PHONEMES), dtype=np.float32)
+
+
+def window_means(rows: Array32) -> Array32:
+    """(n, n_frames, k) -> (n, n_windows, k): the mean of each of `WINDOWS`."""
+    sums = np.add.reduceat(rows, _FIRST_OF, axis=1)
+    return np.asarray(sums / _LENGTHS, np.float32)
+
+
+def shares_of(rows: Array32) -> Array:
+    """(n, n_frames, n_phonemes) -> (n,): how much of the motion is the soft face."""
+    surest = rows[:, _NEAR].max(axis=2)
+    known = np.maximum((surest > 0.0).sum(axis=1), 1)
+    doubt = 1.0 - surest.sum(axis=1) / known
+    return np.asarray(np.clip(SHARE_PER_DOUBT * doubt, 0.0, LARGEST_SHARE), np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class SoftExpectation:
+    """The learned map from posteriors to a face; d = n_windows k.
+
+    looks: (n_phonemes, k), what each phoneme looks like. frequencies (d, n_cosines) and phases of
+    the cosines; first (d + 1, h1) and second (h1 + 1, h2), layers of rectifiers with their biases
+    last. output: (n_cosines + d + h2 + 1, n_components), for cosines, inputs, rectifiers and 1.
+    """
+
+    looks: Array32
+    frequencies: Array32
+    phases: Array32
+    first: Array32
+    second: Array32
+    output: Array32
+
+    def faces(self, means: Array32) -> Array:
+        """Faces (n, n_components) by means (n, n_windows, n_phonemes)."""
+        return np.asarray(self.hidden(means) @ self.output, np.float64)
+
+    def hidden(self, means: Array32) -> Array32:
+        """What the faces are a sum of: (n, n_cosines + d + h2 + 1)."""
+        inputs = (means @ self.looks).reshape(len(means), -1)
+        cosines = np.cos(inputs @ self.frequencies + self.phases)
+        once = np.maximum(inputs @ self.first[:-1] + self.first[-1], 0.0)
+        twice = np.maximum(once @ self.second[:-1] + self.second[-1], 0.0)
+        ones = np.ones((len(means), 1), np.float32)
+        return np.concatenate([cosines, inputs, twice, ones], axis=1)
+
+    def mixed(
+        self,
+        faces: Array,
+        believed: BelievedFrames,
+        track: PhonemeTrack,
+        times_s: Array,
+        known_until_s: float,
+    ) -> Array:
+        """Faces (n, n_components) of decided phonemes at times (n,), with the soft ones' share."""
+        rows = believed.around(track, times_s, known_until_s)
+        shares = shares_of(rows)
+        if not shares.any():
+            return faces
+        return faces + shares[:, None] * (self.faces(window_means(rows)) - faces)
+
+    def check(self, n_components: int) -> None:
+        """Raises ValueError unless the arrays fit together and are finite."""
+        d = len(WINDOWS) * self.looks.shape[1]
+        n_cosines, h1, h2 = len(self.phases), self.first.shape[1], self.second.shape[1]
+        shapes = {
+            "looks": (len(PHONEMES), self.looks.shape[1]),
+            "frequencies": (d, n_cosines),
+            "phases": (n_cosines,),
+            "first": (d + 1, h1),
+            "second": (h1 + 1, h2),
+            "output": (n_cosines + d + h2 + 1, n_components),
+        }
+        for name, expected in shapes.items():
+            found: Array32 = getattr(self, name)
+            if found.shape != expected:
+                raise ValueError(f"soft {name} has shape {found.shape}, expected {expected}")
+            if not np.isfinite(found).all():
+                raise ValueError(f"soft {name} holds values that are not finite")
+
+
+#: The part of a model file that holds it.
+SOFT_PART: Final = "soft"
+_NAMES = tuple(field.name for field in fields(SoftExpectation))
+
+
+def read_soft_expectation(file: ModelFile, n_components: int) -> SoftExpectation | None:
+    """That of an open model file; None where it has none. Raises ModelError."""
+    if not file.has(SOFT_PART):
+        return None
+
+    def assemble(arrays: Mapping[str, NDArray[np.generic]]) -> SoftExpectation:
+        soft = SoftExpectation(*(np.asarray(arrays[name], np.float32) for name in _NAMES))
+        soft.check(n_components)
+        return soft
+
+    return file.read(SOFT_PART, assemble)
+
+
+def soft_arrays(soft: SoftExpectation) -> dict[str, NDArray[np.generic]]:
+    """What a file keeps of it, float16: half precision moves no lip by a hundredth of a mm."""
+    return {name: getattr(soft, name).astype(np.float16) for name in _NAMES}

@@ -1,0 +1,83 @@
+"""Every word once unseen by the model that moves the mouth in it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from lipservo_lab.bench.left_out_words import KeptModels, left_out_figures, word_folds
+from lipservo_lab.corpus.grid import read_grid
+from lipservo_lab.corpus.utterance import Corpus, CorpusError, Word
+from lipservo_lab.evaluation.motion.methods import LiveMethod
+from lipservo_lab.evaluation.motion.motion_scores import true_phonemes
+from small_corpus import write_corpus
+from small_model import small_model
+
+TEXTS = ("red", "blue", "green")
+
+
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory) -> Corpus:
+    """Six sentences of one word each, three words by turns."""
+    found = read_grid(write_corpus(tmp_path_factory.mktemp("corpus") / "c", 6)).labelled()
+    utterances = tuple(
+        replace(u, words=(Word(TEXTS[n % 3], u.words[0].start_s, u.words[-1].end_s),))
+        for n, u in enumerate(found.utterances)
+    )
+    return replace(found, utterances=utterances)
+
+
+def test_every_word_is_left_out_once_with_all_sentences_that_hold_it(corpus):
+    folds = word_folds(corpus)
+    assert sorted(word for part in folds for word in part.words) == sorted(TEXTS)
+    for part in folds:
+        said = {u.name for u in corpus.utterances if u.words[0].text in part.words}
+        assert part.test == said
+        assert not part.train & said
+
+
+def test_a_fold_that_leaves_nothing_to_train_on_is_named(corpus):
+    everywhere = tuple(
+        replace(u, words=(*u.words, Word("and", 0.1, 0.2))) for u in corpus.utterances
+    )
+    with pytest.raises(CorpusError, match="every labelled sentence holds one of and"):
+        word_folds(replace(corpus, utterances=everywhere))
+
+
+def test_a_corpus_of_one_word_has_none_to_leave_out(corpus):
+    with pytest.raises(CorpusError, match="1 different words; none can be left out"):
+        word_folds(replace(corpus, utterances=corpus.utterances[:1]))
+
+
+def test_a_model_is_learned_once_and_kept_until_its_sentences_change(corpus, tmp_path):
+    learned = []
+
+    def learn(part):
+        learned.append(part)
+        return small_model()
+
+    part = word_folds(corpus)[0]
+    for _ in range(2):
+        KeptModels(tmp_path, corpus, {}, learn).of(part)
+    assert len(learned) == 1
+    moved = replace(corpus.utterances[0], markers_mm=corpus.utterances[0].markers_mm + 1.0)
+    others = replace(corpus, utterances=(moved, *corpus.utterances[1:]))
+    for part in word_folds(others):
+        KeptModels(tmp_path, others, {}, learn).of(part)
+    assert len(learned) > 1
+    next(tmp_path.glob("*.npz")).write_bytes(b"damaged")
+    n_before = len(learned)
+    for part in (*word_folds(corpus), *word_folds(others)):
+        KeptModels(tmp_path, corpus, {}, learn).of(part)
+    assert len(learned) > n_before
+
+
+def test_all_words_classes_and_look_aheads_are_scored(corpus):
+    rows = left_out_figures(
+        corpus, lambda _: small_model(), LiveMethod(), (0, 100), true_phonemes, 1,
+        lambda _, items: items,
+    )  # fmt: skip
+    assert [row["lookahead_ms"] for row in rows["all"]] == [0, 100]
+    assert rows["all"][0]["frames"] > 0
+    assert {row["lookahead_ms"] for row in rows["classes"]} == {100}
+    assert rows["words"] == []  # none has 300 frames
+    assert np.isfinite(rows["all"][1]["ratio"])

@@ -1,0 +1,50 @@
+"""`lipservo learn soft` fits a model to a recogniser's weights, or says why it cannot."""
+
+import json
+
+import pytest
+from lipservo_lab.learning.motion.trained_model import load_trained_model
+from small_corpus import write_corpus
+from typer.testing import CliRunner
+
+from lipservo.cli import app
+from lipsync.recognition.network import DEFAULT_WEIGHTS, weights_digest
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory):
+    return write_corpus(tmp_path_factory.mktemp("corpus") / "c", 12)
+
+
+@pytest.fixture(scope="module")
+def face(corpus):
+    path = corpus.parent / "face.npz"
+    made = invoke("learn", "face", corpus, "-o", path, "--phonemes", "true", "-q")
+    assert made.exit_code == 0, made.output
+    return path
+
+
+def test_a_fitted_model_names_its_weights_and_keeps_all_else(corpus, face, tmp_path):
+    output = tmp_path / "fitted.npz"
+    answer = invoke("learn", "soft", corpus, "-o", output, "--model", face, "--json", "-q")
+    assert answer.exit_code == 0, answer.output
+    figures = json.loads(answer.stdout)
+    assert figures["soft_weights"] == weights_digest(DEFAULT_WEIGHTS)
+    before, after = load_trained_model(face), load_trained_model(output)
+    assert before.soft is None
+    assert after.soft is not None
+    assert after.provenance["soft_weights"] == figures["soft_weights"]
+    assert after.checksum == before.checksum
+    assert after.training_sentences == before.training_sentences
+
+
+def test_sentences_that_did_not_teach_the_model_are_named(face, tmp_path):
+    other = write_corpus(tmp_path / "other", 4)
+    answer = invoke("learn", "soft", other, "-o", tmp_path / "x.npz", "--model", face, "-q")
+    assert answer.exit_code != 0
+    assert "8 of the model's 12 sentences are not in it" in str(answer.exception or answer.output)
+    assert not (tmp_path / "x.npz").exists()
