@@ -219,7 +219,7 @@ class NetworkRecognizer:
         update = self._updates.update([PHONEMES[index] for index in known], n_later)
         del self._settled[: self._updates.n_final - n_final]
         # Words that are known are not doubted.
-        if self._believed and self.moved_by == "sound":
+        if self._believed and all(each == HEARD for each in self._followed):
             update = replace(update, posteriors=self._posteriors_heard())
         self._believed.clear()
         return [update]
