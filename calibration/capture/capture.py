@@ -10,7 +10,7 @@ Loads SciPy; the live path never does.
 import json
 import os
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +26,9 @@ LEAD_IN_DEG = 3.0
 #: How far along its range a single-joint sweep goes: far enough to be seen above the tracker's
 #: noise, not so far that a limit set a little wrong does harm.
 _SWEEP_SHARE = 0.6
-#: Poses a joint takes in the sweeps (the same angle from below and from above).
-_POSES_PER_SWEEP = 2
+#: Poses a joint takes in the sweeps (the same angle from below and from above), and where every
+#: pose is dear.
+_POSES_PER_SWEEP, _FEWEST_PER_SWEEP = 2, 1
 _NEUTRAL_POSES = 2
 #: Neutral is taken again in the middle and at the end where so many poses are left for the rest.
 _LEAST_CUBE = 16
@@ -50,9 +51,14 @@ class PosePlan:
         return len(self.goals_deg)
 
 
-def least_poses(n_servos: int) -> int:
+def least_poses(n_servos: int, per_sweep: int = _FEWEST_PER_SWEEP) -> int:
     """The fewest poses that a face of so many servos is learnt from: its sweeps, and as many."""
-    return _NEUTRAL_POSES + 2 * _POSES_PER_SWEEP * n_servos
+    return _NEUTRAL_POSES + 2 * per_sweep * n_servos
+
+
+def usual_poses(n_servos: int) -> int:
+    """The fewest with every joint seen alone from both sides; what is more may lie in speech."""
+    return least_poses(n_servos, _POSES_PER_SWEEP)
 
 
 def plan_poses(
@@ -64,7 +70,8 @@ def plan_poses(
 ) -> PosePlan:
     """Neutral, every joint alone from both sides, then a Latin hypercube within the limits.
 
-    Neutral comes again in the middle of the hypercube and at its end.
+    Of few poses each joint is alone in one, from below. Neutral comes again in the middle of the
+    hypercube and at its end.
     rules: what the joints must not do together; a pose that breaks one is scaled towards neutral.
     Raises CalibrationError for fewer poses than `least_poses`.
     """
@@ -74,7 +81,8 @@ def plan_poses(
             f"{n_poses} poses are too few for {len(joints)} servos; ask for {least} or more"
         )
     low, high = _inside(joints)
-    single, single_side = _sweeps(low, high)
+    few = n_poses < usual_poses(len(joints))
+    single, single_side = _sweeps(low, high, _FEWEST_PER_SWEEP if few else _POSES_PER_SWEEP)
     n_cube = n_poses - len(single)
     rng = np.random.default_rng(seed)
     cube = qmc.LatinHypercube(len(joints), rng=rng).random(n_cube)
@@ -111,6 +119,17 @@ def ends_alone(joints: Sequence[JointRange], joint: int) -> Array:
     return ends_deg
 
 
+def plan_rows(plan: PosePlan, rows: Sequence[int]) -> PosePlan:
+    """Some poses of a plan."""
+    chosen = list(rows)
+    return replace(
+        plan,
+        goals_deg=plan.goals_deg[chosen],
+        from_below=plan.from_below[chosen],
+        start_deg=plan.start_deg[chosen],
+    )
+
+
 def joined(first: PosePlan, second: PosePlan) -> PosePlan:
     """One plan after the other."""
     return PosePlan(
@@ -140,18 +159,17 @@ def _inside(joints: Sequence[JointRange]) -> tuple[Array, Array]:
     return np.minimum(low + room, 0.0), np.maximum(high - room, 0.0)
 
 
-def _sweeps(low: Array, high: Array) -> tuple[Array, Array]:
+def _sweeps(low: Array, high: Array, per_sweep: int) -> tuple[Array, Array]:
     """Goals and sides of the neutral poses and of every joint alone, at its wider end."""
     n_servos = len(low)
     wider = np.where(high >= -low, high, low)
-    goals = np.zeros((_NEUTRAL_POSES + _POSES_PER_SWEEP * n_servos, n_servos))
+    goals = np.zeros((_NEUTRAL_POSES + per_sweep * n_servos, n_servos))
     side = np.ones_like(goals)
     side[1] = -1.0
     for joint in range(n_servos):
-        rows = slice(_NEUTRAL_POSES + _POSES_PER_SWEEP * joint, None)
-        up, down = range(*rows.indices(len(goals)))[:_POSES_PER_SWEEP]
-        goals[[up, down], joint] = _SWEEP_SHARE * wider[joint]
-        side[down, joint] = -1.0
+        up = _NEUTRAL_POSES + per_sweep * joint
+        goals[up : up + per_sweep, joint] = _SWEEP_SHARE * wider[joint]
+        side[up + 1 : up + per_sweep, joint] = -1.0
     return goals, side
 
 
@@ -174,7 +192,8 @@ class Capture:
 
     goals_deg, from_below: (n, n_servos); markers_mm: (n, n_markers, 3), NaN where lost. stalled: a
     line for each pose that was left out because a joint did not get there, or for those that were
-    not recorded. n_planned: poses of the plan, those left out among them.
+    not recorded. n_planned: poses of the plan, those left out among them. rows: of the plan, which
+    of its poses these are, where they were captured pose by pose.
     """
 
     servo_names: tuple[str, ...]
@@ -184,6 +203,7 @@ class Capture:
     markers_mm: Array
     stalled: tuple[str, ...] = ()
     n_planned: int = 0
+    rows: tuple[int, ...] = ()
 
     def __len__(self) -> int:
         return len(self.goals_deg)
@@ -253,20 +273,24 @@ def take_poses(
     try:
         for index in range(len(plan)):
             if index not in done and index not in left_out:
-                on.move(plan.start_deg[index])
-                reached_deg = on.move(plan.goals_deg[index])
-                on.arrived(index, reached_deg)
-                # As exact as they are kept: a capture that goes on from a file is the same.
-                seen_mm, stands_deg = np.round(on.measure(), 4), np.round(reached_deg, 4)
-                poses.append(CapturedPose(index, stands_deg, seen_mm))
+                poses.append(take_pose(plan, index, on))
                 if keep is not None:
-                    _append(keep, poses[-1], plan, marker_names)
+                    keep_pose(keep, poses[-1], plan, marker_names)
                 if index in pressing and on.strained() is not None:
                     left_out = set(pressing)
             on.progress(len(poses))
     finally:
         on.move(np.zeros(len(plan.servo_names)))
     return poses
+
+
+def take_pose(plan: PosePlan, index: int, on: Robot) -> CapturedPose:
+    """Go to a pose of the plan, from its side, and measure it."""
+    on.move(plan.start_deg[index])
+    reached_deg = on.move(plan.goals_deg[index])
+    on.arrived(index, reached_deg)
+    # As exact as they are kept: a capture that goes on from a file is the same.
+    return CapturedPose(index, np.round(reached_deg, 4), np.round(on.measure(), 4))
 
 
 def gather(plan: PosePlan, marker_names: tuple[str, ...], poses: list[CapturedPose]) -> Capture:
@@ -292,10 +316,11 @@ def gather(plan: PosePlan, marker_names: tuple[str, ...], poses: list[CapturedPo
         markers_mm=np.array([pose.markers_mm for pose in good]).reshape(-1, len(marker_names), 3),
         stalled=tuple(stalled),
         n_planned=len(plan),
+        rows=tuple(rows),
     )
 
 
-#: How `_append` begins a line; what begins otherwise is no pose cut short.
+#: How `keep_pose` begins a line; what begins otherwise is no pose cut short.
 _LINE_HEAD = '{"pose": '
 
 
@@ -309,7 +334,7 @@ def read_kept(
     """
     if not keep.exists():
         return []
-    poses = []
+    poses: dict[int, CapturedPose] = {}
     try:
         lines = keep.read_text(encoding="utf-8").split("\n")
     except (OSError, UnicodeDecodeError) as error:
@@ -318,7 +343,8 @@ def read_kept(
         try:
             content = json.loads(line)
             if not (goes_on and int(str(content["pose"])) >= len(plan)):
-                poses.append(_kept_pose(content, plan, marker_names))
+                pose = _kept_pose(content, plan, marker_names)
+                poses[pose.index] = pose
         except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
             raise CalibrationError(
                 f"{keep}, line {number + 1}: not a pose of this face and plan; "
@@ -331,7 +357,7 @@ def read_kept(
                 "name another file or remove this one"
             )
         write_whole(keep, "".join(line + "\n" for line in lines[:-1]))
-    return poses
+    return list(poses.values())
 
 
 def _kept_pose(
@@ -349,7 +375,11 @@ def _kept_pose(
     return CapturedPose(index, np.array(line["reached_deg"], dtype=np.float64), points)
 
 
-def _append(keep: Path, pose: CapturedPose, plan: PosePlan, marker_names: tuple[str, ...]) -> None:
+def keep_pose(
+    keep: Path, pose: CapturedPose, plan: PosePlan, marker_names: tuple[str, ...]
+) -> None:
+    """Add a line to the kept poses; the last line of a pose counts. Raises CalibrationError."""
+
     def plain(points: Array) -> list[list[float | None]]:
         return [[float(f"{v:.4f}") if np.isfinite(v) else None for v in p] for p in points]
 

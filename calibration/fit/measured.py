@@ -7,7 +7,7 @@ Loads scikit-learn; the live path never does.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 from calibration.calibration import Calibration, CalibrationError, Following, Origin, Touch
 from calibration.capture.capture import Capture
 from calibration.capture.sanity import check_capture
+from calibration.capture.straight_lines import straight_lines
 from calibration.fit.retargeting import (
     LEAST_OPENING_MM,
     PRESS_MM,
@@ -257,9 +258,12 @@ def _fit(
     warnings = (*checked.warnings, *loose_joint(face.servo_names, face.backlash_deg))
     limits = servos.limits_deg
     fit, held_out = split_frames(model, seed)
-    mouth = mouth_of(face, names, servos)
+    mouth = replace(
+        mouth_of(face, names, servos.holding(checked.still)),
+        doubt_mm_per_deg=_doubt_mm_per_deg(capture, names),
+    )
     chosen = choose_map(retargeting_of(model, mouth, face, capture), fit - model.rest)
-    retargeting, run = chosen.retargeting, chosen.run
+    retargeting, run = chosen.retargeting, chosen.run.without(checked.still)
     errors, coverage = measure_shapes(ShapeErrors(model, mouth, retargeting), run, held_out)
     calibration = Calibration(
         servo_names=capture.servo_names,
@@ -288,6 +292,17 @@ def _fit(
         ),
     )
     return MeasuredFit(calibration, face, retargeting, names, held_out, warnings)
+
+
+def _doubt_mm_per_deg(capture: Capture, names: Correspondence) -> Array:
+    """(n_servos,): what chance gives the slope of each joint, in weighted millimetres a degree.
+
+    Turning a joint by a degree is as likely to harm by so much as to help by what it is known to
+    do: a weak joint goes as far as its millimetres pay for.
+    """
+    chance_mm = straight_lines(capture).chance_mm
+    range_deg = np.maximum(np.ptp(capture.goals_deg, axis=0), 1e-6)
+    return np.asarray(chance_mm / range_deg * names.shape_features.of_noise(len(names.human)))
 
 
 def split_frames(model: FaceWithAnimPhos, seed: int) -> tuple[Array, Array]:

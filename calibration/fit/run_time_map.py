@@ -6,6 +6,7 @@ contact it presses where lips close.
 Loads scikit-learn; the live path never does.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +38,20 @@ class RunTimeMap:
     x_range: Array
     centres: Array
     centre_weights: Array
+
+    def without(self, still: Sequence[int]) -> "RunTimeMap":
+        """The same with these joints, by number, at 0 whatever is said."""
+        if not still:
+            return self
+        moves = np.ones(len(self.rest_deg))
+        moves[list(still)] = 0.0
+        return replace(
+            self,
+            rest_deg=self.rest_deg * moves,
+            weights=self.weights * moves[:, None],
+            quadratic_weights=self.quadratic_weights * moves[:, None],
+            centre_weights=self.centre_weights * moves[:, None],
+        )
 
     def free_deg(self, from_rest: Array) -> Array:
         """(n, n_components) -> (n, n_servos), before the limits."""
