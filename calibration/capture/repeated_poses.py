@@ -7,12 +7,15 @@ a horn that slipped; where a joint alone does less than it did, it stopped, or i
 several suspicions the one counts that explains most of what changed.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.capture.capture import Capture, PosePlan, plan_rows
+from calibration.capture.joint_health import JointFault
+from calibration.capture.straight_lines import StraightLines
 from lipsync.arrays import Array
 
 #: Degrees, and the share of what a joint did, from which a change is a fault. Zeros that drift with
@@ -64,10 +67,10 @@ class FaceChange:
 
 
 def first_part(plan: PosePlan) -> PosePlan:
-    """Neutral and every joint alone, from below: the poses of a plan that are taken again."""
-    alone = (np.abs(plan.goals_deg) > _STILL_DEG).sum(axis=1) <= 1
-    rows = np.flatnonzero(alone & (plan.from_below > 0.0).all(axis=1))
-    first = np.unique(plan.goals_deg[rows], axis=0, return_index=True)[1]
+    """Neutral and every joint alone, from either side: the poses of a plan that are taken again."""
+    rows = np.flatnonzero((np.abs(plan.goals_deg) > _STILL_DEG).sum(axis=1) <= 1)
+    keys = np.hstack([plan.goals_deg[rows], plan.from_below[rows]])
+    first = np.unique(keys, axis=0, return_index=True)[1]
     return plan_rows(plan, rows[np.sort(first)].tolist())
 
 
@@ -91,98 +94,133 @@ def is_repeated(capture: Capture) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class ChangedPoses:
-    """What repeated poses say. does_mm: (n_servos, n_values), what each joint did alone, early.
+    """What repeated poses say, (n_servos,) each.
 
-    turned_deg: (n_servos,), by so much; own_mm: (n_servos, n_values), by what it did less or more
-    later; common_mm: (n_values,), what all poses are off by; noise_mm: of each difference. n: so
-    many poses were repeated, between rows.
+    did_mm: how far each joint took the face along its own way when it was alone, early; does_mm:
+    the same late; lost_error_mm: what noise makes of the difference; turned_deg: by turning so far.
+    slid_mm: how far all poses alike are off along that way; alike: the cosine between the two,
+    without the noise. common_mm: (n_markers, 3), what all are off by; noise_mm: of each difference.
+    n: so many poses were repeated; first, last: before the first and after the last of which
+    nothing happened, counted from 1.
     """
 
+    did_mm: Array
     does_mm: Array
+    lost_error_mm: Array
     turned_deg: Array
-    own_mm: Array
+    slid_mm: Array
+    alike: Array
     common_mm: Array
     noise_mm: float
     n: int
-    rows: tuple[int, int]
+    first: int
+    last: int
 
     @property
     def lost(self) -> Array:
-        """(n_servos,): the share of what each joint did that it does no more."""
-        return np.asarray(-np.sum(self.own_mm * self.does_mm, axis=1) / self.sizes_mm**2)
+        """The share of what each joint did that it does no more."""
+        return np.asarray(1.0 - self.does_mm / self.did_mm)
 
     @property
     def slipped_deg(self) -> Array:
-        """(n_servos,): how far each horn would have slipped, were it alone to blame."""
-        along_mm = self.does_mm @ self.common_mm / self.sizes_mm**2
-        return np.asarray(along_mm * self.turned_deg)
+        """How far each horn would have slipped, were it alone to blame."""
+        return np.asarray(self.slid_mm / self.did_mm * self.turned_deg)
 
     @property
-    def sizes_mm(self) -> Array:
-        """(n_servos,): how far each joint moved all markers together."""
-        return np.maximum(np.linalg.norm(self.does_mm, axis=1), 1e-9)
-
-    @property
-    def alike(self) -> Array:
-        """(n_servos,): cosine between what changed and what each joint does."""
-        size_mm = max(float(np.linalg.norm(self.common_mm)), 1e-9)
-        return np.asarray(np.abs(self.does_mm @ self.common_mm) / (self.sizes_mm * size_mm))
+    def common_error_mm(self) -> float:
+        """Of common_mm: of a median."""
+        return 1.25 * self.noise_mm / math.sqrt(self.n)
 
 
-def changed_poses(capture: Capture) -> ChangedPoses | None:
-    """None where not every joint was seen alone twice."""
+def changed_poses(capture: Capture, lines: StraightLines) -> ChangedPoses | None:
+    """None where not every joint was seen alone twice. lines: of this capture."""
     if not is_repeated(capture):
         return None
     pairs = repeats(capture)
     early, late = (np.array([pair[i] for pair in pairs]) for i in (0, 1))
     goals_deg = capture.goals_deg[early]
-    off_mm = _filled(capture.markers_mm[late] - capture.markers_mm[early])
     moved = np.abs(goals_deg) > _STILL_DEG
-    neutral_mm = np.nanmean(capture.markers_mm[early[~moved.any(axis=1)]], axis=0)
-    alone: list[int] = []
-    for joint in range(goals_deg.shape[1]):
-        rows = np.flatnonzero(moved[:, joint] & (moved.sum(axis=1) == 1))
-        alone.append(int(rows[np.abs(goals_deg[rows, joint]).argmax()]))
+    neutral = np.flatnonzero(~moved.any(axis=1))
+    alone = [_farthest_alone(moved, goals_deg, joint) for joint in range(moved.shape[1])]
+    turned_deg = np.array([goals_deg[rows[0], joint] for joint, rows in enumerate(alone)])
+    seen_mm = np.where(lines.far[..., None], np.nan, capture.markers_mm)
+    off_mm = _filled(seen_mm[late] - seen_mm[early])
     common_mm = np.median(off_mm, axis=0)
-    does_mm = _filled(capture.markers_mm[early[alone]] - neutral_mm)
-    own_mm = off_mm[alone] - common_mm
     # Most markers in most poses are where they were: what is left of them is noise.
-    noise_mm = 1.4826 * float(np.median(np.abs(off_mm - common_mm)))
+    noise_mm = max(1.4826 * float(np.median(np.abs(off_mm - common_mm))), 1e-6)
+    n = len(pairs)
+    # Lines through all poses know the way of a joint better than two readings do.
+    ways = lines.slopes_mm * np.sign(turned_deg)[:, None, None]
+    ways = ways / np.maximum(np.linalg.norm(ways, axis=(1, 2), keepdims=True), 1e-9)
+
+    def alone_mm(of: NDArray[np.int64]) -> Array:
+        still_mm = _middle(seen_mm[of[neutral]])
+        seen_alone_mm = np.array([_middle(seen_mm[of[rows]]) for rows in alone])
+        return np.asarray(np.sum(ways * _filled(seen_alone_mm - still_mm), axis=(1, 2)))
+
+    did_mm, does_mm = alone_mm(early), alone_mm(late)
+    looks = np.array([1.0 / len(rows) + 1.0 / len(neutral) for rows in alone])
+    slid_mm = np.sum(ways * common_mm, axis=(1, 2))
+    error_mm2 = common_mm.size * (1.25 * noise_mm) ** 2 / n
+    size_mm = math.sqrt(max(float(np.sum(common_mm**2)) - error_mm2, error_mm2 / n))
     return ChangedPoses(
-        does_mm=does_mm.reshape(len(alone), -1),
-        turned_deg=goals_deg[alone, np.arange(len(alone))],
-        own_mm=own_mm.reshape(len(alone), -1),
-        common_mm=common_mm.reshape(-1),
-        noise_mm=max(noise_mm, 1e-6),
-        n=len(pairs),
-        rows=(int(early.max()) + 1, int(late.min()) + 1),
+        did_mm=np.maximum(did_mm, 1e-6),
+        does_mm=does_mm,
+        lost_error_mm=noise_mm * np.sqrt(looks),
+        turned_deg=turned_deg,
+        slid_mm=slid_mm,
+        alike=np.abs(slid_mm) / size_mm,
+        common_mm=common_mm,
+        noise_mm=noise_mm,
+        n=n,
+        first=int(early.max()) + 1,
+        last=int(late.min()) + 1,
     )
+
+
+def _farthest_alone(moved: NDArray[np.bool_], goals_deg: Array, joint: int) -> NDArray[np.int64]:
+    """Rows in which no other joint is off 0 and this one most."""
+    rows = np.flatnonzero(moved[:, joint] & (moved.sum(axis=1) == 1))
+    most_deg = goals_deg[rows[np.abs(goals_deg[rows, joint]).argmax()], joint]
+    return np.asarray(rows[np.abs(goals_deg[rows, joint] - most_deg) < _STILL_DEG])
+
+
+def _middle(seen_mm: Array) -> Array:
+    """(n, n_markers, 3) -> (n_markers, 3), NaN where none was seen."""
+    return np.asarray(np.ma.filled(np.ma.masked_invalid(seen_mm).mean(axis=0), np.nan))
+
+
+def bears_out(changed: ChangedPoses, fault: JointFault) -> bool:
+    """Whether repeated poses, too, say what a model of the whole capture suspects of a joint."""
+    if fault.joint < 0:
+        return False
+    if fault.kind == "slipped":
+        return bool(abs(changed.slipped_deg[fault.joint]) > _SLIPPED_DEG)
+    return bool(changed.lost[fault.joint] > _LOST_SHARE)
 
 
 def face_change(changed: ChangedPoses) -> FaceChange | None:
     """The one thing that changed and explains most of it, beyond doubt; None where nothing did."""
-    n, sizes_mm, first_last = changed.n, changed.sizes_mm, changed.rows
-    common_error_mm = 1.25 * changed.noise_mm / np.sqrt(n)
-    slip_errors = np.abs(changed.slipped_deg / changed.turned_deg) * sizes_mm / common_error_mm
-    lost_errors = changed.lost * sizes_mm / changed.noise_mm
-    common_size_mm = float(np.linalg.norm(changed.common_mm)) * np.sqrt(n)
+    where = changed.first, changed.last
+    slip_errors = np.abs(changed.slid_mm) / changed.common_error_mm
+    lost_mm = changed.did_mm - changed.does_mm
+    lost_errors = lost_mm / changed.lost_error_mm
     found = []
-    for joint in range(len(sizes_mm)):
-        slip_deg, lost = float(changed.slipped_deg[joint]), float(changed.lost[joint])
-        alike, errors = float(changed.alike[joint]), float(slip_errors[joint])
-        if abs(slip_deg) > _SLIPPED_DEG and errors > _SURE_ERRORS and alike > _ALIKE:
-            fault = FaceChange("slipped", joint, slip_deg, errors, *first_last)
-            found.append((alike * common_size_mm, fault))
-        if lost > _LOST_SHARE and lost_errors[joint] > _SURE_ERRORS:
-            errors = float(lost_errors[joint])
-            fault = FaceChange("stopped", joint, min(lost, 1.0), errors, *first_last)
-            found.append((lost * sizes_mm[joint], fault))
+    for joint, (slip_deg, lost) in enumerate(zip(changed.slipped_deg, changed.lost, strict=True)):
+        errors = float(slip_errors[joint])
+        if abs(slip_deg) > _SLIPPED_DEG and errors > _SURE_ERRORS and changed.alike[joint] > _ALIKE:
+            fault = FaceChange("slipped", joint, float(slip_deg), errors, *where)
+            found.append((abs(changed.slid_mm[joint]) * math.sqrt(changed.n), fault))
+        errors = float(lost_errors[joint])
+        if lost > _LOST_SHARE and errors > _SURE_ERRORS:
+            fault = FaceChange("stopped", joint, min(float(lost), 1.0), errors, *where)
+            found.append((lost_mm[joint], fault))
     if found:
         return max(found, key=lambda each: float(each[0]))[1]
-    by_marker_mm = np.linalg.norm(changed.common_mm.reshape(-1, 3), axis=1)
-    most_mm = float(np.sort(by_marker_mm)[-3:].mean())
-    if most_mm > max(_SURE_MM, _SURE_ERRORS * common_error_mm):
-        return FaceChange("shifted", -1, most_mm, most_mm / common_error_mm, *first_last)
+    most_mm = float(np.sort(np.linalg.norm(changed.common_mm, axis=1))[-3:].mean())
+    errors = most_mm / changed.common_error_mm
+    if most_mm > _SURE_MM and errors > _SURE_ERRORS:
+        return FaceChange("shifted", -1, most_mm, errors, *where)
     return None
 
 

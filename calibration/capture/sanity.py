@@ -14,8 +14,16 @@ import numpy as np
 
 from calibration.calibration import CalibrationError
 from calibration.capture.capture import Capture
-from calibration.capture.joint_health import WEAK, alive, is_dead, joint_fault, moved_alone_mm
-from calibration.capture.repeated_poses import changed_poses, face_change
+from calibration.capture.joint_health import (
+    SUSPECTED,
+    WEAK,
+    JointFault,
+    alive,
+    is_dead,
+    joint_fault,
+    moved_alone_mm,
+)
+from calibration.capture.repeated_poses import FaceChange, bears_out, changed_poses, face_change
 from calibration.capture.straight_lines import (
     StraightLines,
     in_head_frame,
@@ -96,6 +104,12 @@ def frame_faults(
         f"the scale is odd: the face is {size:.2f} times as large as a person's; are the markers "
         "in millimetres?"
     )
+
+
+def is_flat(capture: Capture) -> bool:
+    """Whether no marker ever moves forward or back: nothing measured depth."""
+    depths_mm = capture.markers_mm[..., 2]
+    return bool((np.nanmax(depths_mm, axis=0) - np.nanmin(depths_mm, axis=0) < _FLAT_MM).all())
 
 
 def check_frame(
@@ -212,10 +226,17 @@ class _JointFindings:
 def _judged_joints(
     capture: Capture, lines: StraightLines, positive: Sequence[str]
 ) -> _JointFindings:
-    """Poses that were taken twice know best what happened on the way; else the lines are asked."""
+    """Poses that were taken twice know best what happened on the way, and bear out the rest."""
     found = _JointFindings()
-    changed = changed_poses(capture)
-    fault = joint_fault(capture, lines) if changed is None else face_change(changed)
+    changed = changed_poses(capture, lines)
+    fault: JointFault | FaceChange | None
+    if changed is None:
+        fault = joint_fault(capture, lines)
+    else:
+        fault = face_change(changed)
+        suspected = joint_fault(capture, lines, SUSPECTED) if fault is None else None
+        if suspected is not None and bears_out(changed, suspected):
+            fault = suspected
     if fault is not None:
         told = fault.told(capture.servo_names)
         (found.certain if fault.joint >= 0 else found.doubtful).append(told)
@@ -225,7 +246,11 @@ def _judged_joints(
     judged = capture.servo_names if fault is None else ()
     for joint, name in enumerate(judged):
         word = positive[joint] if positive else ""
-        if joint in found.still:
+        if joint in found.still and positive and not word:
+            found.doubtful.append(
+                f"servo {name!r} moves the lips forward, which is not seen here: it stays at 0"
+            )
+        elif joint in found.still:
             found.certain.append(
                 f"servo {name!r} moves no marker by more than chance, so speech would not move it; "
                 "check its horn, its linkage and its limits, or give it `part: other`"

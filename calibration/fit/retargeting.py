@@ -89,8 +89,8 @@ def nearest_poses_deg(
     """Features (n, n_features) of shapes -> (n, n_servos) within the limits, keeping the rules.
 
     Gauss-Newton from neutral. doubt_mm_per_deg: (n_servos,), what a degree of each may do that is
-    not known, and therefore costs; None: all is known. steady_mm_per_deg: what a degree of difference to the neighbouring
-    frames costs, where the n frames follow one another.
+    not known, and therefore costs; None: all is known. steady_mm_per_deg: what a degree of
+    difference to the neighbouring frames costs, where the n frames follow one another.
     """
     n_servos = len(limits_deg[0])
     angles_deg = np.zeros((len(wanted), n_servos))

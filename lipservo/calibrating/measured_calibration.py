@@ -19,6 +19,7 @@ from calibration.calibration import (
     check_servo_memories,
 )
 from calibration.capture.capture import Capture, Robot
+from calibration.capture.sanity import is_flat
 from calibration.capture.trackers import FileTracker, SeenByComputation, Tracker, TypedTracker
 from calibration.fit.jaw import fit_jaw, jaw_agreement, jaw_markers
 from calibration.fit.learnt_face import fit_calibration
@@ -106,6 +107,9 @@ def fit_capture(setup: CalibrationSetup, capture: Capture) -> CalibrationResult:
 
     One servo and no lips among the markers: the jaw alone.
     """
+    if setup.sees_forward and is_flat(capture):
+        setup = replace(setup, sees_forward=False)
+        _say("all markers keep one depth: lips are calibrated as seen from the front")
     servos = setup.servos
     lips = LIPS_NEEDED & set(capture.marker_names)
     if len(servos.joints) == 1 and jaw_markers(capture.marker_names) and not lips:

@@ -53,7 +53,13 @@ def measure(
     landmarker: Landmarker = None,
     eye_distance_mm: EyeDistance = None,
     camera: Camera = "0",
-    poses: Poses = 60,
+    poses: Annotated[
+        int | None,
+        typer.Option(
+            help="How many poses are captured; default: 60, and 24 where markers are typed.",
+            show_default=False,
+        ),
+    ] = None,
     keep: Keep = None,
     lags: Lags = True,
     speed: Speed = 30.0,
@@ -75,7 +81,6 @@ def measure(
     check_files(output, keep=keep, plots=plots)
     setup = replace(
         load_setup(config, model, ranges),
-        n_poses=poses,
         keep=keep,
         quiet=quiet or as_json,
         lags=lags,
@@ -84,9 +89,13 @@ def measure(
     )
     from lipservo.calibrating.face_source import is_seen_from_the_front, tracker_source
     from lipservo.calibrating.measured_calibration import (
+        TYPED,
         calibrate_on_computed_skin,
         calibrate_on_servos,
     )
+
+    usual = setup.n_typed_poses if tracker == TYPED else setup.n_poses
+    setup = replace(setup, n_poses=usual if poses is None else poses)
 
     with setup_at_port(setup, port, sim, config) as at:
         if tracker is None:
