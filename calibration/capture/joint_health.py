@@ -32,8 +32,9 @@ _BY_CHANCE = 0.033
 MOST_LOOKS = 3
 #: A second look is taken up to here: dead joints come as far because the others are not straight.
 _DOUBT = 20.0
-#: Each end so many times in a second look; so many are needed to judge by.
-_TIMES, _LEAST_TIMES = 6, 4
+#: Each end so many times in a second look; so many are needed to judge by: more than there are of
+#: the poses that are taken again, which do not go to the end.
+_TIMES, _LEAST_TIMES = 6, 5
 #: Another joint this near to 0 does not move; so much of its range is at its end.
 _STILL_DEG, _END_SHARE, _LEAST_RANGE_DEG = 0.1, 0.05, 1.0
 

@@ -21,8 +21,9 @@ from lipsync.arrays import Array
 #: Degrees, and the share of what a joint did, from which a change is a fault. Zeros that drift with
 #: warm servos come to two degrees and noise to a quarter; slipped splines begin at ten.
 _SLIPPED_DEG, _LOST_SHARE = 5.0, 0.45
-#: So many standard errors of noise, whatever else; and of a marker that nothing explains.
-_SURE_ERRORS, _SURE_MM = 6.0, 1.5
+#: So many standard errors of noise, whatever else: for a slip, which all poses show, and for what a
+#: joint does alone, where healthy robots come to 2.3. And of a marker that nothing explains.
+_SURE_ERRORS, _SURE_LOST_ERRORS, _SURE_MM = 6.0, 3.5, 1.5
 #: What a joint does must be alike what changed by so much, to be blamed for it.
 _ALIKE = 0.7
 #: Another joint this near to 0 does not move; two goals this near are the same.
@@ -212,7 +213,7 @@ def face_change(changed: ChangedPoses) -> FaceChange | None:
             fault = FaceChange("slipped", joint, float(slip_deg), errors, *where)
             found.append((abs(changed.slid_mm[joint]) * math.sqrt(changed.n), fault))
         errors = float(lost_errors[joint])
-        if lost > _LOST_SHARE and errors > _SURE_ERRORS:
+        if lost > _LOST_SHARE and errors > _SURE_LOST_ERRORS:
             fault = FaceChange("stopped", joint, min(float(lost), 1.0), errors, *where)
             found.append((lost_mm[joint], fault))
     if found:

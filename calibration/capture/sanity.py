@@ -6,7 +6,7 @@ there. Axes are compared with the speaker's closed mouth by every exchange and t
 robot is another face, but its nose is above its chin and its left is not its right.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, permutations, product
 
@@ -37,6 +37,7 @@ from calibration.capture.swaps import (
     swapped_in_poses,
     told_swaps,
 )
+from calibration.joint_motion import Channel, joint_motion
 from lipsync.arrays import Array
 from lipsync.face.model import FaceModel
 from lipsync.markers import MARKERS_47
@@ -255,7 +256,7 @@ def _judged_joints(
                 f"servo {name!r} moves no marker by more than chance, so speech would not move it; "
                 "check its horn, its linkage and its limits, or give it `part: other`"
             )
-        elif word and _is_reversed(capture, lines, joint, word):
+        elif word and _is_reversed(capture, lines, joint, _usual_word(name, word)):
             found.certain.append(
                 f"servo {name!r} is reversed: a positive angle should {_bare(word)}, "
                 "and does the opposite; change its `sign` in the face YAML"
@@ -343,6 +344,25 @@ def _wanted_direction(names: tuple[str, ...], slope_mm: Array, word: str) -> Arr
     else:
         return None
     return wanted
+
+
+#: What a joint does in a channel's forward direction, and in its backward one.
+_WORDS: Mapping[Channel, tuple[str, str]] = {
+    "jaw": ("opens", "closes"),
+    "upper_lip": ("raises", "lowers"),
+    "lower_lip": ("lowers", "raises"),
+    "corner_out": ("widens", "narrows"),
+    "corner_up": ("raises", "lowers"),
+    "protrusion": ("protrudes", "retracts"),
+}
+
+
+def _usual_word(name: str, word: str) -> str:
+    """For a jaw that drops: opens. Words that say what moves by themselves stay."""
+    if any(word in pair for pair in _WORDS.values()):
+        return word
+    motion = joint_motion(name, word)
+    return word if motion is None else _WORDS[motion.channel][0 if motion.sign > 0 else 1]
 
 
 def _bare(word: str) -> str:

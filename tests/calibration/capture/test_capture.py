@@ -91,8 +91,8 @@ def test_the_cube_fills_the_range_of_every_joint_evenly(plan):
 
 
 def test_too_few_poses_are_refused_with_the_number_needed():
-    with pytest.raises(CalibrationError, match="41 poses are too few for 10 servos; ask for 42"):
-        plan_poses(JOINTS, 41)
+    with pytest.raises(CalibrationError, match="21 poses are too few for 10 servos; ask for 22"):
+        plan_poses(JOINTS, 21)
 
 
 def test_a_capture_cut_short_goes_on_where_it_stopped(plan, robot, tmp_path):

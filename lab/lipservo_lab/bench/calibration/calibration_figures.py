@@ -6,6 +6,7 @@ score is taken on markers without noise, with the backlash as it lies.
 How far the mouth is from its sound on servos that are late, with and without compensation.
 """
 
+import math
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
@@ -26,6 +27,7 @@ from calibration.simulated.face import JAW
 from calibration.simulated.robot import RobotDraw, SimulatedRobot, draw_robot, true_markers_mm
 from calibration.simulated.servos import SimulatedServos
 from lipservo.settings.settings import FaceSettings, load_shipped_face
+from lipservo_lab.bench.calibration.hard_captures import count_faults, fault_figures
 from lipsync.animpho.units import FaceWithAnimPhos, load_face_with_animphos
 from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
@@ -157,11 +159,7 @@ class SeedFigures:
 
 def measure_seed(model: FaceWithAnimPhos, settings: FaceSettings, seed: int) -> SeedFigures:
     """Calibrate one simulated robot from capture to lags, and score it."""
-    servos = MouthServos(
-        joints=tuple(JointRange(j.name, j.min_deg, j.max_deg) for j in settings.joints()),
-        face_checksum=settings.checksum,
-        positive=tuple(servo.positive for servo in settings.servos.values()),
-    )
+    servos = _servos(settings)
     joints = servos.joints
     rest_mm = model.markers_mm(model.rest[None])[0]
     draw = draw_robot(rest_mm, servos.names, seed)
@@ -180,17 +178,42 @@ def measure_seed(model: FaceWithAnimPhos, settings: FaceSettings, seed: int) -> 
     return _figures(shapes, sync, _map_time_us(model, fit), procedure_s)
 
 
-def calibration_figures(seeds: Iterable[int]) -> dict[str, float]:
-    """Medians over the seeds under the names of the table; `worst_` and the worst seed for each."""
+def _servos(settings: FaceSettings) -> MouthServos:
+    return MouthServos(
+        joints=tuple(JointRange(j.name, j.min_deg, j.max_deg) for j in settings.joints()),
+        face_checksum=settings.checksum,
+        positive=tuple(servo.positive for servo in settings.servos.values()),
+    )
+
+
+def calibration_figures(seeds: Iterable[int]) -> dict[str, object]:
+    """Medians over the seeds under the names of the table; `worst_` and the worst seed for each.
+
+    A healthy robot that is refused counts in `refused`, and in no median.
+    """
     model, settings = load_face_with_animphos(), load_shipped_face("face_sim")
-    found = [measure_seed(model, settings, seed) for seed in seeds]
-    figures: dict[str, float] = {}
+    servos, rest_mm = _servos(settings), model.markers_mm(model.rest[None])[0]
+    found, faults = [], []
+    refused: dict[str, str] = {}
+    for seed in seeds:
+        try:
+            found.append(measure_seed(model, settings, seed))
+        except CalibrationError as error:
+            refused[str(seed)] = str(error)
+        draw = draw_robot(rest_mm, servos.names, seed)
+        faults.append(count_faults(model, draw, servos, seed))
+    figures: dict[str, object] = {}
     for field in fields(SeedFigures):
-        values = [float(getattr(seed, field.name)) for seed in found]
+        values = [float(getattr(seed, field.name)) for seed in found] or [math.nan]
         figures[field.name] = float(np.median(values))
         figures[f"worst_{field.name}"] = (min if field.name in _LARGE_IS_GOOD else max)(values)
     figures["worst_rms_mm"] = figures.pop("worst_heldout_rms_mm")
-    return figures
+    return {
+        **figures,
+        "refused": len(refused),
+        "refused_why": refused,
+        **fault_figures(faults),
+    }
 
 
 def read_seeds(text: str) -> list[int]:

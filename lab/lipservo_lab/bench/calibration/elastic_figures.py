@@ -19,7 +19,7 @@ from calibration.mouth_servos import MouthServos
 from calibration.simulated.elastic_robot import ElasticFace
 from calibration.simulated.robot import SimulatedRobot
 from lipservo_lab.bench.calibration.elastic_draws import draw_elastic_robot
-from lipservo_lab.bench.calibration.hard_captures import count_faults, refusals
+from lipservo_lab.bench.calibration.hard_captures import count_faults, fault_figures, refusals
 from lipservo_lab.bench.calibration.shipped_ways import way_figures
 from lipservo_lab.bench.calibration.shown_motion import (
     Motion,
@@ -97,7 +97,7 @@ def elastic_figures(seeds: Iterable[int], ways_seed: int | None = None) -> dict[
     rest_mm = model.markers_mm(model.rest[None])[0]
     scores, refused = {}, {}
     refused_with: dict[str, dict[str, str]] = {}
-    tried = named = misnamed = 0
+    faults = []
     for seed in seeds:
         try:
             scores[seed] = score_robot(model, seed)
@@ -106,16 +106,13 @@ def elastic_figures(seeds: Iterable[int], ways_seed: int | None = None) -> dict[
         draw, servos = draw_elastic_robot(rest_mm, seed)
         for tracker, why in refusals(model, ElasticFace(draw), servos, seed).items():
             refused_with.setdefault(tracker, {}).update({} if why is None else {str(seed): why})
-        for count in count_faults(model, ElasticFace(draw), servos, seed).values():
-            tried, named = tried + count.tried, named + count.named
-            misnamed += count.misnamed
+        faults.append(count_faults(model, ElasticFace(draw), servos, seed))
     ways = {} if ways_seed is None else {"ways": way_figures(model, ways_seed)}
     return {
         **summary(scores, refused),
         **ways,
         "refused_with": refused_with,
-        "faults_named": named / max(tried, 1),
-        "faults_misnamed": misnamed / max(tried, 1),
+        **fault_figures(faults),
     }
 
 
@@ -148,7 +145,8 @@ def summary(scores: Mapping[int, RobotScore], refused: Mapping[int, str]) -> dic
         "grade_over_truth": float(np.median(grades)) if found else float("nan"),
         "grades_within": float(good.mean()) if found else 0.0,
         "healthy_refused": len(refused),
-        "refused": {str(seed): reason for seed, reason in refused.items()},
+        "refused": len(refused),
+        "refused_why": {str(seed): reason for seed, reason in refused.items()},
         "each": {
             str(seed): {f.name: getattr(score, f.name) for f in fields(score)}
             for seed, score in scores.items()
