@@ -1,4 +1,4 @@
-"""Poses that were taken twice: what slipped, stopped or tore in between, whoever is not to blame."""
+"""Poses that were taken twice: what slipped, stopped or tore meanwhile, and who is to blame."""
 
 import numpy as np
 import pytest
