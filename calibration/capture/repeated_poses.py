@@ -20,7 +20,7 @@ from lipsync.arrays import Array
 
 #: Degrees, and the share of what a joint did, from which a change is a fault. Zeros that drift with
 #: warm servos come to two degrees and noise to a quarter; slipped splines begin at ten.
-_SLIPPED_DEG, _LOST_SHARE = 5.0, 0.45
+_SLIPPED_DEG, _LOST_SHARE, _ALL_LOST = 5.0, 0.45, 0.8
 #: So many standard errors of noise, whatever else: for a slip, which all poses show, and for what a
 #: joint does alone, where healthy robots come to 2.3. And of a marker that nothing explains.
 _SURE_ERRORS, _SURE_LOST_ERRORS, _SURE_MM = 6.0, 3.5, 1.5
@@ -208,14 +208,17 @@ def face_change(changed: ChangedPoses) -> FaceChange | None:
     lost_errors = lost_mm / changed.lost_error_mm
     found = []
     for joint, (slip_deg, lost) in enumerate(zip(changed.slipped_deg, changed.lost, strict=True)):
-        errors = float(slip_errors[joint])
-        if abs(slip_deg) > _SLIPPED_DEG and errors > _SURE_ERRORS and changed.alike[joint] > _ALIKE:
-            fault = FaceChange("slipped", joint, float(slip_deg), errors, *where)
-            found.append((abs(changed.slid_mm[joint]) * math.sqrt(changed.n), fault))
-        errors = float(lost_errors[joint])
-        if lost > _LOST_SHARE and errors > _SURE_LOST_ERRORS:
-            fault = FaceChange("stopped", joint, min(float(lost), 1.0), errors, *where)
+        slips, loses = float(slip_errors[joint]), float(lost_errors[joint])
+        stops = lost > _LOST_SHARE and loses > _SURE_LOST_ERRORS
+        if stops:
+            fault = FaceChange("stopped", joint, min(float(lost), 1.0), loses, *where)
             found.append((lost_mm[joint], fault))
+        # A joint that stands still somewhere is off in all poses, too; a horn that slipped moves.
+        moves = not stops or lost < _ALL_LOST
+        alike = changed.alike[joint] > _ALIKE
+        if moves and alike and abs(slip_deg) > _SLIPPED_DEG and slips > _SURE_ERRORS:
+            fault = FaceChange("slipped", joint, float(slip_deg), slips, *where)
+            found.append((abs(changed.slid_mm[joint]) * math.sqrt(changed.n), fault))
     if found:
         return max(found, key=lambda each: float(each[0]))[1]
     most_mm = float(np.sort(np.linalg.norm(changed.common_mm, axis=1))[-3:].mean())

@@ -91,7 +91,7 @@ def test_two_names_that_change_places_are_looked_at_again_and_told(tmp_path):
 
     keep = tmp_path / "poses.jsonl"
     capture = procedure.capture(MARKERS_47.names, robot.move, measure, keep=keep, told=told.append)
-    assert told == ["pose 8: the tracker exchanged 'outer_lip_0' with 'outer_lip_61': taken again"]
+    assert told == ["pose 8: the tracker exchanged 'outer_lip_61' with 'outer_lip_0': taken again"]
     assert len(looks) == len(capture) + 1
     check_capture(capture, SMALL, SERVOS.positive)
     again = procedure.capture(MARKERS_47.names, robot.move, robot.measure, keep=keep)
@@ -143,7 +143,7 @@ def test_a_horn_that_slips_among_the_poses_of_speech_is_named():
 
     capture = procedure.capture(MARKERS_47.names, move, robot.measure)
     with pytest.raises(
-        CalibrationError, match="'corners' slipped on its shaft by about 1[456] deg"
+        CalibrationError, match=r"'corners' slipped on its shaft by about 1[456] deg"
     ):
         check_capture(capture, SMALL, SERVOS.positive)
 
