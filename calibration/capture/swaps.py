@@ -186,7 +186,7 @@ def put_right(
     """
     seen = gather(plan, marker_names, poses)
     rows = seen.rows
-    wanted_mm = straight_lines(seen).expected_mm if expected_mm is None else expected_mm[rows]
+    wanted_mm = straight_lines(seen).expected_mm if expected_mm is None else expected_mm[list(rows)]
     found = swapped_in_poses(seen, wanted_mm)
     again = {pose.index: pose for pose in poses}
     for row in sorted({swap.pose for swap in found if swap.pose is not None}):

@@ -67,6 +67,8 @@ def test_a_file_is_read_while_another_program_is_still_writing_it(tmp_path):
     assert np.isnan(seen[0]).all()
     assert seen[1].tolist() == [1.0, 1.0, 1.0]
     assert wire.said[-1] == f"pose 2 stands: record it in {path}"
+    tracker.arrived(0, np.zeros(2))  # it stands again, and shows what was recorded
+    assert tracker.measure().tolist() == [[4.0, 5.0, 6.0], [7.0, 8.0, 9.0]]
     tracker.close()
     assert not told.exists()
 
