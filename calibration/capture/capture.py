@@ -329,7 +329,8 @@ def read_kept(
 ) -> list[CapturedPose]:
     """The poses in a kept file; a last line that a power cut left unfinished is dropped.
 
-    goes_on: the plan will be continued, and poses beyond it are left for later.
+    goes_on: the plan will be continued; the first pose beyond it, and all that was written after,
+    are left for later: what follows was planned without them.
     Raises CalibrationError for a file of another plan or a damaged one.
     """
     if not keep.exists():
@@ -342,9 +343,10 @@ def read_kept(
     for number, line in enumerate(lines[:-1]):
         try:
             content = json.loads(line)
-            if not (goes_on and int(str(content["pose"])) >= len(plan)):
-                pose = _kept_pose(content, plan, marker_names)
-                poses[pose.index] = pose
+            if goes_on and int(str(content["pose"])) >= len(plan):
+                break
+            pose = _kept_pose(content, plan, marker_names)
+            poses[pose.index] = pose
         except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
             raise CalibrationError(
                 f"{keep}, line {number + 1}: not a pose of this face and plan; "

@@ -33,7 +33,7 @@ def captured(given):
 
 def test_a_dead_joint_that_is_accepted_is_never_moved():
     capture = captured(lambda goal_deg: np.where(np.arange(2) == DEAD, 0.0, goal_deg))
-    with pytest.raises(CalibrationError, match="'corners' moves no marker.*`part: other`"):
+    with pytest.raises(CalibrationError, match=r"'corners' moves no marker.*`part: other`"):
         fit_measured(MODEL, capture, SERVOS)
 
     calibration = fit_measured(MODEL, capture, SERVOS, accept=True).calibration
