@@ -13,7 +13,7 @@ from itertools import combinations, permutations, product
 import numpy as np
 
 from calibration.calibration import CalibrationError
-from calibration.capture.capture import Capture
+from calibration.capture.capture import Capture, outside_ladders
 from calibration.capture.joint_health import WEAK, alive, is_dead, joint_fault, moved_alone_mm
 from calibration.capture.straight_lines import (
     StraightLines,
@@ -179,7 +179,9 @@ def check_capture(
     lines = straight_lines(capture) if moved else lines
     _refuse_swaps([*everywhere, *_swapped_in_poses(capture, lines.expected_mm)])
     capture, far = without_far_points(capture, lines)
-    joints = _judged_joints(capture, lines, positive, accept=accept)
+    # Lips that press each other are no fault of a joint.
+    judged = outside_ladders(capture)
+    joints = _judged_joints(judged, straight_lines(judged), positive, accept=accept)
     return CheckedCapture(capture, (*stalled, *lost, *sizes, *moved, *far, *joints))
 
 

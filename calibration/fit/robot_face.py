@@ -21,6 +21,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer
 
 from calibration.capture.capture import Capture
+from calibration.fit.closing import SeenLadders, see_ladders
 from calibration.fit.retargeting import ShapeFeatures, gap_heights_mm
 from calibration.fit.skin_process import (
     Hyperparameters,
@@ -168,6 +169,7 @@ class RobotFace:
     kind: which regression cross-validation chose; left_out_rms_mm: its error on poses left out, in
     each axis, the tracker's noise included;
     noise_mm: what the fit leaves unexplained. contact: None where lips were not seen to stop.
+    ladders: what closing step by step showed; None where that was not captured.
     """
 
     servo_names: tuple[str, ...]
@@ -182,6 +184,7 @@ class RobotFace:
     noise_mm: float
     contact: LipContact | None = None
     gaps: tuple[tuple[int, int], ...] = ()
+    ladders: SeenLadders | None = None
 
     def free_mm(self, output_deg: Array) -> Array:
         """(n, n_servos), degrees in the middle of the backlash -> (n, n_markers, 3).
@@ -217,13 +220,18 @@ def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> Robo
     learning = _Learning(poses, apart_mm2)
     known = np.isfinite(seen_mm)
     filled = learning.filled(seen_mm, known)
+    assert learning.hyperparameters is not None
+    noise_mm = float(np.sqrt(learning.hyperparameters.noise_mm2))
     closed_mm: Array | None = None
     gaps = () if mouth is None else mouth.gaps
+    ladders = None
     if mouth is not None:
-        found = _free_of_contact(learning, seen_mm, known, filled, centre_mm, mouth)
-        if found is not None:
-            filled, known, closed_mm = found
-    assert learning.hyperparameters is not None
+        ladders = see_ladders(capture, lambda deg: centre_mm + learning.at(filled, deg), noise_mm)
+        if ladders is None or ladders.kink.is_contact:
+            touching = None if ladders is None else ladders.touching
+            found = _free_of_contact(learning, seen_mm, known, filled, centre_mm, mouth, touching)
+            if found is not None:
+                filled, known, closed_mm = found
     inputs = poses.inputs(learning.hyperparameters.backlash_deg)
     together = (learning.hyperparameters,) * 3
     learners = _learners(together, learning.by_axis(filled), apart_mm2)
@@ -238,10 +246,13 @@ def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> Robo
     contact = None
     if closed_mm is not None:
         free_mm = centre_mm + learnt.predict(inputs)
+        free_gaps_mm = gap_heights_mm(free_mm, gaps)
+        if ladders is not None:
+            closed_mm = closed_mm - ladders.contact_at_mm(free_gaps_mm[:, 0] - closed_mm[0])
         contact = fit_contact(
             capture.markers_mm - free_mm,
             gap_heights_mm(capture.markers_mm, gaps),
-            gap_heights_mm(free_mm, gaps),
+            free_gaps_mm,
             closed_mm,
             gaps,
         )
@@ -258,6 +269,7 @@ def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> Robo
         noise_mm=float(np.sqrt(np.mean(missed_mm[known] ** 2))),
         contact=contact,
         gaps=gaps,
+        ladders=ladders,
     )
 
 
@@ -298,6 +310,19 @@ class _Learning:
             for axis in range(3)
         )
 
+    def at(self, filled: Array, goals_deg: Array) -> Array:
+        """(m, n_servos) of the middle of the play -> (m, n_markers, 3), warm."""
+        assert self.hyperparameters is not None
+        of = self._poses
+        warm = np.hstack([goals_deg, np.ones((len(goals_deg), 1))])
+        process = fit_process(
+            self.hyperparameters,
+            of.inputs(self.hyperparameters.backlash_deg),
+            filled,
+            self._apart_mm2,
+        )
+        return process.predict((warm - of.middle_deg) / of.half_range_deg)
+
     def expected(self, filled: Array) -> Array:
         """What the process makes of all poses."""
         assert self.hyperparameters is not None
@@ -312,11 +337,17 @@ def _free_of_contact(
     filled: Array,
     centre_mm: Array,
     mouth: ShapeFeatures,
+    touching: NDArray[np.bool_] | None,
 ) -> tuple[Array, NDArray[np.bool_], Array] | None:
-    """What the free face is learnt from, and the closed gaps; None where nothing stops."""
+    """What the free face is learnt from, and the closed gaps; None where nothing stops.
+
+    touching: poses in which ladders showed that lips touch; None: there are no ladders.
+    """
     gaps = mouth.gaps
     seen_gaps_mm = gap_heights_mm(np.where(known, seen_mm, np.nan) + centre_mm, gaps)
-    contact = seen_gaps_mm[:, 0] < np.nanquantile(seen_gaps_mm[:, 0], _FIRST_SHARE)
+    contact = touching
+    if contact is None:
+        contact = seen_gaps_mm[:, 0] < np.nanquantile(seen_gaps_mm[:, 0], _FIRST_SHARE)
     if contact.sum() < _LEAST_IN_CONTACT:
         return None
     if not np.isfinite(seen_gaps_mm).any(axis=0).all():
@@ -333,8 +364,9 @@ def _free_of_contact(
         contact = poses_in_contact(free_gaps_mm, closed_mm)
         if contact.sum() < _LEAST_IN_CONTACT:
             return None
-        closed_mm = closed_gaps_mm(seen_gaps_mm, free_gaps_mm, contact, closed_mm)
-    if not is_stopped(seen_gaps_mm, free_gaps_mm, closed_mm):
+        if touching is None:
+            closed_mm = closed_gaps_mm(seen_gaps_mm, free_gaps_mm, contact, closed_mm)
+    if touching is None and not is_stopped(seen_gaps_mm, free_gaps_mm, closed_mm):
         return None
     return filled, open_known, closed_mm
 
