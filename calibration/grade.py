@@ -10,11 +10,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.closure import CLOSED_GAP_MM
 from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
 
-#: The human's lips count as closed at this gap, as in training.
-CLOSED_GAP_MM = 1.0
 #: Openings of the speaker that a mouth which closes too soon loses, in millimetres.
 SMALL_GAPS_MM = (2.0, 4.0)
 

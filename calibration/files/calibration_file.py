@@ -18,8 +18,8 @@ from calibration.calibration import (
     ServoMemory,
     Touch,
     linear_calibration_parts,
-    pairs,
 )
+from calibration.closure import pairs
 from calibration.files.calibration_text import (
     CALIBRATION_VERSION,
     SAFE_LOADER,

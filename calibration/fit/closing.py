@@ -44,8 +44,10 @@ _MarkersOf = Callable[[Array], Array]
 
 @dataclass(frozen=True, slots=True)
 class Ladder:
-    """Steps of one ladder. goals_deg: (n_steps, n_servos), the last of them where it can close no
-    farther, if `at_limits`; from_below: (n_servos,), 1 or -1, the side that joints come from.
+    """Steps of one ladder.
+
+    goals_deg: (n_steps, n_servos), the last of them where it can close no farther, if `at_limits`;
+    from_below: (n_servos,), 1 or -1, the side that joints come from.
     """
 
     goals_deg: Array
@@ -92,8 +94,8 @@ _SLOPE_SD = 0.25
 #: A kink of all ladders together must explain so much, in square standard errors, and leave so
 #: little of the slope, by two standard errors; noise alone explains 5 a ladder.
 _SURE, _STALLED = 30.0, 0.7
-#: A ladder of fewer steps tells nothing.
-_FEWEST = 5
+#: A ladder of fewer steps tells nothing; in so many first ones lips are open.
+_FEWEST, _OPEN_STEPS = 5, 3
 #: Dots that are so far past each other belong to lips that meet.
 _PASSED_MM = 0.8
 #: Contact is where it is believed to be within so much, and never so far off.
@@ -115,6 +117,7 @@ class Kink:
 
     @property
     def is_contact(self) -> bool:
+        """Whether lips that meet are the one thing that explains it."""
         return self.explained > _SURE and self.left + 2.0 * self.left_sd < _STALLED
 
 
@@ -198,6 +201,13 @@ class SeenLadders:
             x, y = -open_mm[rows], apertures / self.noise_mm
             costs += [_bent(x, y, off, self.noise_mm)[0] for off in offs]
         return float(offs[costs.argmin()])
+
+
+def begins(capture: Capture) -> NDArray[np.bool_]:
+    """(n,): poses without those steps of a ladder in which lips may touch."""
+    of = ladders_of(capture)
+    earlier = np.array([(of[:row] == ladder).sum() for row, ladder in enumerate(of)])
+    return np.asarray((of == 0) | (earlier < _OPEN_STEPS))
 
 
 def see_ladders(capture: Capture, markers_of: _MarkersOf, noise_mm: float) -> SeenLadders | None:

@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 from calibration.calibration import Calibration, CalibrationError, Following, Origin, Touch
 from calibration.capture.capture import Capture
 from calibration.capture.sanity import check_capture
+from calibration.closure import CLOSED_GAP_MM
 from calibration.fit.retargeting import (
     LEAST_OPENING_MM,
     PRESS_MM,
@@ -30,7 +31,6 @@ from calibration.fit.retargeting import (
 from calibration.fit.robot_face import RobotFace, fit_robot_face
 from calibration.fit.run_time_map import RunTimeMap, choose_map
 from calibration.grade import (
-    CLOSED_GAP_MM,
     HoldOutErrors,
     LearntLips,
     VisemeReach,
@@ -95,8 +95,7 @@ def _errors(on: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors:
     from_rest = held_out - on.model.rest
     best_deg = on.retargeting.poses_deg(from_rest)
     targets_mm = on.mouth.seen_mm(best_deg)
-    free_deg = run.free_deg(from_rest)
-    poses_deg = on.mouth.kept_deg(free_deg)
+    poses_deg = run.poses_deg(from_rest, on.mouth)
     robot_mm = on.mouth.seen_mm(poses_deg)
     human_gap_mm = on.model.lip_gaps_mm(on.model.markers_mm(held_out))
     gap_mm = _opening_mm(on, robot_mm)
@@ -111,7 +110,7 @@ def _errors(on: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors:
         gap_correlation=float(np.corrcoef(human_gap_mm, gap_mm)[0, 1]) if moves else 0.0,
         n_closures=int(closed.sum()),
         closed_gap_mm=gaps.closed_mm or 0.0,
-        clipped_share=float((free_deg != poses_deg).any(axis=1).mean()),
+        clipped_share=float(_at_limit(poses_deg, on.mouth).mean()),
         joint_rms_deg=tuple(_rms(column) for column in (poses_deg - best_deg).T),
         each_marker_rms_mm=each_marker_rms_mm(on.mouth.names.marker_names, robot_mm - targets_mm),
         gap_slope=gaps.slope,
@@ -129,13 +128,12 @@ def _coverage(on: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
     from_rest = on.model.animphos.samples[np.concatenate(list(rows.values())), 2] - on.model.rest
     reached = on.reached(from_rest)
     targets_mm = on.retargeting.targets_mm(from_rest)
-    free_deg = run.free_deg(from_rest)
-    poses_deg = on.mouth.kept_deg(free_deg)
+    poses_deg = run.poses_deg(from_rest, on.mouth)
     off_mm = on.apart_mm(poses_deg, targets_mm)
     asked_mm = on.retargeting.asked_open_mm(from_rest)[:, 0]
     made_mm = _opening_mm(on, on.mouth.seen_mm(poses_deg))
     human_mm = on.model.lip_gaps_mm(on.model.markers_mm(from_rest + on.model.rest))
-    at_limit = (free_deg != poses_deg).any(axis=1)
+    at_limit = _at_limit(poses_deg, on.mouth)
     reach: dict[str, VisemeReach] = {}
     begin = 0
     for viseme, chosen in rows.items():
@@ -151,6 +149,12 @@ def _coverage(on: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
         )
         begin = own.stop
     return reach
+
+
+def _at_limit(poses_deg: Array, mouth: RobotMouth) -> NDArray[np.bool_]:
+    """(n,): whether a joint stands at a limit."""
+    low, high = mouth.limits_deg
+    return np.asarray(((poses_deg <= low) | (poses_deg >= high)).any(axis=1))
 
 
 def _rows_of(model: FaceWithAnimPhos, viseme: tuple[str, ...]) -> NDArray[np.int64]:
@@ -258,8 +262,8 @@ def _fit(
     limits = servos.limits_deg
     fit, held_out = split_frames(model, seed)
     mouth = mouth_of(face, names, servos)
-    chosen = choose_map(retargeting_of(model, mouth, face, capture), fit - model.rest)
-    retargeting, run = chosen.retargeting, chosen.run
+    retargeting = retargeting_of(model, mouth, face, capture)
+    run = choose_map(retargeting, fit - model.rest)
     errors, coverage = measure_shapes(ShapeErrors(model, mouth, retargeting), run, held_out)
     calibration = Calibration(
         servo_names=capture.servo_names,
@@ -280,6 +284,7 @@ def _fit(
         rules=servos.rules,
         centres=run.centres,
         centre_weights=run.centre_weights,
+        closure=run.closure,
         learnt_lips=LearntLips(
             left_out_rms_mm=face.left_out_rms_mm,
             noise_mm=face.noise_mm,

@@ -27,9 +27,10 @@ from calibration.calibration import Calibration, CalibrationError
 from calibration.capture.capture import Capture, PosePlan, plan_around
 from calibration.capture.marker_files import csv_rows, number_in, read_plan
 from calibration.capture.straight_lines import on_head
+from calibration.closure import CLOSED_GAP_MM
 from calibration.fit.measured import MeasuredFit
 from calibration.fit.retargeting import correspond, gap_heights_mm
-from calibration.grade import CLOSED_GAP_MM, Grade, gap_figures, is_small
+from calibration.grade import Grade, gap_figures, is_small
 from calibration.mouth_servos import MouthServos
 from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits, FaceWithAnimPhos
 from lipsync.arrays import Array

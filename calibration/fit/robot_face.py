@@ -21,7 +21,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer
 
 from calibration.capture.capture import Capture
-from calibration.fit.closing import SeenLadders, see_ladders
+from calibration.fit.closing import SeenLadders, begins, see_ladders
 from calibration.fit.retargeting import ShapeFeatures, gap_heights_mm
 from calibration.fit.skin_process import (
     Hyperparameters,
@@ -65,8 +65,8 @@ class LipContact:
 
 
 def poses_in_contact(free_gaps_mm: Array, closed_mm: Array) -> NDArray[np.bool_]:
-    """(n,): poses whose middle gap would be narrower than the closed one."""
-    return np.asarray(free_gaps_mm[:, 0] < closed_mm[0])
+    """(n,): poses in which a gap would be narrower than the closed one."""
+    return np.asarray((free_gaps_mm < closed_mm).any(axis=1))
 
 
 def first_closed_mm(seen_gaps_mm: Array, contact: NDArray[np.bool_]) -> Array:
@@ -226,7 +226,10 @@ def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> Robo
     gaps = () if mouth is None else mouth.gaps
     ladders = None
     if mouth is not None:
-        ladders = see_ladders(capture, lambda deg: centre_mm + learning.at(filled, deg), noise_mm)
+        opened = begins(capture)
+        ladders = see_ladders(
+            capture, lambda deg: centre_mm + learning.at(filled, opened, deg), noise_mm
+        )
         if ladders is None or ladders.kink.is_contact:
             touching = None if ladders is None else ladders.touching
             found = _free_of_contact(learning, seen_mm, known, filled, centre_mm, mouth, touching)
@@ -248,7 +251,7 @@ def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> Robo
         free_mm = centre_mm + learnt.predict(inputs)
         free_gaps_mm = gap_heights_mm(free_mm, gaps)
         if ladders is not None:
-            closed_mm = closed_mm - ladders.contact_at_mm(free_gaps_mm[:, 0] - closed_mm[0])
+            closed_mm = closed_mm - ladders.contact_at_mm((free_gaps_mm - closed_mm).min(axis=1))
         contact = fit_contact(
             capture.markers_mm - free_mm,
             gap_heights_mm(capture.markers_mm, gaps),
@@ -310,15 +313,15 @@ class _Learning:
             for axis in range(3)
         )
 
-    def at(self, filled: Array, goals_deg: Array) -> Array:
-        """(m, n_servos) of the middle of the play -> (m, n_markers, 3), warm."""
+    def at(self, filled: Array, rows: NDArray[np.bool_], goals_deg: Array) -> Array:
+        """(m, n_servos) of the middle of the play -> (m, n_markers, 3), warm, by some poses."""
         assert self.hyperparameters is not None
         of = self._poses
         warm = np.hstack([goals_deg, np.ones((len(goals_deg), 1))])
         process = fit_process(
             self.hyperparameters,
-            of.inputs(self.hyperparameters.backlash_deg),
-            filled,
+            of.inputs(self.hyperparameters.backlash_deg)[rows],
+            filled[rows],
             self._apart_mm2,
         )
         return process.predict((warm - of.middle_deg) / of.half_range_deg)

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.calibration import Calibration, CalibrationError, Following
+from calibration.closure import CLOSED_GAP_MM
 from calibration.fit.guided import CLOSED, fit_guided, landmark_poses
 from calibration.fit.measured import MeasuredFit, fit_measured, lips_apart_mm
 from calibration.fit.procedure import Procedure
 from calibration.fit.retargeting import MOST_EXAGGERATION, PRESS_MM, nearest_poses_deg
 from calibration.fit.servo_response import identify, lag_between_s
-from calibration.grade import CLOSED_GAP_MM
 from calibration.mouth_servos import JointRange, MouthServos
 from calibration.run.compensation import BacklashCompensation, LagCompensation
 from calibration.simulated.face import JAW
