@@ -24,8 +24,9 @@ class Closure:
     """Heights of n_gaps between the lips, the middle first, beyond contact.
 
     speaker_mm: (3, n_components), where the speaker's upper lip is from the lower for each
-    coefficient; speaker_rest_mm: (3,), at rest. opens_mm: (n_gaps, n_components), what the robot's shall be. at_deg:
-    (n_servos,); gaps_mm: (n_gaps,), those there; slopes: (n_gaps, n_servos) and bends: (n_gaps,
+    coefficient; speaker_rest_mm: (3,), at rest. opens_mm: (n_gaps, n_components), the robot's.
+    at_deg: (n_servos,), where lips are near; gaps_mm: (n_gaps,), those there; slopes: (n_gaps,
+    n_servos) and bends: (n_gaps,
     n_pairs), what a pose away from there adds, pairs i <= j row by row. turns_deg: (n_servos,
     n_gaps), what opens each gap by a millimetre. press_mm: how far past contact closures go;
     contact_ma: what the mouth's servos drew more there, all together; 0: not measured.

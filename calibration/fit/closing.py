@@ -98,8 +98,6 @@ _SURE, _STALLED = 30.0, 0.7
 _FEWEST, _OPEN_STEPS = 5, 3
 #: Dots that are so far past each other belong to lips that meet.
 _PASSED_MM = 0.8
-#: Contact is where it is believed to be within so much, and never so far off.
-_BELIEVED_MM, _FARTHEST_MM = 0.3, 1.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,19 +186,6 @@ class SeenLadders:
     def meet(self) -> bool:
         """Whether there is evidence that the lips meet."""
         return self.passed or self.kink.is_contact
-
-    def contact_at_mm(self, open_mm: Array) -> float:
-        """How far off the place is from where contact was believed to be, in mm of closing.
-
-        open_mm: (n,), of the poses of the capture, how far the free lips are apart beyond contact
-        as believed.
-        """
-        offs = np.arange(-_FARTHEST_MM, _FARTHEST_MM + 1e-9, 0.05)
-        costs = (offs / _BELIEVED_MM) ** 2
-        for rows, apertures in zip(self.rows, self.apertures_mm, strict=True):
-            x, y = -open_mm[rows], apertures / self.noise_mm
-            costs += [_bent(x, y, off, self.noise_mm)[0] for off in offs]
-        return float(offs[costs.argmin()])
 
 
 def begins(capture: Capture) -> NDArray[np.bool_]:

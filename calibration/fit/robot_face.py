@@ -38,6 +38,8 @@ _SURE_MM, _LEAST_POSES = 0.4, 3
 #: Touching must explain the gaps of those poses this much better than going on does.
 _BETTER = 0.6
 _MOST_SOFT = 0.5
+#: Lips that overlap by so much touch and are not pressed flat.
+_TOUCHES_MM = (0.1, 2.5)
 #: What touching does is nearly the same everywhere; a millimetre squared of doubt.
 _RIDGE_MM2 = 2.0
 
@@ -96,6 +98,16 @@ def closed_gaps_mm(
         falls = -np.sum((o - o.mean()) * (g - g.mean())) / (np.sum((o - o.mean()) ** 2) + 1.0)
         begins[gap] = np.median(g + np.clip(falls, 0.0, _MOST_SOFT) * o)
     return begins
+
+
+def touching_gaps_mm(seen_gaps_mm: Array, free_gaps_mm: Array, closed_mm: Array) -> Array:
+    """(n_gaps,): the mean gap where lips touch without being pressed hard, each gap for itself."""
+    overlap_mm = closed_mm - free_gaps_mm
+    lightly = (overlap_mm > _TOUCHES_MM[0]) & (overlap_mm < _TOUCHES_MM[1])
+    seen_mm = np.where(lightly, seen_gaps_mm, np.nan)
+    counts = np.isfinite(seen_mm).sum(axis=0)
+    means = np.nansum(seen_mm, axis=0) / np.maximum(counts, 1)
+    return np.where(counts >= _LEAST_POSES, means, closed_mm)
 
 
 def is_stopped(seen_gaps_mm: Array, free_gaps_mm: Array, closed_mm: Array) -> bool:
@@ -250,8 +262,6 @@ def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> Robo
     if closed_mm is not None:
         free_mm = centre_mm + learnt.predict(inputs)
         free_gaps_mm = gap_heights_mm(free_mm, gaps)
-        if ladders is not None:
-            closed_mm = closed_mm - ladders.contact_at_mm((free_gaps_mm - closed_mm).min(axis=1))
         contact = fit_contact(
             capture.markers_mm - free_mm,
             gap_heights_mm(capture.markers_mm, gaps),
@@ -367,8 +377,11 @@ def _free_of_contact(
         contact = poses_in_contact(free_gaps_mm, closed_mm)
         if contact.sum() < _LEAST_IN_CONTACT:
             return None
-        if touching is None:
-            closed_mm = closed_gaps_mm(seen_gaps_mm, free_gaps_mm, contact, closed_mm)
+        closed_mm = (
+            closed_gaps_mm(seen_gaps_mm, free_gaps_mm, contact, closed_mm)
+            if touching is None
+            else touching_gaps_mm(seen_gaps_mm, free_gaps_mm, closed_mm)
+        )
     if touching is None and not is_stopped(seen_gaps_mm, free_gaps_mm, closed_mm):
         return None
     return filled, open_known, closed_mm
