@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.closure import Closure, pairs
-from calibration.grade import Grade, HoldOutErrors, LearntLips, VisemeReach
+from calibration.grade import Closing, Grade, HoldOutErrors, LearntLips, VisemeReach
 from lipsync.arrays import Array
 from lipsync.errors import UserError
 
@@ -122,7 +122,8 @@ class Calibration:
     (n_servos,) that a person made with the fingers, by name. rules: of the face's YAML, never of
     the file; kept by every pose. centres: (n_centres, n_components), c_k, or none; centre_weights:
     (n_servos, n_centres). grade: None where nothing was measured after the fit. learnt_lips: None
-    where no lips were captured; closure: None where it is not known what the lips of this robot do.
+    where no lips were captured; closure: None where it is not known what the lips of this robot do;
+    closing: None where nobody saw whether they meet.
     """
 
     servo_names: tuple[str, ...]
@@ -148,6 +149,7 @@ class Calibration:
     grade: Grade | None = None
     learnt_lips: LearntLips | None = None
     closure: Closure | None = None
+    closing: Closing | None = None
 
     def positions_deg(self, coefficients: Array) -> Array:
         """(n_components,) -> (n_servos,) joint degrees, in the order of `servo_names`."""

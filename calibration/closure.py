@@ -26,10 +26,9 @@ class Closure:
     speaker_mm: (3, n_components), where the speaker's upper lip is from the lower for each
     coefficient; speaker_rest_mm: (3,), at rest. opens_mm: (n_gaps, n_components), the robot's.
     at_deg: (n_servos,), where lips are near; gaps_mm: (n_gaps,), those there; slopes: (n_gaps,
-    n_servos) and bends: (n_gaps,
-    n_pairs), what a pose away from there adds, pairs i <= j row by row. turns_deg: (n_servos,
-    n_gaps), what opens each gap by a millimetre. press_mm: how far past contact closures go;
-    contact_ma: what the mouth's servos drew more there, all together; 0: not measured.
+    n_servos) and bends: (n_gaps, n_pairs), what a pose away from there adds, pairs i <= j row by
+    row. turns_deg: (n_servos, n_gaps), what opens each gap by a millimetre. press_mm: how far past
+    contact closures go.
     """
 
     speaker_mm: Array
@@ -41,7 +40,6 @@ class Closure:
     bends: Array
     turns_deg: Array
     press_mm: float
-    contact_ma: float = 0.0
 
     def open_mm(self, poses_deg: Array) -> Array:
         """(k, n_servos) -> (k, n_gaps): below 0 lips press each other."""

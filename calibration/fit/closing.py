@@ -69,7 +69,7 @@ def plan_ladders(retargeting: Retargeting, from_rest: Array, n_steps: int) -> li
 def _ladder(retargeting: Retargeting, base_deg: Array, n_steps: int) -> Ladder:
     """Each step a step nearer, all gaps alike, by the joints that have room for it."""
     mouth = retargeting.mouth
-    slopes = _slopes(mouth.markers_of, base_deg, mouth.names.shape_features.gaps)
+    slopes = pair_slopes(mouth.markers_of, base_deg, mouth.names.shape_features.gaps)
     bends = slopes.T @ slopes + _TURN_MM_PER_DEG**2 * np.eye(len(base_deg))
     pulls = -_STEP_MM * np.arange(n_steps)[:, None] * slopes.sum(axis=0)
     low, high = (limit - base_deg for limit in mouth.limits_deg)
@@ -81,7 +81,7 @@ def _ladder(retargeting: Retargeting, base_deg: Array, n_steps: int) -> Ladder:
     return Ladder(goals_deg[:n_reached], np.where(ahead == 0.0, 1.0, ahead), n_reached < n_steps)
 
 
-def _slopes(markers_of: _MarkersOf, base_deg: Array, pairs: Sequence[tuple[int, int]]) -> Array:
+def pair_slopes(markers_of: _MarkersOf, base_deg: Array, pairs: Sequence[tuple[int, int]]) -> Array:
     """(n_pairs, n_servos): millimetres of each pair's height for a degree of each joint."""
     steps = _DIFFERENCE_DEG * np.eye(len(base_deg))
     more = gap_heights_mm(markers_of(base_deg + steps), tuple(pairs))
@@ -213,7 +213,7 @@ def see_ladders(capture: Capture, markers_of: _MarkersOf, noise_mm: float) -> Se
         usual_mm = np.nanmedian(heights_mm, axis=0)
         apertures.append(np.nan_to_num(np.nanmean(heights_mm - usual_mm, axis=1)))
         last_mm.append(heights_mm[-2:, 0])
-        by_deg = _slopes(markers_of, capture.goals_deg[own[0]], pairs).mean(axis=0)
+        by_deg = pair_slopes(markers_of, capture.goals_deg[own[0]], pairs).mean(axis=0)
         closes.append(-(capture.goals_deg[own] - capture.goals_deg[own[0]]) @ by_deg)
     aperture_noise_mm = noise_mm * np.sqrt(2.0 / len(pairs))
     kink = find_kink(closes, apertures, aperture_noise_mm)
