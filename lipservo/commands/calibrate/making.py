@@ -208,7 +208,11 @@ def finish(
         then = write_check_poses(setup, calibration, fit, check_plan, output)
     jaw_r = jaw_check(setup, calibration)
     if as_json:
-        from lipservo.calibrating.shown_calibration import coverage_values, grade_values
+        from lipservo.calibrating.shown_calibration import (
+            closing_values,
+            coverage_values,
+            grade_values,
+        )
 
         lips = calibration.learnt_lips
         told = {
@@ -223,6 +227,7 @@ def finish(
             "warnings": result.warnings,
             "kept": kept,
             "grade": grade_values(calibration),
+            "closing": closing_values(calibration),
         }
         if fit is not None:
             told["left_out_pose_rms_mm"] = fit.face.left_out_rms_mm
