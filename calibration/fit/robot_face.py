@@ -229,7 +229,8 @@ def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> Robo
     centre_mm = np.nanmean(capture.markers_mm, axis=0)
     seen_mm = capture.markers_mm - centre_mm
     apart_mm2 = squared_distances_mm2(capture.marker_names, centre_mm)
-    learning = _Learning(poses, apart_mm2)
+    opened = begins(capture)
+    learning = _Learning(poses, apart_mm2, opened)
     known = np.isfinite(seen_mm)
     filled = learning.filled(seen_mm, known)
     assert learning.hyperparameters is not None
@@ -238,9 +239,8 @@ def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> Robo
     gaps = () if mouth is None else mouth.gaps
     ladders = None
     if mouth is not None:
-        opened = begins(capture)
         ladders = see_ladders(
-            capture, lambda deg: centre_mm + learning.at(filled, opened, deg), noise_mm
+            capture, lambda deg: centre_mm + learning.at(filled, deg), noise_mm
         )
         if ladders is None or ladders.kink.is_contact:
             touching = None if ladders is None else ladders.touching
@@ -298,10 +298,15 @@ def _with_time(capture: Capture, middle_deg: Array, half_range_deg: Array) -> Po
 
 
 class _Learning:
-    """The process by turns with what was not seen. hyperparameters: after the first `filled`."""
+    """The process by turns with what was not seen. hyperparameters: after the first `filled`.
 
-    def __init__(self, poses: Poses, apart_mm2: Array) -> None:
+    opened: (n,), poses in which no ladder presses the lips, by which hyperparameters are found.
+    """
+
+    def __init__(self, poses: Poses, apart_mm2: Array, opened: NDArray[np.bool_]) -> None:
         self._poses = poses
+        self._free = poses.of(opened)
+        self._opened = opened
         self._apart_mm2 = apart_mm2
         self.hyperparameters: Hyperparameters | None = None
 
@@ -309,7 +314,8 @@ class _Learning:
         """(n, n_markers, 3), off the centre, where unknown as the process expects it."""
         filled = np.where(known, seen_mm, 0.0)
         for _ in range(1 if known.all() else _ROUNDS):
-            self.hyperparameters = fit_hyperparameters(self._poses, filled, self._apart_mm2)
+            free_mm = filled[self._opened]
+            self.hyperparameters = fit_hyperparameters(self._free, free_mm, self._apart_mm2)
             for _ in range(1 if known.all() else _FILLING_ROUNDS):
                 filled = np.where(known, filled, self.expected(filled))
         return filled
@@ -318,20 +324,23 @@ class _Learning:
         """For each axis, the backlash of all of them."""
         return tuple(
             fit_hyperparameters(
-                self._poses, filled[..., axis : axis + 1], self._apart_mm2, self.hyperparameters
+                self._free,
+                filled[self._opened, :, axis : axis + 1],
+                self._apart_mm2,
+                self.hyperparameters,
             )
             for axis in range(3)
         )
 
-    def at(self, filled: Array, rows: NDArray[np.bool_], goals_deg: Array) -> Array:
-        """(m, n_servos) of the middle of the play -> (m, n_markers, 3), warm, by some poses."""
+    def at(self, filled: Array, goals_deg: Array) -> Array:
+        """(m, n_servos) of the middle of the play -> (m, n_markers, 3), warm, by open poses."""
         assert self.hyperparameters is not None
         of = self._poses
         warm = np.hstack([goals_deg, np.ones((len(goals_deg), 1))])
         process = fit_process(
             self.hyperparameters,
-            of.inputs(self.hyperparameters.backlash_deg)[rows],
-            filled[rows],
+            self._free.inputs(self.hyperparameters.backlash_deg),
+            filled[self._opened],
             self._apart_mm2,
         )
         return process.predict((warm - of.middle_deg) / of.half_range_deg)
