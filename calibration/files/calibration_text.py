@@ -65,7 +65,8 @@ _HEADER = """\
 # rest_deg + weights . x + quadratic_weights . (x_i x_j, i <= j, row by row), kept between min_deg
 # and max_deg. Where the file has centres, centre_weights . |x - centre| are added before that.
 # The coefficients are the principal components of the model named below, in millimetres; rest is
-# the closed mouth. Where lips are near, closure corrects it so that they meet. hold_out tells how far off the map is on motion left out of the fit.
+# the closed mouth. Where lips are near, closure corrects it so that they meet.
+# hold_out tells how far off the map is on motion left out of the fit.
 # Made for one model and one face: change either, and lipservo asks for a new calibration.
 """
 _HOLD_OUT_NOTES = {
@@ -177,9 +178,7 @@ def _closure_lines(closure: Closure | None) -> list[str]:
     """Arrays of two dimensions are written row by row, numbers as they are."""
     if closure is None:
         return []
-    lines = [
-        "closure:  # how far the lips are apart, by the joints; what is missing is made up for"
-    ]
+    lines = ["closure:  # how far the lips are apart, by the joints, so that they meet"]
     for field in fields(closure):
         value = getattr(closure, field.name)
         if isinstance(value, float):

@@ -141,7 +141,7 @@ def _kink(x: Array, y: Array, noise_mm: float) -> tuple[float, float, float, flo
     straight = _left(np.column_stack([np.ones_like(x), -x / noise_mm]), y)[0]
     best = (float(x[-1]), 0.0, 1.0, 0.0)
     for at in np.arange(x[0] + 0.3, x[-1] - 0.3, 0.1):
-        cost, slopes, variance = _bent(x, y, float(at), noise_mm)
+        cost, slopes, variance = bent_line(x, y, float(at), noise_mm)
         if straight - cost > best[1]:
             left = slopes[2] / max(slopes[1], 0.2)
             known = slopes[1] ** 2 / max(variance[2, 2] + left**2 * variance[1, 1], 1e-9)
@@ -149,8 +149,11 @@ def _kink(x: Array, y: Array, noise_mm: float) -> tuple[float, float, float, flo
     return best
 
 
-def _bent(x: Array, y: Array, at: float, noise_mm: float) -> tuple[float, Array, Array]:
-    """A line that bends at `at`; as `_left`."""
+def bent_line(x: Array, y: Array, at: float, noise_mm: float) -> tuple[float, Array, Array]:
+    """A line that bends at `at`: cost, parameters (height, both slopes) and their variance.
+
+    y: in standard errors.
+    """
     before, beyond = np.minimum(x, at), np.maximum(x - at, 0.0)
     return _left(np.column_stack([np.ones_like(x), -before / noise_mm, -beyond / noise_mm]), y)
 
@@ -170,14 +173,11 @@ def _left(inputs: Array, y: Array) -> tuple[float, Array, Array]:
 class SeenLadders:
     """What a capture's ladders show.
 
-    rows: of the capture, for each ladder in the order of its steps; apertures_mm: how high the
-    lips are apart in each, from the usual height on; noise_mm: of these; touching: (n,), poses of
-    the capture beyond the kink; passed: whether dots of upper and lower lip passed one another.
+    rows: of the capture, for each ladder in the order of its steps; touching: (n,), poses of the
+    capture beyond the kink; passed: whether dots of upper and lower lip passed one another.
     """
 
     rows: tuple[NDArray[np.int64], ...]
-    apertures_mm: tuple[Array, ...]
-    noise_mm: float
     kink: Kink
     touching: NDArray[np.bool_]
     passed: bool
@@ -195,31 +195,55 @@ def begins(capture: Capture) -> NDArray[np.bool_]:
     return np.asarray((of == 0) | (earlier < _OPEN_STEPS))
 
 
+@dataclass(frozen=True, slots=True)
+class Apertures:
+    """How high the lips are apart in the steps of ladders, from each ladder's usual height on.
+
+    rows: of the capture, for each ladder in the order of its steps; pairs: of dots that are
+    compared; share: of a marker's noise that is in the mean of them; last_mm: of the middle gap.
+    """
+
+    rows: tuple[NDArray[np.int64], ...]
+    mm: tuple[Array, ...]
+    pairs: tuple[tuple[int, int], ...]
+    share: float
+    last_mm: float
+
+
+def apertures_of(capture: Capture) -> Apertures | None:
+    """None where a capture has no ladders, or dots of only one lip."""
+    of, names = ladders_of(capture), capture.marker_names
+    pairs = tuple((names.index(a), names.index(b)) for a, b in _OPPOSITE if {a, b} <= set(names))
+    rows = [np.flatnonzero(of == ladder) for ladder in np.unique(of[of > 0])]
+    rows = [own for own in rows if len(own) >= _FEWEST]
+    if not rows or not pairs:
+        return None
+    apertures, last_mm = [], []
+    for own in rows:
+        heights_mm = gap_heights_mm(capture.markers_mm[own], pairs)
+        # A dot that is lost in one step must not shift the mean of the others.
+        usual_mm = np.nanmedian(heights_mm, axis=0)
+        apertures.append(np.nan_to_num(np.nanmean(heights_mm - usual_mm, axis=1)))
+        last_mm.append(heights_mm[-2:, 0])
+    share = float(np.sqrt(2.0 / len(pairs)))
+    return Apertures(tuple(rows), tuple(apertures), pairs, share, float(np.nanmean(last_mm)))
+
+
 def see_ladders(capture: Capture, markers_of: _MarkersOf, noise_mm: float) -> SeenLadders | None:
     """None where a capture has no ladders, or dots of only one lip.
 
     markers_of: the face as learnt so far; noise_mm: of a marker in one axis.
     """
-    of, names = ladders_of(capture), capture.marker_names
-    pairs = [(names.index(a), names.index(b)) for a, b in _OPPOSITE if {a, b} <= set(names)]
-    rows = [np.flatnonzero(of == ladder) for ladder in np.unique(of[of > 0])]
-    rows = [own for own in rows if len(own) >= _FEWEST]
-    if not rows or not pairs:
+    seen = apertures_of(capture)
+    if seen is None:
         return None
-    closes, apertures, last_mm = [], [], []
-    for own in rows:
-        heights_mm = gap_heights_mm(capture.markers_mm[own], tuple(pairs))
-        # A dot that is lost in one step must not shift the mean of the others.
-        usual_mm = np.nanmedian(heights_mm, axis=0)
-        apertures.append(np.nan_to_num(np.nanmean(heights_mm - usual_mm, axis=1)))
-        last_mm.append(heights_mm[-2:, 0])
-        by_deg = pair_slopes(markers_of, capture.goals_deg[own[0]], pairs).mean(axis=0)
+    closes = []
+    for own in seen.rows:
+        by_deg = pair_slopes(markers_of, capture.goals_deg[own[0]], seen.pairs).mean(axis=0)
         closes.append(-(capture.goals_deg[own] - capture.goals_deg[own[0]]) @ by_deg)
-    aperture_noise_mm = noise_mm * np.sqrt(2.0 / len(pairs))
-    kink = find_kink(closes, apertures, aperture_noise_mm)
+    kink = find_kink(closes, seen.mm, seen.share * noise_mm)
     touching = np.zeros(len(capture), dtype=bool)
     if kink.is_contact:
-        for own, x, at in zip(rows, closes, kink.at_mm, strict=True):
+        for own, x, at in zip(seen.rows, closes, kink.at_mm, strict=True):
             touching[own[x > at]] = True
-    passed = bool(np.nanmean(last_mm) < -_PASSED_MM)
-    return SeenLadders(tuple(rows), tuple(apertures), aperture_noise_mm, kink, touching, passed)
+    return SeenLadders(seen.rows, kink, touching, passed=seen.last_mm < -_PASSED_MM)

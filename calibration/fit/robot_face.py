@@ -239,9 +239,7 @@ def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> Robo
     gaps = () if mouth is None else mouth.gaps
     ladders = None
     if mouth is not None:
-        ladders = see_ladders(
-            capture, lambda deg: centre_mm + learning.at(filled, deg), noise_mm
-        )
+        ladders = see_ladders(capture, lambda deg: centre_mm + learning.at(filled, deg), noise_mm)
         if ladders is None or ladders.kink.is_contact:
             touching = None if ladders is None else ladders.touching
             found = _free_of_contact(learning, seen_mm, known, filled, centre_mm, mouth, touching)

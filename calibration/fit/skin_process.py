@@ -26,7 +26,9 @@ _CONSTANT_MM2 = 100.0
 #: The backlashes of one robot are like one another by so much, about a common mean.
 _BACKLASH_SD_DEG = 0.4
 _FIRST_BACKLASH_DEG = 0.5
-#: Play of all joints together, and of one alone, is believed from so many standard errors on.
+#: Play of all joints together, and of one alone, is believed from so many standard errors on; less
+#: than a quarter of a degree, or half of one in one joint, lips do not show.
+_LEAST_DEG = 0.25
 _EVIDENT, _EVIDENT_ALONE, _MOST_BELOW_DEG, _STEP_DEG = 3.0, 4.0, 2.0, 0.05
 #: Where the search for the hyperparameters begins: reach in mm^2 of a half range, curvature per
 #: mm^2, noise in mm^2, width in mm, own part. It ends at the same place from half or twice these.
@@ -159,9 +161,7 @@ def fit_hyperparameters(
     return _unpacked(found.x, n_servos)
 
 
-def _believed_deg(
-    parameters: Array, likelihood: "_NegativeLogLikelihood", n_servos: int
-) -> Array:
+def _believed_deg(parameters: Array, likelihood: "_NegativeLogLikelihood", n_servos: int) -> Array:
     """(n_servos,): the play for which there is evidence, in all joints or in one; else none."""
     sharpness = np.empty(n_servos)
     for joint in range(n_servos):
@@ -173,9 +173,9 @@ def _believed_deg(
     found_deg = parameters[:n_servos]
     known = np.maximum(sharpness - 1.0 / _BACKLASH_SD_DEG**2, 1e-9)
     mean_deg = float((known * found_deg).sum() / known.sum())
-    if mean_deg * np.sqrt(known.sum()) > _EVIDENT:
+    if mean_deg > _LEAST_DEG and mean_deg * np.sqrt(known.sum()) > _EVIDENT:
         return np.maximum(found_deg, 0.0)
-    alone = found_deg * np.sqrt(sharpness) > _EVIDENT_ALONE
+    alone = found_deg > np.maximum(_EVIDENT_ALONE / np.sqrt(sharpness), 2 * _LEAST_DEG)
     return np.where(alone, np.maximum(found_deg, 0.0), 0.0)
 
 
