@@ -1,4 +1,4 @@
-"""`calibrate touch`: servos that close the lips step by step, and where these meet is written anew."""
+"""`calibrate touch`: lips are closed step by step, and where they meet is written anew."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
