@@ -205,7 +205,8 @@ class Procedure:
         n_before, done = len(plan), 0
         for until in range(FIRST_STEPS, MOST_STEPS + 1, MORE_STEPS):
             for number, ladder in enumerate(ladders):
-                plan = joined(plan, self._steps(ladder, number + 1, slice(done, until)))
+                if len(ladder.goals_deg) > done:
+                    plan = joined(plan, self._steps(ladder, number + 1, slice(done, until)))
             captured = take(plan, range(n_before, len(plan)), goes_on=True)
             done = until
             seen = see_ladders(captured, learnt.face.free_mm, learnt.face.noise_mm)

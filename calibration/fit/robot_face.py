@@ -67,8 +67,8 @@ class LipContact:
 
 
 def poses_in_contact(free_gaps_mm: Array, closed_mm: Array) -> NDArray[np.bool_]:
-    """(n,): poses in which a gap would be narrower than the closed one."""
-    return np.asarray((free_gaps_mm < closed_mm).any(axis=1))
+    """(n,): poses whose middle gap would be narrower than the closed one."""
+    return np.asarray(free_gaps_mm[:, 0] < closed_mm[0])
 
 
 def first_closed_mm(seen_gaps_mm: Array, contact: NDArray[np.bool_]) -> Array:
@@ -381,7 +381,11 @@ def _free_of_contact(
         free_gaps_mm = gap_heights_mm(filled + centre_mm, gaps)
         expected_mm = gap_heights_mm(learning.expected(filled) + centre_mm, gaps)
         free_gaps_mm = np.where(contact[:, None], free_gaps_mm, expected_mm)
-        contact = poses_in_contact(free_gaps_mm, closed_mm)
+        contact = (
+            poses_in_contact(free_gaps_mm, closed_mm)
+            if touching is None
+            else (free_gaps_mm < closed_mm).any(axis=1)
+        )
         if contact.sum() < _LEAST_IN_CONTACT:
             return None
         closed_mm = (

@@ -81,7 +81,7 @@ def test_a_jaw_that_stands_at_its_limit_closes_as_far_as_it_can(frames):
     assert poses_deg[:, 0].min() == -8.0
 
 
-def test_the_closure_of_a_map_knows_how_far_lips_are_apart_beyond_contact(frames, chosen):
+def test_the_closure_of_a_map_knows_how_far_lips_are_apart_beyond_contact(chosen):
     assert chosen.closure is not None
     poses_deg = np.array([[3.0, 5.0], [-1.0, 0.0]])
     np.testing.assert_allclose(
