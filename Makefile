@@ -3,12 +3,13 @@
 # make traces the motion that tests/lipservo/traces/test_reference_traces.py holds, anew: docs/traces.md
 # make docs   the reference of all public names, from their docstrings, into site/
 # make check  style, types, the docs, samples of campaigns, and the wheels: what they hold, and that they run alone
+# make agents the adapters with the real packages (Pipecat, LiveKit, Wyoming, OpenAI: 1 GB), in .venv-agents
 # make campaign  every campaign whole: an hour and a half
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test traces docs check campaign format clean
+.PHONY: run test traces docs check agents campaign format clean
 
 run: $(VENV)/.installed
 	$(BIN)/lipservo run --config face_head --dashboard --open
@@ -20,7 +21,7 @@ test: $(VENV)/.installed-dev
 traces: $(VENV)/.installed-dev
 	$(BIN)/python tests/support/make_reference_traces.py
 
-# These modules need torch, pipecat, livekit or wyoming, which neither make test nor CI installs: docs/decisions/0016-api-reference.md.
+# These modules need torch, pipecat, livekit or wyoming, which .venv does not have: docs/decisions/0016-api-reference.md.
 UNDOCUMENTED := $(addprefix lipservo_client.,pipecat_face livekit_face wyoming_face) \
 	$(addprefix lipservo_lab.bench.agents.,agent_figures day_agent) \
 	lipservo_lab.learning.adaptation.voice_learning \
@@ -42,6 +43,12 @@ check: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest --durations 15 -m packaging
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile --durations 15 -m "slow and not campaign"
 
+# An import that fails would be a skipped test, so they are imported first.
+AGENTS := .venv-agents
+agents: $(AGENTS)/.installed
+	$(AGENTS)/bin/python -W ignore -c "import livekit.agents, openai.types.realtime, pipecat.pipeline.worker, wyoming.snd" 2>&1
+	$(AGENTS)/bin/python -m pytest --durations 5 -m "not campaign" tests/client tests/examples/test_realtime_sdk.py tests/lab/bench/agents
+
 campaign: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest --durations 15 -m campaign
 	$(BIN)/lipservo bench faults
@@ -54,7 +61,7 @@ format: $(VENV)/.installed-dev
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf $(VENV) dist build site *.egg-info client/*.egg-info lab/*.egg-info client/build lab/build .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(AGENTS) dist build site *.egg-info client/*.egg-info lab/*.egg-info client/build lab/build .pytest_cache .mypy_cache .ruff_cache
 
 $(VENV)/.installed: pyproject.toml client/pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -65,3 +72,10 @@ $(VENV)/.installed-dev: pyproject.toml client/pyproject.toml lab/pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]' --editable ./client --editable ./lab
 	touch $(VENV)/.installed $@
+
+# The client first: pip does not find it for the others once it has extras.
+$(AGENTS)/.installed: pyproject.toml client/pyproject.toml lab/pyproject.toml
+	$(PYTHON) -m venv $(AGENTS)
+	$(AGENTS)/bin/python -m pip install --quiet --disable-pip-version-check --editable './client[pipecat,livekit,wyoming]' \
+		--editable . --editable ./lab openai hypothesis pytest
+	touch $@

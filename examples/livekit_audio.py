@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 from lipservo_client.async_face import AsyncFace
-from lipservo_client.protocol import Played
+from lipservo_client.protocol import FaceError, Played
 
 import lipservo
 
@@ -81,4 +81,7 @@ async def main(url: str) -> None:
 
 
 if __name__ == "__main__":
-    asyncio.run(main(sys.argv[1] if len(sys.argv) > 1 else "ws://127.0.0.1:8765"))
+    try:
+        asyncio.run(main(sys.argv[1] if len(sys.argv) > 1 else "ws://127.0.0.1:8765"))
+    except FaceError as error:
+        sys.exit(f"the face: {error}")

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from lipservo_client.async_face import AsyncFace, AsyncSpeech
+from lipservo_client.protocol import FaceError
 
 import lipservo
 
@@ -106,4 +107,7 @@ async def main(events: Iterable[Any], url: str) -> None:
 if __name__ == "__main__":
     lines = Path(sys.argv[1]).read_text("utf-8").splitlines()
     address = sys.argv[2] if len(sys.argv) > 2 else "ws://127.0.0.1:8765"
-    asyncio.run(main(map(json.loads, lines), address))
+    try:
+        asyncio.run(main(map(json.loads, lines), address))
+    except FaceError as error:
+        sys.exit(f"the face: {error}")

@@ -14,6 +14,8 @@ import subprocess
 import sys
 import wave
 
+from lipservo_client.protocol import FaceError
+
 import lipservo
 
 
@@ -39,4 +41,7 @@ def main(text: str, url: str) -> None:
 
 if __name__ == "__main__":
     given = dict(enumerate(sys.argv))
-    main(given.get(1, "Hello, I am a face."), given.get(2, "ws://127.0.0.1:8765"))
+    try:
+        main(given.get(1, "Hello, I am a face."), given.get(2, "ws://127.0.0.1:8765"))
+    except FaceError as error:
+        sys.exit(f"the face: {error}")

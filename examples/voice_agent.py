@@ -12,6 +12,8 @@ import struct
 import sys
 from collections.abc import AsyncIterator
 
+from lipservo_client.protocol import FaceError
+
 import lipservo
 
 RATE_HZ = 24_000
@@ -46,4 +48,7 @@ async def main(url: str) -> None:
 
 
 if __name__ == "__main__":
-    asyncio.run(main(sys.argv[1] if len(sys.argv) > 1 else "ws://127.0.0.1:8765"))
+    try:
+        asyncio.run(main(sys.argv[1] if len(sys.argv) > 1 else "ws://127.0.0.1:8765"))
+    except FaceError as error:
+        sys.exit(f"the face: {error}")

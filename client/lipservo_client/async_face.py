@@ -70,6 +70,11 @@ class AsyncSpeech:
         return self._heard.done()
 
     @property
+    def is_complete(self) -> bool:
+        """No more of it comes."""
+        return self._is_complete
+
+    @property
     def was_heard(self) -> bool:
         """It was heard to its end."""
         is_told = self.is_over and self._heard.exception() is None
@@ -253,7 +258,8 @@ class AsyncFace:
     """A connection to a face; from `lipservo.connect_async`.
 
     A connection that is lost is opened again, later and later up to every five seconds, until the
-    face is left. `events()` gives `disconnected` and `reconnected`, with `code` and `message`. What
+    face is left. `events()` gives `disconnected` and `reconnected`, with `code` and `message`;
+    `disconnected` again where the face is back and refuses us (bad_protocol, unauthorized). What
     was being said then is over: its stream raises FaceError, and nothing of it is sent again.
     """
 
@@ -446,12 +452,16 @@ class AsyncFace:
         self._connection = wire
 
     async def _reconnect(self) -> None:
-        wait_s = _FIRST_WAIT_S
+        wait_s, reason = _FIRST_WAIT_S, "not_answering"
         while self._connection is None:
             await asyncio.sleep(wait_s * random.uniform(0.5, 1.0))
             wait_s = min(2.0 * wait_s, _LONGEST_WAIT_S)
-            with contextlib.suppress(FaceError):
+            try:
                 await self._connect()
+            except FaceError as error:
+                if error.code not in (reason, "disconnected", "shutting_down"):
+                    reason = error.code
+                    self._hand_on_loss(error)
         self._hand_on({"type": "reconnected", "code": "", "message": f"{self._url}: is back"})
 
     def _take(self, event: Event) -> None:
@@ -491,8 +501,11 @@ class AsyncFace:
         self._connection = None
         for speech in self._speeches.values():
             speech.lose(error)
-        self._hand_on({"type": "disconnected", "code": error.code, "message": str(error)})
+        self._hand_on_loss(error)
         self._reconnecting = asyncio.get_running_loop().create_task(self._reconnect())
+
+    def _hand_on_loss(self, error: FaceError) -> None:
+        self._hand_on({"type": "disconnected", "code": error.code, "message": str(error)})
 
     def _hand_on(self, event: Event) -> None:
         for events in self._events:

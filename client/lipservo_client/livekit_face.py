@@ -4,10 +4,11 @@ Needs the extra `livekit`.
 """
 
 import asyncio
+import logging
 import time
 from collections.abc import Coroutine
 from contextlib import suppress
-from typing import Any, Self
+from typing import Any, Final, Self
 
 from livekit import rtc
 from livekit.agents.voice.io import AudioOutput, AudioOutputCapabilities
@@ -15,12 +16,15 @@ from livekit.agents.voice.io import AudioOutput, AudioOutputCapabilities
 from lipservo_client.async_face import AsyncFace, AsyncSpeech
 from lipservo_client.protocol import FaceError, mono_pcm
 
+_LOG: Final = logging.getLogger(__name__)
+
 
 class LiveKitFace(AudioOutput):
     """Plays what an `AgentSession` says, and tells how much of it was heard; it can pause.
 
-    Enter it before the session starts. While no face answers, segments end at once as interrupted,
-    with nothing heard; a face that comes back is used from the next segment on.
+    Enter it before the session starts. While no face answers, or another client speaks through it,
+    segments end at once as interrupted, with nothing heard, and a warning is logged; a face that
+    comes back is used from the next segment on.
     """
 
     def __init__(self, url: str = "ws://127.0.0.1:8765", token: str | None = None) -> None:
@@ -59,16 +63,17 @@ class LiveKitFace(AudioOutput):
             if speech is None:
                 if self._last is not None:
                     await asyncio.wait([self._last])
-                speech = self._speech = self._face.stream(frame.sample_rate)
+                speech = self._face.stream(frame.sample_rate)
                 await speech.__aenter__()
+                self._speech = speech
                 self._begin(self._tell_end(speech))
                 if self._is_paused:
                     await self._face.pause()
             self._is_cut = not await speech.write(mono_pcm(frame.data, frame.num_channels))
-        except FaceError:
-            is_told = self._speech is not None and not self._speech.is_starting
+        except FaceError as error:
+            _LOG.warning("not said: %s", error)
             self._is_cut = True
-            if not is_told:  # nobody follows its end
+            if self._speech is None:  # it never began: nothing follows its end
                 self.on_playback_finished(playback_position=0.0, interrupted=True)
 
     def flush(self) -> None:
@@ -80,7 +85,7 @@ class LiveKitFace(AudioOutput):
 
     def clear_buffer(self) -> None:
         """Silence now."""
-        self._is_cut = self._speech is not None
+        self._is_cut = self._is_cut or self._speech is not None
         if self._face.is_connected:
             self._then(self._face.interrupt())
 

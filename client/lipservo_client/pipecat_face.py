@@ -15,7 +15,7 @@ from pipecat.frames import frames
 from pipecat.processors.frame_processor import FrameDirection, FrameProcessor
 
 from lipservo_client.async_face import AsyncFace, AsyncSpeech
-from lipservo_client.protocol import Event, FaceError, Played, mono_pcm
+from lipservo_client.protocol import Event, FaceError, Played, error_of, mono_pcm
 
 #: A face keeps 64 marks of a stream; beyond these, positions tell what was heard.
 _MOST_MARKS: Final = 48
@@ -87,6 +87,12 @@ class _Unheard:
     def is_heard(self) -> bool:
         speech = self.speech
         return speech is None or speech.n_played >= self.n or speech.was_heard
+
+    @property
+    def may_go_on(self) -> bool:
+        """It was heard; behind a whole stream: and the face is free for others."""
+        is_last = self.speech is not None and self.speech.is_complete and not self.speech.is_over
+        return self.is_heard and (self.is_sound or not is_last)
 
     @property
     def is_lost(self) -> bool:
@@ -217,22 +223,25 @@ class PipecatFace(_FaceProcessor):
     async def _release(self) -> None:
         """Hand on what was heard by now; what never will be is no part of a context."""
         async with self._releasing:
-            while self._line and (self._line[0].is_heard or self._line[0].is_lost):
+            speech = self._speech
+            if self._is_complete and all(each.is_heard for each in self._line if each.is_sound):
+                await self._end()
+            while self._line and (self._line[0].may_go_on or self._line[0].is_lost):
                 first = self._line.pop(0)
                 is_text = isinstance(first.frame, frames.TextFrame)
                 if not first.is_sound and not (is_text and first.is_lost):
                     await self.push_frame(first.frame)
-            speech = self._speech
-            if speech is not None and speech.is_over and not speech.was_heard:
-                self._is_cut = not self._is_complete
-            if any(each.is_sound for each in self._line):
-                return
-            if speech is not None and (self._is_complete or speech.is_over):
-                self._speech = None
-                with suppress(FaceError):
-                    await speech.end()
-            if self._speech is None:
+            if speech is not None and speech.is_over:
+                self._is_cut = not (speech.was_heard or self._is_complete)
+                await self._end()
+            if self._speech is None and not self._line:
                 await self._tell_speaking(False)
+
+    async def _end(self) -> None:
+        speech, self._speech = self._speech, None
+        if speech is not None:
+            with suppress(FaceError):
+                await speech.end()
 
     async def _tell_speaking(self, is_speaking: bool) -> None:
         """The pipeline learns when the face is heard, as it would from an output transport."""
@@ -269,6 +278,8 @@ class PipecatFace(_FaceProcessor):
             await self._hear(event)
 
     async def _hear(self, event: Event) -> None:
+        if event["type"] == "disconnected":
+            await self._complain(error_of(event))
         if self._speech is not None and event.get("stream") == self._speech.stream:
             if event["type"] == "started":
                 await self._tell_speaking(True)

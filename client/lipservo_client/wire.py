@@ -15,8 +15,8 @@ from lipservo_client.protocol import Event, FaceError
 
 #: An answer that takes longer will not come.
 PATIENCE_S: Final = 10.0
-#: A peer that is gone is noticed after both and the time for hanging up: ten seconds.
-_PING_S, _PONG_S, _CLOSING_S = 3.0, 6.0, 1.0
+#: A peer that is gone is noticed after both and the time for hanging up, within ten seconds.
+_PING_S, _PONG_S, _CLOSING_S = 3.0, 6.0, 0.5
 
 
 class Wire:

@@ -162,7 +162,7 @@ class AgentServer:
             max_size=self._settings.most_message_bytes,
             ping_interval=self._settings.ping_s,
             ping_timeout=2.0 * self._settings.ping_s,
-            close_timeout=_CLOSING_S,
+            close_timeout=0.5 * _CLOSING_S,  # with the pings less than ten seconds
             logger=_SILENT,
         )
         _LOG.info("voice agents: %s", self._url)

@@ -32,6 +32,7 @@ _FORGOTTEN_S: Final = 1.0
 _PAUSE_S: Final = 0.05
 #: The samples of less than a block, which a stream's waiting time leaves out.
 _BLOCK_S: Final = 0.01
+_LATER: Final = "try again, or set access: {queue: true} in the face's YAML"
 
 
 _Asked = TypeVar("_Asked")
@@ -265,7 +266,7 @@ class Turns:
     ) -> OwnSpeech:
         """A text or file of a `/control` client, to be said under a name. Raises MessageError."""
         if self._settings.when_busy == "refuse" and self._all():
-            raise MessageError("busy", "an agent speaks; one speaks at a time")
+            raise MessageError("busy", f"an agent speaks; {_LATER}")
         own = OwnSpeech(owner, request_id, f"{label} #{next(self._numbers)}")
         self._own[own.stream_id] = own
         return own
@@ -351,9 +352,10 @@ class Turns:
             raise MessageError("no_loudspeaker", f'{silent}, or play it yourself ("client")')
         if self._settings.when_busy == "refuse":
             if any(each.owner is not owner for each in streams):
-                raise MessageError("busy", "another client speaks; one speaks at a time")
+                raise MessageError("busy", f"another client speaks; {_LATER}")
             if self._own or self._own_speech:
-                raise MessageError("busy", "the face says something of its own; interrupt it first")
+                own = "the face says something of its own"
+                raise MessageError("busy", f"{own}; interrupt it, {_LATER}")
         if len(streams) >= self._settings.most_streams:
             most = f"{self._settings.most_streams} streams are said or wait already"
             raise MessageError("too_many_streams", most)

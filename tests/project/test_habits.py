@@ -81,7 +81,7 @@ def test_a_file_of_ours_that_is_named_by_its_decision_exists():
     known = {name[:4] for name in DECISIONS}
     wrong = []
     for path in (*ROOT.rglob("*.py"), *PAGES, ROOT / "pyproject.toml"):
-        if {".venv", "build", "site"} & set(path.relative_to(ROOT).parts):
+        if {".venv", ".venv-agents", "build", "site"} & set(path.relative_to(ROOT).parts):
             continue
         for number in re.findall(r"docs/decisions/(\d{4})", path.read_text("utf-8")):
             if number not in known:

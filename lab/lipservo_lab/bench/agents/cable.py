@@ -1,6 +1,7 @@
 """A cable between agent and face that can be pulled: a TCP proxy in a thread."""
 
 import asyncio
+import contextlib
 import threading
 from typing import Final, Self
 
@@ -40,11 +41,17 @@ class Cable:
         self._loop.run_until_complete(self._listen())
         self._started.set()
         self._loop.run_forever()
+        self._server.close()
+        tasks = asyncio.all_tasks(self._loop)
+        for task in tasks:
+            task.cancel()
+        self._loop.run_until_complete(asyncio.gather(*tasks, return_exceptions=True))
+        self._loop.close()
 
     async def _listen(self) -> None:
         self._plugged.set()
-        server = await asyncio.start_server(self._carry, "127.0.0.1", 0)
-        self.port = server.sockets[0].getsockname()[1]
+        self._server = await asyncio.start_server(self._carry, "127.0.0.1", 0)
+        self.port = self._server.sockets[0].getsockname()[1]
 
     async def _carry(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
@@ -64,5 +71,6 @@ class Cable:
         except OSError:
             pass
         finally:
-            await self._plugged.wait()  # its end does not pass either
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._plugged.wait()  # its end does not pass either
             writer.close()

@@ -2,7 +2,8 @@
 
 `python -m lipservo_lab.bench.agents.day_agent URL TOKEN PERIOD_S`: every period it says a few
 seconds of the bundled clip. A line of JSON on stdout for each turn that is over: `began_s` and
-`ended_s` (monotonic), `sent_s`, and `transport_s`, the sound that went elsewhere than to the face.
+`ended_s` (monotonic), and `transport_s`, the sound that went elsewhere than to the face; and one
+for each error that the face's adapter tells: `error_s`, `error`.
 """
 
 import asyncio
@@ -21,6 +22,7 @@ with warnings.catch_warnings():
     from lipservo_client.pipecat_face import PipecatFace
     from loguru import logger
     from pipecat.frames.frames import (
+        ErrorFrame,
         Frame,
         LLMFullResponseEndFrame,
         LLMFullResponseStartFrame,
@@ -84,6 +86,10 @@ async def talk(url: str, token: str, period_s: float) -> None:
     @worker.event_handler("on_pipeline_started")  # type: ignore[untyped-decorator]
     async def _began(*_about: object) -> None:
         began.set()
+
+    @worker.event_handler("on_pipeline_error")  # type: ignore[untyped-decorator]
+    async def _failed(_worker: object, frame: ErrorFrame) -> None:
+        print(json.dumps({"error_s": time.monotonic(), "error": frame.error}), flush=True)  # noqa: T201 - for the bench
 
     async def speak() -> None:
         await began.wait()

@@ -16,7 +16,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -27,7 +27,7 @@ from lipsync.errors import UserError
 
 _PERIOD_S: Final = 12.0
 #: So often in twelve minutes: what happens to whom.
-_EVENTS: Final = {
+EVENTS: Final = {
     "load": 6,
     "daemon restart": 4,
     "cable pulled": 4,
@@ -69,8 +69,13 @@ class _Life:
         return warm[-1][0] - warm[0][0], warm[-1][1] - warm[0][1], warm[-1][2] - warm[0][2]
 
 
-def day_figures(minutes: float, progress: Callable[[int, int], None]) -> dict[str, Any]:
-    """`mute_turns`, `rss_growth_mb`, `threads_growth` of so many minutes, and what happened.
+def day_figures(
+    minutes: float, events: Mapping[str, int], progress: Callable[[int, int], None]
+) -> dict[str, Any]:
+    """`mute_turns`, `rss_growth_mb`, `threads_growth`, `gone_noticed_s`, and what happened.
+
+    events: how often each of `EVENTS` happens. gone_noticed_s: the longest until the agent knew
+    that the cable was pulled; None: it was not, or it never did.
 
     Raises UserError where PulseAudio or what it needs is missing.
     """
@@ -79,7 +84,7 @@ def day_figures(minutes: float, progress: Callable[[int, int], None]) -> dict[st
         _sink(Path(folder)) as environment,
         _Day(Path(folder), environment) as day,
     ):
-        return day.run(minutes, progress)
+        return day.run(minutes, events, progress)
 
 
 class _Day:
@@ -97,6 +102,9 @@ class _Day:
             self._port = probe.getsockname()[1]
         self._cable = Cable(self._port)
         self._turns: list[dict[str, float]] = []
+        #: Monotonic seconds at which the agent told an error, and at which its cable was pulled.
+        self._errors: list[float] = []
+        self._pulled: list[float] = []
         #: (monotonic seconds, phonemes that moved the mouth, state) of the face that runs then.
         self._statuses: list[tuple[float, int, str]] = []
         #: From when to when a turn may be mute.
@@ -120,17 +128,18 @@ class _Day:
             self._end(name)
         self._cable.__exit__()
 
-    def run(self, minutes: float, progress: Callable[[int, int], None]) -> dict[str, Any]:
+    def run(
+        self, minutes: float, events: Mapping[str, int], progress: Callable[[int, int], None]
+    ) -> dict[str, Any]:
         """Let the day pass."""
         self._wait_for_face()
         began_s = time.monotonic()
         self._troubles.append((0.0, began_s + _GRACE_S))
-        share = minutes / 12.0
-        events = [name for name, n in _EVENTS.items() for _ in range(max(1, round(n * share)))]
-        random.Random(1).shuffle(events)
-        gap_s = 60.0 * minutes / (len(events) + 1)
-        for number, name in enumerate(events, 1):
-            progress(number, len(events))
+        order = [name for name, n in events.items() for _ in range(n)]
+        random.Random(1).shuffle(order)
+        gap_s = 60.0 * minutes / (len(order) + 1)
+        for number, name in enumerate(order, 1):
+            progress(number, len(order))
             time.sleep(max(0.0, began_s + number * gap_s - time.monotonic()))
             self._play(name)
         time.sleep(max(0.0, began_s + 60.0 * minutes - time.monotonic()))
@@ -146,7 +155,8 @@ class _Day:
             "threads_growth": max(each[2] for each in grown.values()),
             "watched_s": {name: round(each[0], 1) for name, each in grown.items()},
             "processes": len(lives),
-            **{name.replace(" ", "_"): events.count(name) for name in _EVENTS},
+            "gone_noticed_s": self._gone_noticed_s(),
+            **{name.replace(" ", "_"): n for name, n in events.items()},
         }
 
     def _is_mute(self, turn: dict[str, float]) -> bool:
@@ -156,6 +166,15 @@ class _Day:
             return False
         counts = [n for at_s, n, _ in self._statuses if began_s <= at_s <= ended_s + 1.0]
         return turn["transport_s"] > 0.0 or not counts or counts[-1] <= counts[0]
+
+    def _gone_noticed_s(self) -> float | None:
+        delays_s = []
+        for pulled_s in self._pulled:
+            later_s = [at_s - pulled_s for at_s in self._errors if at_s >= pulled_s]
+            if not later_s or min(later_s) > _PULLED_S:
+                return None
+            delays_s.append(min(later_s))
+        return round(max(delays_s), 2) if delays_s else None
 
     def _play(self, name: str) -> None:
         from_s = time.monotonic()
@@ -167,6 +186,7 @@ class _Day:
                 each.wait()
         elif name == "cable pulled":
             self._cable.pull()
+            self._pulled.append(from_s)
             time.sleep(_PULLED_S)
             self._cable.plug()
         elif name == "stop and start":
@@ -224,9 +244,14 @@ class _Day:
 
     def _read(self, process: "subprocess.Popen[str]") -> None:
         assert process.stdout is not None
-        for line in process.stdout:
-            with contextlib.suppress(ValueError):
-                self._turns.append(json.loads(line))
+        with process.stdout:
+            for line in process.stdout:
+                with contextlib.suppress(ValueError):
+                    told = json.loads(line)
+                    if "error_s" in told:
+                        self._errors.append(told["error_s"])
+                    else:
+                        self._turns.append(told)
 
     def _watch(self) -> None:
         while not self._over.wait(_LOOK_S):

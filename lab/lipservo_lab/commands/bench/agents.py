@@ -41,10 +41,11 @@ def day(
     On real processes, with a PulseAudio sink in place of a loudspeaker.
     """
     check_extra("pipecat", "`bench day`")
-    from lipservo_lab.bench.agents.day_figures import day_figures
+    from lipservo_lab.bench.agents.day_figures import EVENTS, day_figures
 
+    events = {name: max(1, round(n * minutes / 12.0)) for name, n in EVENTS.items()}
     with progress_bar(quiet=quiet) as advance:
-        figures = day_figures(minutes, lambda done, of: advance("events", done, of))
+        figures = day_figures(minutes, events, lambda done, of: advance("events", done, of))
     _print({**figures, "machine": machine_class()}, as_json=as_json)
 
 

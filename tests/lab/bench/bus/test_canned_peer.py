@@ -4,6 +4,7 @@ import contextlib
 import struct
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -35,9 +36,10 @@ def line(port):
         yield Line(transport)
 
 
-def asked(ask, n_answers=1, tries=5):
-    """A busy computer may be late; the answer that came whole."""
-    for _ in range(tries):
+def asked(ask, n_answers=1):
+    """A busy computer may be late, again and again; the answer that came whole."""
+    give_up_s = time.monotonic() + 30.0
+    while time.monotonic() < give_up_s:
         found = ask()
         if found is not None and (n_answers == 1 or len(found) == n_answers):
             return found

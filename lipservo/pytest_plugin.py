@@ -1,0 +1,164 @@
+"""pytest fixture `simulated_face`: a running face without servos, for tests of what speaks to it.
+
+pytest finds it by itself wherever lipservo is installed. docs/simulator.md has a recipe for CI.
+"""
+
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import pytest
+
+if TYPE_CHECKING:
+    from lipservo_client.blocking_face import Face
+
+_POLL_S: Final = 0.05
+
+#: Time to start and to end. A runner of tests may be very busy.
+_PATIENCE_S: Final = 120.0
+
+
+class SimulatedFace:
+    """A `lipservo daemon` of one test, with servos that are simulated in its process.
+
+    Attributes
+    ----------
+    url : str
+        Where it listens for voice agents.
+    token : str
+        What it asks of them.
+
+    """
+
+    def __init__(self, process: "subprocess.Popen[str]", folder: Path) -> None:
+        assert process.stderr is not None
+        self._process = process
+        self._messages = process.stderr
+        self._said: list[str] = []
+        self._trace = folder / "trace.jsonl"
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self.url = ""
+        self._is_over = threading.Event()
+        giving_up = threading.Timer(_PATIENCE_S, process.kill)
+        giving_up.start()
+        self._reader.start()
+        try:
+            self._wait_until_driven(folder / "token")
+        finally:
+            giving_up.cancel()
+
+    @property
+    def messages(self) -> str:
+        """What the face has printed until now."""
+        return "".join(self._said)
+
+    def connect(self) -> "Face":
+        """Return `lipservo.connect` to this face: `with simulated_face.connect() as face:`."""
+        from lipservo_client import connect
+
+        return connect(self.url, self.token)
+
+    def end(self) -> list[dict[str, Any]]:
+        """Stop the face and return what it did.
+
+        Returns
+        -------
+        list of dict
+            One a tick, as `--trace` writes them: `sound_s`, `phoneme`, `coefficients`, `sent_deg`
+            (one a servo) and more; docs/traces.md.
+
+        Raises
+        ------
+        RuntimeError
+            The face did not end by itself, or with an error; the message is its own.
+
+        """
+        self._process.terminate()
+        try:
+            status = self._process.wait(_PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            status = self._process.wait()
+        self._reader.join(_PATIENCE_S)
+        self._messages.close()
+        if status != 0:
+            raise RuntimeError(f"the simulated face ended with {status}: {self.messages.strip()}")
+        rows = [json.loads(line) for line in self._trace.read_text().splitlines()]
+        return [row for row in rows if "tick" in row]
+
+    def _wait_until_driven(self, token: Path) -> None:
+        while not self.url:
+            if self._is_over.wait(_POLL_S):
+                raise RuntimeError(f"the simulated face did not start: {self.messages.strip()}")
+        self.token = token.read_text().strip()
+        with self.connect() as face:
+            while face.status()["state"] != "driven":
+                time.sleep(_POLL_S)
+
+    def _read(self) -> None:
+        """Keep what it prints: a pipe that nobody empties would hold the face up."""
+        for line in self._messages:
+            self._said.append(line)
+            del self._said[:-1000]
+            _, announced, url = line.partition("voice agents: ")
+            if announced:
+                self.url = url.strip()
+        self._is_over.set()
+
+
+@pytest.fixture
+def simulated_face_config() -> str:
+    """Face of `simulated_face`: the name of a shipped one or a YAML file. Override it for yours."""
+    return "face_sim"
+
+
+@pytest.fixture
+def simulated_face(
+    simulated_face_config: str, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[SimulatedFace]:
+    """Yield a running face that only this test finds, whatever runs beside it.
+
+    Servos that its YAML has at a port are simulated behind pseudo-terminals: none moves.
+    """
+    # Here, since pytest loads this module for every test of every project.
+    from lipservo.runtime.servos.assembly import load_settings
+    from lipservo.runtime.servos.sim_process import servo_port
+
+    in_memory = load_settings(simulated_face_config)[0].capabilities.in_memory
+    folder = Path(tempfile.mkdtemp(prefix="lipservo-"))  # short: a socket's address has 107 bytes
+    monkeypatch.setenv("LIPSERVO_RUNTIME", str(folder))
+    monkeypatch.setenv("LIPSERVO_STATE", str(folder / "state"))
+    try:
+        with servo_port(None, None if in_memory else "pty", simulated_face_config) as port:
+            arguments = ["--config", simulated_face_config, "--listen", "127.0.0.1:0"]
+            arguments += [] if port is None else ["--port", port]
+            with _daemon([*arguments, "--trace", str(folder / "trace.jsonl")]) as process:
+                face = SimulatedFace(process, folder)
+                yield face
+                if process.poll() is None:
+                    face.end()
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def _daemon(arguments: list[str]) -> "Iterator[subprocess.Popen[str]]":
+    process = subprocess.Popen(
+        [sys.executable, "-m", "lipservo", "daemon", *arguments],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
