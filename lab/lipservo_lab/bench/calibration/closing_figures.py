@@ -4,7 +4,7 @@ A mouth that cannot close is an elastic robot of 1 to 8 servos whose jaw is moun
 open, and whose lips have little room: with all joints at their limits the lips stay apart.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,11 +18,13 @@ from calibration.mouth_servos import JointRange, MouthServos
 from calibration.simulated.elastic_family import KINDS, robot_of_kinds
 from calibration.simulated.elastic_robot import N_PAIRS, ElasticDraw, ElasticFace
 from calibration.simulated.robot import SimulatedRobot
-from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.animpho.units import FaceWithAnimPhos, load_face_with_animphos
 from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
 
-N_POSES = 60
+_N_POSES = 60
+#: How many of them are tried.
+N_OPEN_MOUTHS = 20
 #: How far these mouths stay open, in millimetres, and how far their lips may turn to close.
 _STAY_MM, _LIP_DEG = (1.2, 5.0), (4.0, 10.0)
 _BELOW_MM = 0.3
@@ -91,26 +93,30 @@ def _nearest_mm(draw: ElasticDraw, limits_deg: Array) -> float:
     return float(face.state(pose_deg).gaps_mm[0, N_PAIRS // 2])
 
 
-def closing_figures(model: FaceWithAnimPhos, seeds: Sequence[int]) -> dict[str, object]:
+def closing_figures(seeds: Iterable[int]) -> dict[str, object]:
     """Of mouths that cannot close, one a seed.
 
     cannot_close_reported: the share that is refused for it, or reported with the joint;
     gaps_below: how many of these were reported nearer by more than .3 mm than they come;
     limits_called_contact: how many were said to close.
     """
+    model = load_face_with_animphos()
     rest_mm = model.markers_mm(model.rest[None])[0]
     reported = below = contact = 0
     each: dict[str, object] = {}
     for seed in seeds:
         mouth = open_mouth(rest_mm, seed)
         closing = _measured(model, mouth, seed)
-        if isinstance(closing, Closing):
+        # A refusal counts where it says so.
+        if isinstance(closing, str):
+            reported += "not close" in closing
+        elif closing is not None:
             reported += closing.evidence == LIMITS
             contact += closing.evidence == CONTACT
             below += closing.evidence == LIMITS and closing.apart_mm < mouth.stay_mm - _BELOW_MM
         each[str(seed)] = [len(mouth.servos.joints), round(mouth.stay_mm, 2), str(closing)]
     return {
-        "cannot_close_reported": reported / max(len(seeds), 1),
+        "cannot_close_reported": reported / max(len(each), 1),
         "gaps_below": below,
         "limits_called_contact": contact,
         "cannot_close": each,
@@ -120,7 +126,7 @@ def closing_figures(model: FaceWithAnimPhos, seeds: Sequence[int]) -> dict[str, 
 def _measured(model: FaceWithAnimPhos, mouth: OpenMouth, seed: int) -> Closing | str | None:
     robot = SimulatedRobot(ElasticFace(mouth.draw), noise_seed=seed)
     servos = mouth.servos
-    procedure = Procedure(model, servos.joints, N_POSES, seed=seed, positive=servos.positive)
+    procedure = Procedure(model, servos.joints, _N_POSES, seed=seed, positive=servos.positive)
     try:
         capture = procedure.capture(MARKERS_47.names, robot.move, robot.measure)
         fit = fit_measured(model, capture, servos)
