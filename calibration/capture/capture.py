@@ -10,7 +10,7 @@ Loads SciPy; the live path never does.
 import json
 import os
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from scipy.stats import qmc
 
 from calibration.calibration import CalibrationError, CouplingRule, keep_rules
 from calibration.mouth_servos import JointRange
-from lipsync.arrays import Array
+from lipsync.arrays import Array, Indices
 from lipsync.output_file import write_whole
 
 #: The last step to a pose; more than twice the backlash of a printed gear train.
@@ -39,13 +39,15 @@ class PosePlan:
     """Poses in their order, all within the limits.
 
     goals_deg: (n, n_servos); from_below: (n, n_servos), 1 or -1: the side that the last step comes
-    from; start_deg: (n, n_servos), where that step begins.
+    from; start_deg: (n, n_servos), where that step begins. ladders: (n,), of poses that close the
+    lips step by step from which ladder they are, from 1; 0 for all others; empty for none at all.
     """
 
     servo_names: tuple[str, ...]
     goals_deg: Array
     from_below: Array
     start_deg: Array
+    ladders: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __len__(self) -> int:
         return len(self.goals_deg)
@@ -92,7 +94,7 @@ def plan_poses(
         # The same pose again: what drifted, slipped or was moved meanwhile shows.
         for repeat in (len(single) + n_cube // 2, len(goals_deg) - 1):
             goals_deg[repeat], side[repeat] = 0.0, 1.0
-    return _reached_from(joints, goals_deg, side, rules)
+    return reached_from(joints, goals_deg, side, rules)
 
 
 def plan_around(
@@ -109,7 +111,7 @@ def plan_around(
     side = np.ones_like(goals_deg)
     if seed is not None:
         side = np.random.default_rng([seed, 1]).choice([-1.0, 1.0], goals_deg.shape)
-    return _reached_from(joints, goals_deg, side, rules)
+    return reached_from(joints, goals_deg, side, rules)
 
 
 def ends_alone(joints: Sequence[JointRange], joint: int) -> Array:
@@ -127,6 +129,7 @@ def plan_rows(plan: PosePlan, rows: Sequence[int]) -> PosePlan:
         goals_deg=plan.goals_deg[chosen],
         from_below=plan.from_below[chosen],
         start_deg=plan.start_deg[chosen],
+        ladders=ladders_of(plan)[chosen],
     )
 
 
@@ -137,10 +140,11 @@ def joined(first: PosePlan, second: PosePlan) -> PosePlan:
         np.concatenate([first.goals_deg, second.goals_deg]),
         np.concatenate([first.from_below, second.from_below]),
         np.concatenate([first.start_deg, second.start_deg]),
+        np.concatenate([ladders_of(first), ladders_of(second)]),
     )
 
 
-def _reached_from(
+def reached_from(
     joints: Sequence[JointRange], goals_deg: Array, side: Array, rules: Sequence[CouplingRule]
 ) -> PosePlan:
     """Within limits and rules, each with the beginning of its last step."""
@@ -193,7 +197,7 @@ class Capture:
     goals_deg, from_below: (n, n_servos); markers_mm: (n, n_markers, 3), NaN where lost. stalled: a
     line for each pose that was left out because a joint did not get there, or for those that were
     not recorded. n_planned: poses of the plan, those left out among them. rows: of the plan, which
-    of its poses these are, where they were captured pose by pose.
+    of its poses these are, where they were captured pose by pose. ladders: as in the plan.
     """
 
     servo_names: tuple[str, ...]
@@ -204,9 +208,28 @@ class Capture:
     stalled: tuple[str, ...] = ()
     n_planned: int = 0
     rows: tuple[int, ...] = ()
+    ladders: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __len__(self) -> int:
         return len(self.goals_deg)
+
+
+def ladders_of(poses: PosePlan | Capture) -> Indices:
+    """(n,): of which ladder each pose is, 0: of none."""
+    return poses.ladders if len(poses.ladders) else np.zeros(len(poses), dtype=np.int64)
+
+
+def outside_ladders(capture: Capture) -> Capture:
+    """The poses in which lips are not closed step by step."""
+    free = ladders_of(capture) == 0
+    return replace(
+        capture,
+        goals_deg=capture.goals_deg[free],
+        from_below=capture.from_below[free],
+        markers_mm=capture.markers_mm[free],
+        rows=tuple(np.array(capture.rows)[free].tolist()) if capture.rows else (),
+        ladders=ladders_of(capture)[free],
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -317,6 +340,7 @@ def gather(plan: PosePlan, marker_names: tuple[str, ...], poses: list[CapturedPo
         stalled=tuple(stalled),
         n_planned=len(plan),
         rows=tuple(rows),
+        ladders=ladders_of(plan)[rows],
     )
 
 

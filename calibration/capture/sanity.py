@@ -13,7 +13,7 @@ from itertools import combinations, permutations, product
 import numpy as np
 
 from calibration.calibration import CalibrationError
-from calibration.capture.capture import Capture
+from calibration.capture.capture import Capture, outside_ladders
 from calibration.capture.joint_health import (
     SUSPECTED,
     WEAK,
@@ -197,7 +197,9 @@ def check_capture(
         lines = straight_lines(capture)
         renamed = (f"markers {told_swaps(swaps)}: exchanged there",)
     capture, far = without_far_points(capture, lines)
-    joints = _judged_joints(capture, lines, positive)
+    # Lips that press each other are no fault of a joint.
+    judged = outside_ladders(capture)
+    joints = _judged_joints(judged, straight_lines(judged), positive)
     if joints.certain and not accept:
         raise CalibrationError(f"{joints.certain[0]}. If it is as it should be, add --accept")
     said = (*joints.certain, *joints.doubtful)

@@ -9,6 +9,7 @@ was moved meanwhile shows. Loads scikit-learn; the live path never does.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from sklearn.cluster import KMeans
@@ -29,6 +30,7 @@ from calibration.capture.capture import (
     plan_around,
     plan_poses,
     plan_rows,
+    reached_from,
     read_kept,
     take_poses,
     usual_poses,
@@ -37,10 +39,18 @@ from calibration.capture.joint_health import MOST_LOOKS, doubtful_joints, second
 from calibration.capture.repeated_poses import first_part
 from calibration.capture.sanity import CheckedCapture, check_capture, check_frame
 from calibration.capture.swaps import put_right
+from calibration.fit.closing import (
+    FIRST_STEPS,
+    MORE_STEPS,
+    MOST_STEPS,
+    Ladder,
+    plan_ladders,
+    see_ladders,
+)
 from calibration.fit.measured import MeasuredFit, mouth_of, retargeting_of, split_frames
 from calibration.fit.measured_grade import graded, graded_poses
 from calibration.fit.retargeting import Retargeting, correspond, gap_heights_mm, widest_pose_deg
-from calibration.fit.robot_face import fit_robot_face
+from calibration.fit.robot_face import RobotFace, fit_robot_face
 from calibration.mouth_servos import JointRange, MouthServos
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array
@@ -54,6 +64,23 @@ _SPEECH_SHARE, _CLOSED_SHARE = 0.27, 0.375
 _ABOUT_CLOSED_MM, _FROM_NEUTRAL_MM = (0.8, -1.2), (0.3, -2.8)
 #: So many of the speaker's frames say well enough where speech is.
 _FRAMES = 400
+
+
+class _Take(Protocol):
+    """Takes what is missing of a plan; goes_on: it will be continued."""
+
+    def __call__(
+        self, plan: PosePlan, pressing: Sequence[int] = (), *, goes_on: bool
+    ) -> Capture: ...
+
+
+@dataclass(frozen=True, slots=True)
+class _Learnt:
+    """What a first capture teaches. from_rest: (n, n_components), some of the speaker's frames."""
+
+    face: RobotFace
+    retargeting: Retargeting
+    from_rest: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,14 +121,9 @@ class Procedure:
             return self._speech_plan(checked.capture, checked.still, n_poses)
 
     def _speech_plan(self, capture: Capture, still: Sequence[int], n_poses: int) -> PosePlan:
-        names = correspond(capture.marker_names)
-        face = fit_robot_face(capture, names.shape_features)
-        servos = MouthServos(tuple(self.joints), rules=tuple(self.rules)).holding(still)
-        mouth = mouth_of(face, names, servos)
-        frames = split_frames(self.model, self.seed)[0]
-        frames = frames[:: max(1, len(frames) // _FRAMES)]
-        from_rest = frames - self.model.rest
-        retargeting = retargeting_of(self.model, mouth, face, capture)
+        learnt = self._learnt(capture, still)
+        retargeting, from_rest = learnt.retargeting, learnt.from_rest
+        mouth, face = retargeting.mouth, learnt.face
         closed = retargeting.closing(from_rest) >= 1.0
         n_closed = self._n_closed(n_poses) if closed.any() else 0
         usual = np.median(from_rest[closed], axis=0)[None] if n_closed else from_rest[:1]
@@ -118,6 +140,16 @@ class Procedure:
             ]
         )
         return plan_around(np.rint(goals_deg), self.joints, rules=self.rules, seed=self.seed)
+
+    def _learnt(self, capture: Capture, still: Sequence[int]) -> "_Learnt":
+        names = correspond(capture.marker_names)
+        face = fit_robot_face(capture, names.shape_features)
+        servos = MouthServos(tuple(self.joints), rules=tuple(self.rules)).holding(still)
+        mouth = mouth_of(face, names, servos)
+        frames = split_frames(self.model, self.seed)[0]
+        frames = frames[:: max(1, len(frames) // _FRAMES)]
+        retargeting = retargeting_of(self.model, mouth, face, capture)
+        return _Learnt(face, retargeting, frames - self.model.rest)
 
     def _n_closed(self, n_poses: int) -> int:
         """How many of the poses of speech close the lips step by step; they come first."""
@@ -170,8 +202,37 @@ class Procedure:
         checked = check_capture(captured, self.model, self.positive, accept=self.accept)
         pressing = range(len(plan), len(plan) + self._n_closed(self.n_of_speech))
         plan = joined(plan, self.speech_plan(checked, self.n_of_speech))
-        take(plan, pressing, goes_on=True)
+        captured = take(plan, pressing, goes_on=True)
+        plan = self._with_ladders(plan, captured, checked.still, take)
         return take(joined(plan, first_part(self.range_plan())), goes_on=False)
+
+    def _with_ladders(
+        self, plan: PosePlan, captured: Capture, still: Sequence[int], take: "_Take"
+    ) -> PosePlan:
+        """Lips closed step by step, until they are seen to meet or joints are at their limits."""
+        with threadpool_limits(limits=1):
+            learnt = self._learnt(captured, still)
+            closed = learnt.retargeting.closing(learnt.from_rest) >= 1.0
+            if not closed.any():
+                return plan
+            ladders = plan_ladders(learnt.retargeting, learnt.from_rest[closed], MOST_STEPS)
+        n_before, done = len(plan), 0
+        for until in range(FIRST_STEPS, MOST_STEPS + 1, MORE_STEPS):
+            for number, ladder in enumerate(ladders):
+                if len(ladder.goals_deg) > done:
+                    plan = joined(plan, self._steps(ladder, number + 1, slice(done, until)))
+            captured = take(plan, range(n_before, len(plan)), goes_on=True)
+            done = until
+            seen = see_ladders(captured, learnt.face.free_mm, learnt.face.noise_mm)
+            if seen is None or seen.meet or all(len(each.goals_deg) <= done for each in ladders):
+                break
+        return plan
+
+    def _steps(self, ladder: Ladder, number: int, which: slice) -> PosePlan:
+        goals_deg = ladder.goals_deg[which]
+        sides = np.tile(ladder.from_below, (len(goals_deg), 1))
+        plan = reached_from(self.joints, goals_deg, sides, self.rules)
+        return replace(plan, ladders=np.full(len(goals_deg), number, dtype=np.int64))
 
 
 def take_grade(

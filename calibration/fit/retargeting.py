@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.calibration import CalibrationError, CouplingRule, keep_rules
-from calibration.grade import CLOSED_GAP_MM
+from calibration.closure import BLEND_MM, CLOSED_GAP_MM
 from lipsync.arrays import Array
 from lipsync.face.model import FaceModel
 from lipsync.markers import MARKERS_47
@@ -233,9 +233,6 @@ class RobotMouth:
 
 #: Where nobody saw lips stop each other they are asked to go so far past the closed gap.
 PRESS_MM = 1.2
-#: Speaker's gaps up to so much more than closed are blended from pressed to open, so that angles
-#: do not jump.
-_BLEND_MM = 0.8
 #: The speaker's range that is matched; more is rare and would make everything else small.
 _RANGE_QUANTILE = 0.98
 #: A robot may exaggerate its speaker by this factor, not more: a jaw that can drop by 30 degrees
@@ -291,7 +288,7 @@ class Retargeting:
     def closing(self, from_rest: Array) -> Array:
         """(n,): 1 where the speaker's lips are closed, 0 where they are open."""
         gaps_mm = self.model.lip_gaps_mm(self.model.markers_mm(from_rest + self.model.rest))
-        return np.asarray(np.clip(1.0 - (gaps_mm - CLOSED_GAP_MM) / _BLEND_MM, 0.0, 1.0))
+        return np.asarray(np.clip(1.0 - (gaps_mm - CLOSED_GAP_MM) / BLEND_MM, 0.0, 1.0))
 
     def asked_open_mm(self, from_rest: Array) -> Array:
         """(n, n_components) -> (n, n_gaps): the openings wanted beyond the robot's closed gap."""

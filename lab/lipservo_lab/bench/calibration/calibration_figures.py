@@ -15,29 +15,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.calibration import Calibration, CalibrationError, Following
+from calibration.closure import CLOSED_GAP_MM
 from calibration.fit.guided import CLOSED, fit_guided, landmark_poses
 from calibration.fit.measured import MeasuredFit, fit_measured, lips_apart_mm
 from calibration.fit.procedure import Procedure
 from calibration.fit.retargeting import MOST_EXAGGERATION, PRESS_MM, nearest_poses_deg
 from calibration.fit.servo_response import identify, lag_between_s
-from calibration.grade import CLOSED_GAP_MM
 from calibration.mouth_servos import JointRange, MouthServos
 from calibration.run.compensation import BacklashCompensation, LagCompensation
 from calibration.simulated.face import JAW
 from calibration.simulated.robot import RobotDraw, SimulatedRobot, draw_robot, true_markers_mm
 from calibration.simulated.servos import SimulatedServos
+from lipservo.calibrating.within_speeds import spoken_frames
 from lipservo.settings.settings import FaceSettings, load_shipped_face
 from lipservo_lab.bench.calibration.hard_captures import count_faults, fault_figures
 from lipsync.animpho.units import FaceWithAnimPhos, load_face_with_animphos
 from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
-from lipsync.phonemes import SILENCE
 
 _RATE_HZ = 100.0
 LOOK_AHEAD_S = 0.200
-#: Phones of speech last about this long (GRID and TIMIT: 80 to 100 ms on average).
-_PHONE_S = 0.09
-_N_PHONES, _PHONES_A_WALK = 220, 8
 #: The error is taken in windows of this length, twice as many as fit end to end.
 _WINDOW_S = 2.0
 
@@ -63,7 +60,7 @@ def sync_errors(
     seed: int,
 ) -> SyncErrors:
     """Twenty seconds of AnimPhos, through map, compensation, late servos and backlash."""
-    motion = _motion(model, np.random.default_rng([seed, 3]))
+    motion = spoken_frames(model, np.random.default_rng([seed, 3]))
     wanted_mm = np.array([model.lip_gap_mm(frame) for frame in motion])
     poses_deg = calibration.poses_deg(motion)
     before_mm = _gap_mm(draw, servos, poses_deg)
@@ -80,26 +77,6 @@ def sync_errors(
         after_rms_ms=_rms(late_s) * 1e3,
         gap_r=float(np.corrcoef(wanted_mm[: len(after_mm) - early], after_mm[shown])[0, 1]),
     )
-
-
-def _motion(model: FaceWithAnimPhos, rng: np.random.Generator) -> Array:
-    """(n, n_components) at 100 Hz: walks without pauses through AnimPhos that may follow.
-
-    Each walk is short, as some AnimPhos lead round in a circle, and of a motion that repeats itself
-    nobody can say how late it is.
-    """
-    speaking = np.setdiff1d(np.arange(len(model.animphos)), model.animphos.of_phoneme(SILENCE))
-    animpho = int(rng.choice(speaking))
-    frames = [model.rest[None]]
-    for phone in range(_N_PHONES):
-        frames.append(model.animphos.samples[animpho, 1:-1])
-        following = np.intersect1d(model.animphos.successors[animpho], speaking)
-        goes_on = len(following) > 0 and (phone + 1) % _PHONES_A_WALK > 0
-        animpho = int(rng.choice(following if goes_on else speaking))
-    keys = np.concatenate(frames)
-    key_s = np.arange(len(keys)) * _PHONE_S / 3
-    times_s = np.arange(0.0, key_s[-1], 1.0 / _RATE_HZ)
-    return np.stack([np.interp(times_s, key_s, column) for column in keys.T], axis=1)
 
 
 def _gap_mm(draw: RobotDraw, servos: SimulatedServos, goals_deg: Array) -> Array:

@@ -36,6 +36,8 @@ from lipsync.markers import MARKERS_47
 N_POSES = 60
 N_FRAMES = 400
 _GOOD_GRADE = (0.8, 1.3)
+#: The share of robots that `force_over_needed` is of; a force over what suffices that is little.
+_MOST, _ENOUGH_FORCE = 0.9, 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +56,7 @@ class RobotScore:
     rival_small_gaps_shut: float
     rival_closures_touch: float
     rival_force_ratio: float
+    contact_called: bool
 
 
 def score_robot(model: FaceWithAnimPhos, seed: int, n_servos: int | None = None) -> RobotScore:
@@ -66,6 +69,7 @@ def score_robot(model: FaceWithAnimPhos, seed: int, n_servos: int | None = None)
     fit = fit_measured(model, capture, servos)
     fit = take_grade(fit, servos, MARKERS_47.names, Robot(robot.move, robot.measure))
     assert fit.calibration.grade is not None
+    closing = fit.calibration.closing
     frames = split_frames(model, 0)[1][:N_FRAMES]
     wanted = wanted_shapes(model, face, servos, frames)
     ours = shown(face, played(face, fit.calibration, frames), wanted)
@@ -83,6 +87,7 @@ def score_robot(model: FaceWithAnimPhos, seed: int, n_servos: int | None = None)
         rival_small_gaps_shut=rival.shut,
         rival_closures_touch=rival.touch,
         rival_force_ratio=rival.force_ratio,
+        contact_called=closing is not None and closing.closes,
     )
 
 
@@ -137,6 +142,13 @@ def summary(scores: Mapping[int, RobotScore], refused: Mapping[int, str]) -> dic
         "closures_touch": middle(lambda s: s.closures_touch),
         "worst_closures_touch": min((s.closures_touch for s in found), default=float("nan")),
         "closure_force_ratio": middle(lambda s: s.closure_force_ratio),
+        "force_over_needed": (
+            float(np.quantile([s.closure_force_ratio for s in found], _MOST)) if found else None
+        ),
+        "force_within_4": float(np.mean([s.closure_force_ratio <= _ENOUGH_FORCE for s in found]))
+        if found
+        else 0.0,
+        "contact_called": float(np.mean([s.contact_called for s in found])) if found else 0.0,
         "best_rival_ratio": middle(lambda s: s.true_mm / s.rival_mm),
         "rival_rms_mm": middle(lambda s: s.rival_mm),
         "rival_small_gaps_shut": middle(lambda s: s.rival_small_gaps_shut),
