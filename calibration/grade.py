@@ -127,25 +127,21 @@ class LearntLips:
 
     left_out_rms_mm: error in each axis of poses left out, the tracker's noise_mm included;
     own_gap_mm: between the dots of lips that are closed; stop: whether lips were seen to stop each
-    other there, else it is the narrowest gap that was seen. unseen_mm: how far speech moves lips
-    along an axis that was not measured, rms; 0 where all were.
+    other there, else it is the narrowest gap that was seen.
     """
 
     left_out_rms_mm: float
     noise_mm: float
     own_gap_mm: float
     stop: bool
-    unseen_mm: float = 0.0
 
     @property
     def doubt_mm(self) -> float:
         """How far the shapes that it says a robot can make may be off, in space.
 
-        What poses left out are off by beyond the tracker's noise, in three axes, and all that lips
-        should do where nothing is seen of them.
+        What poses left out are off by beyond the tracker's noise, in three axes.
         """
-        beyond_mm2 = 3.0 * max(self.left_out_rms_mm**2 - self.noise_mm**2, 0.0)
-        return math.sqrt(beyond_mm2 + self.unseen_mm**2)
+        return math.sqrt(3.0 * max(self.left_out_rms_mm**2 - self.noise_mm**2, 0.0))
 
 
 #: What says whether lips meet: they stop each other, their dots pass one another, or joints stand

@@ -420,7 +420,6 @@ def parse_learnt_lips(file: Place) -> LearntLips | None:
         noise_mm=lips.at("noise_mm").number(),
         own_gap_mm=lips.at("own_gap_mm").number(),
         stop=lips.at("stop").flag(),
-        unseen_mm=lips.at("unseen_mm").number() if lips.has("unseen_mm") else 0.0,
     )
 
 

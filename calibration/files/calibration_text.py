@@ -259,8 +259,7 @@ def learnt_lips_lines(lips: LearntLips | None) -> list[str]:
     """Nothing where nothing was learnt."""
     if lips is None:
         return []
-    known = [(n, v) for n, v in _known(lips) if lips.unseen_mm or n != "unseen_mm"]
-    parts = ", ".join(f"{name}: {_shown(value)}" for name, value in known)
+    parts = ", ".join(f"{name}: {_shown(value)}" for name, value in _known(lips))
     return [f"learnt_lips: {{{parts}}}"]
 
 

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from calibration.calibration import Calibration, CalibrationError, Following, Origin, Touch
 from calibration.capture.capture import Capture, outside_ladders
-from calibration.capture.sanity import check_capture, is_flat
+from calibration.capture.sanity import check_capture
 from calibration.capture.straight_lines import straight_lines
 from calibration.closure import CLOSED_GAP_MM
 from calibration.fit.closing import pair_slopes
@@ -309,18 +309,9 @@ def _fit(
             noise_mm=face.noise_mm,
             own_gap_mm=float(retargeting.closed_mm[0]),
             stop=face.contact is not None,
-            unseen_mm=_unseen_mm(capture, retargeting, fit - model.rest),
         ),
     )
     return MeasuredFit(calibration, face, retargeting, names, held_out, warnings)
-
-
-def _unseen_mm(capture: Capture, retargeting: Retargeting, from_rest: Array) -> float:
-    """How far forward and back speech moves the lips, rms, where no depth was measured."""
-    if not is_flat(capture):
-        return 0.0
-    forward_mm = retargeting.copies_mm(from_rest)[0] - retargeting.mouth.neutral_mm()
-    return _rms(forward_mm[:, list(retargeting.mouth.names.shape_features.lips), 2])
 
 
 def _doubt_mm_per_deg(capture: Capture, names: Correspondence) -> Array:

@@ -60,12 +60,16 @@ class RunTimeMap:
             return self
         moves = np.ones(len(self.rest_deg))
         moves[list(still)] = 0.0
+        closure = self.closure
+        if closure is not None:
+            closure = replace(closure, turns_deg=closure.turns_deg * moves[:, None])
         return replace(
             self,
             rest_deg=self.rest_deg * moves,
             weights=self.weights * moves[:, None],
             quadratic_weights=self.quadratic_weights * moves[:, None],
             centre_weights=self.centre_weights * moves[:, None],
+            closure=closure,
         )
 
     def free_deg(self, from_rest: Array) -> Array:

@@ -108,8 +108,13 @@ def fit_capture(setup: CalibrationSetup, capture: Capture) -> CalibrationResult:
     One servo and no lips among the markers: the jaw alone.
     """
     if setup.sees_forward and is_flat(capture):
+        if not setup.accept:
+            raise CalibrationError(
+                "all markers keep one depth, so how far lips go forward was not measured, and no "
+                "figure would know how far they are off; measure z too, or take lips as they are "
+                "seen from the front with --accept"
+            )
         setup = replace(setup, sees_forward=False)
-        _say("all markers keep one depth: lips are calibrated as seen from the front")
     servos = setup.servos
     lips = LIPS_NEEDED & set(capture.marker_names)
     if len(servos.joints) == 1 and jaw_markers(capture.marker_names) and not lips:

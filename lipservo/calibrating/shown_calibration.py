@@ -52,8 +52,8 @@ def report_lines(
         lines.append(f"the mouth moves {fit.retargeting.scale:.2f} times as much as the speaker's")
     if calibration.origin.not_measured:
         lines.append(
-            f"not measured: {calibration.origin.not_measured}, for one camera sees no depth; how "
-            "far speech moves lips forward is counted as error"
+            f"not measured: {calibration.origin.not_measured}, for one camera sees no depth; no "
+            "figure here knows how far the lips are off forward"
         )
     lines += _worst_markers(calibration.errors.each_marker_rms_mm)
     if with_servos:
