@@ -78,7 +78,8 @@ def captured(low_deg: float, stops_mm: float, open_deg: float = 0.0) -> tuple[Ca
     range_deg = rng.uniform((low_deg, -20.0), (20.0, 20.0), (40, 2))
     goals_deg = np.concatenate([range_deg, *(each.goals_deg for each in ladders)])
     numbers = [0] * 40 + [n + 1 for n, each in enumerate(ladders) for _ in each.goals_deg]
-    noisy_mm = seen_mm(goals_deg + mounted, stops_mm) + rng.normal(0.0, 0.3, (len(goals_deg), 47, 3))
+    noisy_mm = seen_mm(goals_deg + mounted, stops_mm)
+    noisy_mm += rng.normal(0.0, 0.3, noisy_mm.shape)
     sides = rng.choice([-1.0, 1.0], goals_deg.shape)
     return (
         Capture(
