@@ -24,6 +24,7 @@ class BusCapabilities:
     hold : they stay where they are while nothing is sent.
     profile : they bound their own speed.
     soft_start_s : they are slow for so long after torque came on.
+    stagger_s : one after another gets its torque, so long after the one before.
     in_memory : there are no servos: nothing is worn, warmed or left stiff, and there is no port.
     memory : they keep settings of their own, by which one that was exchanged is known.
     set_up : `setup-servos` can write these settings.
@@ -41,6 +42,7 @@ class BusCapabilities:
     hold: bool = False
     profile: bool = False
     soft_start_s: float = 0.0
+    stagger_s: float = 0.0
     in_memory: bool = False
     memory: bool = False
     set_up: bool = False
@@ -50,6 +52,12 @@ class BusCapabilities:
     def of(self, _index: int) -> "BusCapabilities":
         """What one servo of the face can do; on one bus all can do the same."""
         return self
+
+    def start_s(self, n_servos: int) -> float:
+        """From the first torque until all servos of a face move as fast as they may."""
+        if self.in_memory:
+            return 0.0
+        return self.soft_start_s + self.stagger_s * (n_servos - 1)
 
     def as_dict(self) -> dict[str, object]:
         """For JSON."""
@@ -106,6 +114,10 @@ class MixedCapabilities(BusCapabilities):
         """What one servo can do."""
         return self.buses[self.bus_of[index]]
 
+    def start_s(self, _n_servos: int) -> float:
+        """As that of the slowest bus."""
+        return max(can.start_s(self.bus_of.count(name)) for name, can in self.buses.items())
+
     def as_dict(self) -> dict[str, object]:
         """For JSON: what all can do, and what each bus can."""
         buses = {name: can.as_dict() for name, can in self.buses.items()}
@@ -132,6 +144,7 @@ def mixed_capabilities(
     return MixedCapabilities(
         **common,
         soft_start_s=max(can.soft_start_s for can in cans),
+        stagger_s=max(can.stagger_s for can in cans),
         pulse_rate_hz=min(rates_hz, default=None),
         released_words=words.pop()
         if len(words) == 1

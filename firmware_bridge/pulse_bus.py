@@ -35,7 +35,7 @@ from firmware_bridge.pulse_servos import PulseScale, PulseServo
 #: What no hobby servo can say.
 PULSES_OFF: Final = "pulses off; a digital servo may hold"
 #: One servo at a time: so long a servo pulls at its hardest to where its first pulse sends it.
-_STAGGER_S: Final = 0.25
+STAGGER_S: Final = 0.25
 #: The controller is asked so often what it sends, one channel at a time.
 _LOOK_EVERY_S: Final = 0.2
 #: A shorter silence is none: it is only asked now and then.
@@ -285,7 +285,7 @@ class PulseBus:
         self._goal_us[index] = self._last_us[index]
         now_s = self._clock.now()
         self._on_s[index] = max(now_s, self._turn_s)
-        self._turn_s = self._on_s[index] + _STAGGER_S
+        self._turn_s = self._on_s[index] + STAGGER_S
         self._held[index] = self._slow[index] = self._fresh[index] = True
         self._kept.follow(self._channels, self._last_us)
         self._sent_s = now_s
@@ -303,16 +303,22 @@ class PulseBus:
         return not self.enable_torque(index)
 
     def disable_torque(self, index: int) -> bool:
-        """No pulses for one servo; what it does then nobody knows."""
+        """No pulses for one servo, as the controller says; what it does then nobody knows."""
         self._check_open()
         self._release(np.arange(len(self._held)) == index)
-        return True
+        return self._controller.sending(index) == 0.0
 
     def disable_all(self) -> NDArray[np.bool_]:
-        """No pulses for anybody."""
+        """No pulses for anybody; a controller that hangs is not asked again for each servo."""
         self._check_open()
         self._release(np.ones_like(self._held))
-        return np.ones_like(self._held)
+        off = np.zeros_like(self._held)
+        for index in range(len(off)):
+            sending_us = self._controller.sending(index)
+            if np.isnan(sending_us):
+                break
+            off[index] = sending_us == 0.0
+        return off
 
     def reboot(self, index: int) -> None:
         """There is nothing to restart: no pulses."""

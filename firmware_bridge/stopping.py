@@ -53,7 +53,8 @@ class StopReport:
     released: those that were let go on a bus whose servos cannot confirm it; released_words: what
     is true of them then.
     at_rest: whether the face had come to neutral before; None: not known, for whoever switched
-    torque off had not moved it. dry_run: nothing was ever switched on.
+    torque off had not moved it. dry_run: nothing was ever switched on. confirms: whether there are
+    servos that can confirm it.
     """
 
     confirmed: tuple[str, ...] = ()
@@ -62,6 +63,7 @@ class StopReport:
     dry_run: bool = False
     released: tuple[str, ...] = ()
     released_words: str = ""
+    confirms: bool = True
 
     @property
     def complete(self) -> bool:
@@ -83,13 +85,15 @@ class StopReport:
         n = len(self.confirmed)
         if self.complete:
             return f"stopped; the face is {where}: confirmed by {_servos(n)}"
-        lines = [
-            f"torque off was confirmed by {_servos(n)}, NOT by {_servos(len(self.unconfirmed))}:"
-        ]
+        n_left = _servos(len(self.unconfirmed))
+        lines = [f"torque off was confirmed by {_servos(n)}, NOT by {n_left}:"]
+        if not self.confirms:
+            lines = [f"{n_left} may still be driven:"]
         lines += [f"  {name}: {why}" for name, why in self.unconfirmed.items()]
         if self.released:
             lines.append(f"{_servos(len(self.released))} let go: {self.released_words}")
-        lines.append("keep your hands away; `lipservo limp` lets go what can be reached")
+        reached = "`lipservo limp` lets go what can be reached"
+        lines.append(f"keep your hands away; {reached if self.confirms else 'take their power'}")
         return "\n".join(lines)
 
     def line(self) -> str:
@@ -102,6 +106,8 @@ class StopReport:
         if self.complete:
             return f"torque off confirmed by all {n} servos"
         left = named_by_reason(self.unconfirmed)
+        if not self.confirms:
+            return f"may still be driven: {left}"
         return f"torque off confirmed by {n} servos, NOT by {left}"
 
     def as_dict(self) -> dict[str, object]:
@@ -123,12 +129,13 @@ def let_go_report(
     *,
     at_rest: bool | None = None,
     dry_run: bool = False,
+    confirms: bool = True,
 ) -> StopReport:
     """What may be said of servos that were let go: by name, what each of them can do."""
     confirmed = tuple(name for name, can in let_go.items() if can.confirmed_limp)
     released = {name: can.released_words for name, can in let_go.items() if name not in confirmed}
     words = "; ".join(dict.fromkeys(released.values()))
-    return StopReport(confirmed, unconfirmed, at_rest, dry_run, tuple(released), words)
+    return StopReport(confirmed, unconfirmed, at_rest, dry_run, tuple(released), words, confirms)
 
 
 def named_by_reason(unconfirmed: Mapping[str, str]) -> str:

@@ -9,14 +9,16 @@ from numpy.typing import NDArray
 
 from firmware_bridge.bus import Array, Feedback, Health, Readings, all_set, any_set
 from firmware_bridge.dynamixel.control_table import CAPABILITIES, register
-from firmware_bridge.dynamixel.mounting import MountedServo, Mounting, identify_all
-from firmware_bridge.dynamixel.state_cache import ServoStateCache
+from firmware_bridge.dynamixel.mounting import MountedServo, identify_all
+from firmware_bridge.dynamixel.present_state import PresentState
 from firmware_bridge.dynamixel.torque import SoftStart, TorqueSwitch, Watchdogs
 from firmware_bridge.dynamixel.wire import codec
-from firmware_bridge.dynamixel.wire.codec import BITS_PER_BYTE, GoalWrite, Status, StatusError
+from firmware_bridge.dynamixel.wire.codec import GoalWrite, Status, StatusError
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.span_group import SpanGroup
 from firmware_bridge.errors import PortError
+from firmware_bridge.serial_servos.half_duplex import BITS_PER_BYTE
+from firmware_bridge.serial_servos.mounting import Mounting
 from firmware_bridge.transport import Transport
 
 #: Sync write of goals; sync read of ten bytes, a frame each; one health read a cycle.
@@ -123,12 +125,13 @@ class DynamixelBus:
         self._remarks: tuple[str, ...] = ()
         self._servos = tuple(servos)
         self._ids = [servo.joint.servo_id for servo in servos]
-        self._index = {servo_id: n for n, servo_id in enumerate(self._ids)}
         self._open_transport = open_transport
         self._watchdogs = Watchdogs(self._ids, watchdog_s)
         self._strict = strict
         self._mounting = Mounting(servos)
-        self._cache = ServoStateCache(servos)
+        self._present = PresentState(servos)
+        self._cache = self._present.cache
+        self._index = self._cache.index
         self._soft_start = SoftStart(servos)
         self._goal_write = GoalWrite(self._ids, _GOAL)
         self._motion = SpanGroup(self._ids, _PRESENT, 10)
@@ -136,7 +139,7 @@ class DynamixelBus:
         self._holding = SpanGroup(self._ids, _TORQUE, 1)
         self._groups = (self._motion, self._whole, self._holding)
         self._torque = TorqueSwitch(
-            servos, self._cache, self._mounting, self._soft_start, self._watchdogs
+            servos, self._present, self._mounting, self._soft_start, self._watchdogs
         )
         self._turn = 0
         self._line: Line | None = None
@@ -191,7 +194,7 @@ class DynamixelBus:
         for status in held:
             self._cache.set_one("torque", self._index[status.servo_id], status.data != b"\0")
         now_s = line.transport.clock.now()
-        ages_s = self._cache.ages(found, now_s)
+        ages_s = self._cache.ages([status.servo_id for status in found], now_s)
         # A goal counts as read only when it was: whoever arms relies on it.
         goals = np.where(ages_s > 0.0, np.nan, self._cache.goals)
         return Readings(
@@ -209,7 +212,7 @@ class DynamixelBus:
         found = self._motion.ask(line)
         now_s = line.transport.clock.now()
         self._watchdogs.spoke(now_s)
-        ages_s = self._cache.take_motion(found, now_s)
+        ages_s = self._present.take_motion(found, now_s)
         return Feedback(
             time_s=now_s,
             positions_deg=self._mounting.joint_deg(self._cache.pulses),
@@ -235,16 +238,16 @@ class DynamixelBus:
             status = line.read(servo_id, _WARMTH, 3)
             if status is not None and len(status.data) == 3:
                 cache.set_one("voltage_v", turn, int.from_bytes(status.data[:2], "little") / 10.0)
-                cache.take_temperature(turn, status.data[2])
+                self._present.take_temperature(turn, status.data[2])
         if status is not None:
             now_s = line.transport.clock.now()
             self._watchdogs.spoke(now_s)
-            cache.note([status], now_s)
+            self._present.note([status], now_s)
             for group in self._groups:
                 if group.leaves_out:
                     group.trust(servo_id)
         self._soft_start.restore_full_limits(line)
-        return cache.health(line.transport.clock.now())
+        return cache.health(line.transport.clock.now(), self._present.current_ma)
 
     def obstacle(self, index: int) -> str:
         """Asked anew before every torque: it may have been replaced, or set up by somebody else."""
@@ -310,7 +313,7 @@ class DynamixelBus:
             raise
         for n, answer in enumerate(said):
             if answer is not None:
-                self._cache.take_identity(n, answer, line.transport.clock.now())
+                self._present.take_identity(n, answer, line.transport.clock.now())
         self._begin(line)
         slow = self._adapter_remark()
         self._remarks = () if slow is None else (slow,)
@@ -345,5 +348,5 @@ class DynamixelBus:
         """Remember who answered, and with what error."""
         now_s = self.line.transport.clock.now()
         self._watchdogs.spoke(now_s)
-        self._cache.note(statuses, now_s)
+        self._present.note(statuses, now_s)
         return statuses

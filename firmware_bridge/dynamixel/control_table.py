@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import yaml
 
@@ -95,6 +95,9 @@ class ServoModel:
     no_load_rpm: float
     stall_nm: float
     stall_a: float
+
+    center_pulse: ClassVar[int] = CENTER_PULSE
+    pulses_per_deg: ClassVar[float] = PULSES_PER_DEG
 
     @property
     def measures_current(self) -> bool:

@@ -11,7 +11,6 @@ from firmware_bridge.dynamixel.control_table import model_name
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.provisioning import (
     SCANNED_RATES,
-    differences,
     duplicates,
     read_settings,
     scan,
@@ -22,6 +21,7 @@ from firmware_bridge.dynamixel.wire import codec
 from firmware_bridge.dynamixel.wire.codec import SpanRead
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.errors import ServoError
+from firmware_bridge.serial_servos.provisioning import differences
 
 _PINGS: Final = 7
 _TRIES: Final = 3

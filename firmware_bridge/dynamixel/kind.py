@@ -37,7 +37,7 @@ class DynamixelKind(BusKind):
         """By our own packets, or the vendor's library."""
         from firmware_bridge.dynamixel.bus import DynamixelBus, slow_adapter
         from firmware_bridge.dynamixel.mounting import mounted_servos
-        from firmware_bridge.dynamixel.wire.serial_transport import SameAdapter, latency_timer_ms
+        from firmware_bridge.serial_servos.serial_transport import SameAdapter, latency_timer_ms
 
         settings, port = wiring.settings, wiring.settings.port
 
@@ -74,7 +74,7 @@ class DynamixelKind(BusKind):
         """At the face's rate; where that is not known, at all usual ones."""
         from firmware_bridge.dynamixel.provisioning import SCANNED_RATES
         from firmware_bridge.dynamixel.torque import LineRelease
-        from firmware_bridge.dynamixel.wire.serial_transport import SameAdapter
+        from firmware_bridge.serial_servos.serial_transport import SameAdapter
 
         rates = SCANNED_RATES if wiring is None else (wiring.settings.baud_rate,)
         opener = SameAdapter(port, rates[0])
@@ -85,7 +85,7 @@ class DynamixelKind(BusKind):
         from firmware_bridge.dynamixel.doctor import examine
         from firmware_bridge.dynamixel.mounting import mounted_servos
         from firmware_bridge.dynamixel.provisioning import unhurried_line
-        from firmware_bridge.dynamixel.wire.serial_transport import latency_timer_ms
+        from firmware_bridge.serial_servos.serial_transport import latency_timer_ms
 
         port = wiring.settings.port
         with unhurried_line(port, wiring.settings.baud_rate) as line:
@@ -95,7 +95,7 @@ class DynamixelKind(BusKind):
     def memories(self, wiring: Wiring) -> Sequence[Mapping[str, int] | None]:
         """Of each servo its EEPROM."""
         from firmware_bridge.dynamixel.mounting import mounted_servos, read_identities
-        from firmware_bridge.dynamixel.wire.serial_transport import SameAdapter
+        from firmware_bridge.serial_servos.serial_transport import SameAdapter
 
         opener = SameAdapter(wiring.settings.port, wiring.settings.baud_rate)
         said = read_identities(opener, mounted_servos(wiring))

@@ -1,15 +1,10 @@
-"""Servos in their places in the face: degrees to pulses, and whether the right one answers."""
+"""Dynamixels in their places in the face, and whether those that answer are the right ones."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from firmware_bridge.bus import Array
-from firmware_bridge.bus_kinds import Wiring, other_kind_at
+from firmware_bridge.bus_kinds import Wiring
 from firmware_bridge.dynamixel.control_table import (
-    CENTER_PULSE,
-    PULSES_PER_DEG,
     RETURN_DELAY_UNIT_S,
     ServoModel,
     model_by_number,
@@ -17,48 +12,12 @@ from firmware_bridge.dynamixel.control_table import (
 )
 from firmware_bridge.dynamixel.wire.codec import Status
 from firmware_bridge.dynamixel.wire.line import Line
-from firmware_bridge.errors import ServoError
-from firmware_bridge.joints import Joint, named
+from firmware_bridge.serial_servos.mounting import SETUP, checked_identities
+from firmware_bridge.serial_servos.mounting import MountedServo as Mounted
 from firmware_bridge.transport import Transport
 
-
-@dataclass(frozen=True, slots=True)
-class MountedServo:
-    """One servo and the joint it drives. servo angle = sign x (joint angle + zero_offset_deg).
-
-    max_current_ma: it never pulls harder (operating mode 5); None: as hard as it can (mode 3).
-    Raises ValueError for a current limit on a model that does not measure current.
-    """
-
-    joint: Joint
-    model: ServoModel
-    sign: int = 1
-    zero_offset_deg: float = 0.0
-    max_current_ma: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.max_current_ma is not None and not self.model.measures_current:
-            raise ValueError(
-                f"joint {self.joint.name!r}: an {self.model.name} does not measure current, "
-                "so max_current_ma cannot be kept"
-            )
-
-    @property
-    def current_cap(self) -> int | None:
-        """The most that goal_current may be, in the register's unit; None: no cap."""
-        unit_ma = self.model.current_unit_ma
-        if self.max_current_ma is None or unit_ma is None:
-            return None
-        return max(1, int(self.max_current_ma / unit_ma))
-
-    def pulse(self, joint_deg: float) -> int:
-        """The position register's value for a joint angle."""
-        return round(CENTER_PULSE + self.sign * (joint_deg + self.zero_offset_deg) * PULSES_PER_DEG)
-
-    def pulse_range(self) -> tuple[int, int]:
-        """The joint's soft limits in pulses, the smaller first."""
-        ends = self.pulse(self.joint.min_deg), self.pulse(self.joint.max_deg)
-        return min(ends), max(ends)
+#: With max_current_ma it runs in operating mode 5, else in 3.
+MountedServo = Mounted[ServoModel]
 
 
 def mounted_servos(wiring: Wiring) -> list[MountedServo]:
@@ -69,29 +28,6 @@ def mounted_servos(wiring: Wiring) -> list[MountedServo]:
     ]
 
 
-class Mounting:
-    """All servos of a face at once. Arrays are (n_servos,)."""
-
-    def __init__(self, servos: Sequence[MountedServo]) -> None:
-        self._scale = np.array([servo.sign * PULSES_PER_DEG for servo in servos])
-        offset = np.array([servo.zero_offset_deg for servo in servos])
-        self._zero = CENTER_PULSE + offset * self._scale
-
-    def pulses(self, joint_deg: Array) -> Array:
-        """Whole pulses, as floats: what is not finite stays so."""
-        pulses: Array = np.rint(self._zero + joint_deg * self._scale)
-        return pulses
-
-    def joint_deg(self, pulses: Array) -> Array:
-        """Joint degrees; NaN stays NaN."""
-        joint_deg: Array = (pulses - self._zero) / self._scale
-        return joint_deg
-
-    def one_deg(self, index: int, pulse: float) -> float:
-        """Joint degrees of one servo's position register."""
-        return float((pulse - self._zero[index]) / self._scale[index])
-
-
 #: The EEPROM from id to shutdown in one read.
 _FIRST, _LAST = register("id").address, register("shutdown").end
 #: A servo that is there answers two of twelve questions even where a fifth of all packets is lost
@@ -99,8 +35,6 @@ _FIRST, _LAST = register("id").address, register("shutdown").end
 #: late with every answer. Nothing moves yet, so there is time.
 _EXTRA_WAITS_S = (*[0.0] * 9, 0.01, 0.03, 0.1)
 _TRIES = len(_EXTRA_WAITS_S)
-_SETUP = "run `lipservo setup-servos`"
-_DOCTOR = "`lipservo doctor` shows every difference between the servos and the YAML"
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,22 +85,22 @@ def mismatches(servo: MountedServo, said: ServoIdentity) -> list[str]:
     # Mode 5 without a limit would count turns, and pull as hard as goal_current happens to say.
     wanted = 3 if cap is None else 5
     if mode != wanted:
-        lines.append(f"is in operating mode {mode}, not {wanted}; {_SETUP}")
+        lines.append(f"is in operating mode {mode}, not {wanted}; {SETUP}")
     if cap is not None and found["current_limit"] != cap:
         lines.append(
             f"has current limit {found['current_limit']}, the YAML's max_current_ma "
-            f"makes {cap}; {_SETUP}"
+            f"makes {cap}; {SETUP}"
         )
     if found["drive_mode"]:
-        lines.append(f"has drive mode {found['drive_mode']}, needs 0; {_SETUP}")
+        lines.append(f"has drive mode {found['drive_mode']}, needs 0; {SETUP}")
     if found["homing_offset"]:
-        lines.append(f"has homing offset {found['homing_offset']} pulses, needs 0; {_SETUP}")
+        lines.append(f"has homing offset {found['homing_offset']} pulses, needs 0; {SETUP}")
     if found["startup_configuration"] & 0x01:
-        lines.append(f"switches torque on by itself at power-up; {_SETUP}")
+        lines.append(f"switches torque on by itself at power-up; {SETUP}")
     if not found["min_position_limit"] <= low <= high <= found["max_position_limit"]:
         lines.append(
             f"has limits {found['min_position_limit']}..{found['max_position_limit']} "
-            f"pulses, the joint needs {low}..{high}; {_SETUP}"
+            f"pulses, the joint needs {low}..{high}; {SETUP}"
         )
     return lines
 
@@ -174,28 +108,10 @@ def mismatches(servo: MountedServo, said: ServoIdentity) -> list[str]:
 def identify_all(
     line: Line, servos: Sequence[MountedServo], *, strict: bool
 ) -> list[ServoIdentity | None]:
-    """Ask everybody. Raises ServoError with every mismatch in one text.
-
-    Not strict: servos that do not answer are left for later, unless all or a critical one.
-    """
-    said = [identify(line, servo) for servo in servos]
-    silent = [servo for servo, answer in zip(servos, said, strict=True) if answer is None]
-    if len(silent) == len(servos) and isinstance(line.transport, Transport):
-        other = other_kind_at(line.transport, "dynamixel")
-        if other:
-            raise ServoError(other)
-    bearable = not strict and len(silent) < len(servos)
-    bearable = bearable and not any(servo.joint.critical for servo in silent)
-    lines = []
-    for servo, answer in zip(servos, said, strict=True):
-        if answer is None:
-            wrong = [] if bearable else ["does not answer; check its power and cable"]
-        else:
-            wrong = mismatches(servo, answer)
-        lines += [f"{named(servo.joint)} {each}" for each in wrong]
-    if lines:
-        raise ServoError("\n".join([*lines, _DOCTOR]))
-    return said
+    """Ask every servo. Raises as `checked_identities`."""
+    found = [identify(line, servo) for servo in servos]
+    own = line.transport if isinstance(line.transport, Transport) else None
+    return checked_identities("dynamixel", own, servos, found, mismatches, strict=strict)
 
 
 def read_identities(

@@ -1,15 +1,12 @@
-"""Setting servos up: what each should hold in its EEPROM, what differs, and writing just that.
+"""Setting Dynamixels up: what each should hold in its EEPROM, and how it is written.
 
-The only place that writes EEPROM: torque off, only differences, all of it read back. Servos that
-belong to no face yet are found, taken over from another program, and moved a little, here too.
+Servos that belong to no face yet are found, taken over from another program, and moved a little,
+here too.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from typing import Final
 
-from firmware_bridge.bus_kinds import Wiring
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import (
     CENTER_PULSE,
@@ -18,52 +15,31 @@ from firmware_bridge.dynamixel.control_table import (
     ServoModel,
     baud_rates,
     model_by_number,
+    model_name,
     register,
     servo_models,
 )
 from firmware_bridge.dynamixel.mounting import MountedServo, mounted_servos
 from firmware_bridge.dynamixel.wire.line import Line
-from firmware_bridge.dynamixel.wire.serial_transport import SameAdapter, open_port
 from firmware_bridge.errors import ServoError
 from firmware_bridge.joints import SERVO_LIMIT_MARGIN_DEG, Joint
+from firmware_bridge.serial_servos.provisioning import (
+    ChainSetup,
+    Difference,
+    chain_is_complete,
+    differences,
+)
+from firmware_bridge.serial_servos.serial_transport import SameAdapter
+
+__all__ = ["chain_is_complete"]
 
 #: Rates worth trying, the likely ones first: asked for, factory, usual ones.
 SCANNED_RATES: Final = (57_600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115_200, 9_600)
+#: A new servo answers here, whatever rate the chain has.
+_FACTORY_RATE: Final = 57_600
 #: Not in the manual; generous.
 _EEPROM_WRITE_S: Final = 0.05
 _TRIES: Final = 3
-#: An answer that comes this late is still waited for, outside the loop: setting up, examining.
-UNHURRIED_S: Final = 0.06
-#: What changes how a servo is spoken to is written last, in this order.
-_LAST: Final = {"id": 1, "baud_rate": 2}
-_LOW, _HIGH = "min_position_limit", "max_position_limit"
-
-
-@dataclass(frozen=True, slots=True)
-class Difference:
-    """One register that does not hold what it should."""
-
-    name: str
-    found: int
-    wanted: int
-
-    def __str__(self) -> str:
-        return f"{self.name} is {self.found}, should be {self.wanted}"
-
-
-@contextmanager
-def unhurried_line(port: str, baud_rate: int) -> Iterator[Line]:
-    """An open port that is waited for longer than a loop could. Raises PortError."""
-    transport = open_port(port, baud_rate)
-    try:
-        yield Line(transport, extra_wait_s=UNHURRIED_S)
-    finally:
-        transport.close()
-
-
-def servos_by_joint(wiring: Wiring) -> dict[str, MountedServo]:
-    """Every servo of a face in its place, by the name of its joint."""
-    return {servo.joint.name: servo for servo in mounted_servos(wiring)}
 
 
 def wanted_settings(servo: MountedServo, baud_rate: int) -> dict[str, int]:
@@ -87,15 +63,6 @@ def wanted_settings(servo: MountedServo, baud_rate: int) -> dict[str, int]:
     }
 
 
-def differences(found: Mapping[str, int], wanted: Mapping[str, int]) -> list[Difference]:
-    """What must be written, in the order of `wanted`."""
-    return [
-        Difference(name, found[name], value)
-        for name, value in wanted.items()
-        if found[name] != value
-    ]
-
-
 def read_settings(
     line: Line, servo_id: int, model: ServoModel, names: Iterable[str]
 ) -> dict[str, int]:
@@ -111,56 +78,6 @@ def read_settings(
         else:
             raise ServoError(f"servo id {servo_id} fell silent while {name} was read")
     return found
-
-
-def set_up(
-    line: Line, servo_id: int, model: ServoModel, changes: Sequence[Difference]
-) -> Iterator[Difference]:
-    """Write `changes` to the servo at `servo_id`, and yield each once the servo holds it.
-
-    Torque goes off first and stays off. Of both position limits the one comes first that keeps them
-    in order: servos refuse a lower limit above the upper one. The id and then the baud rate come
-    last, and the line follows to the new rate. Whoever stops between two leaves nothing
-    half-written. Raises ServoError when the servo refuses or does not keep a value.
-    """
-    if changes:
-        _write(line, servo_id, model, "torque_enable", 0)
-    for change in sorted(_limits_in_order(changes), key=lambda each: _LAST.get(each.name, 0)):
-        _write(line, servo_id, model, change.name, change.wanted)
-        if change.name == "id":
-            servo_id = change.wanted
-        elif change.name == "baud_rate":
-            line.baud_rate = baud_rates()[change.wanted]
-        kept = read_settings(line, servo_id, model, [change.name])[change.name]
-        if kept != change.wanted:
-            raise ServoError(
-                f"servo id {servo_id}: {change.name} stays at {kept} although "
-                f"{change.wanted} was written"
-            )
-        yield change
-
-
-def _limits_in_order(changes: Sequence[Difference]) -> list[Difference]:
-    """The same, the lower limit before the upper one where the range moves down.
-
-    Upwards the upper limit makes way, downwards the lower one.
-    """
-    by_name = {change.name: change for change in changes}
-    low, high = by_name.get(_LOW), by_name.get(_HIGH)
-    if low is None or high is None:
-        return list(changes)
-    first, second = (low, high) if high.wanted < low.found else (high, low)
-    others = [change for change in changes if change not in (low, high)]
-    return [*others, first, second]
-
-
-def scan(line: Line, rates: Iterable[int] = SCANNED_RATES) -> Iterator[tuple[int, dict[int, int]]]:
-    """Every rate in turn with the servos found at it, {id: model number}. Stop when content."""
-    for rate in dict.fromkeys(rates):
-        line.baud_rate = rate
-        line.transport.discard_input()
-        found = {s.servo_id: int.from_bytes(s.data[:2], "little") for s in line.ping_all()}
-        yield rate, found
 
 
 def duplicates(line: Line, ids: Iterable[int]) -> list[int]:
@@ -185,7 +102,7 @@ def _write(line: Line, servo_id: int, model: ServoModel, name: str, value: int) 
                     f"servo id {servo_id} refuses {name} = {value} (error {status.error & 0x7F})"
                 )
             return
-    if name not in _LAST:
+    if name not in ("id", "baud_rate"):
         raise ServoError(f"servo id {servo_id} does not answer to a write of {name}")
 
 
@@ -210,116 +127,44 @@ def shares_id(line: Line, servo_id: int) -> bool:
     return n_whole >= _WHOLE and n_spoilt >= _SPOILT
 
 
-#: A new servo answers here, whatever rate the chain has.
-_FACTORY_RATE: Final = 57_600
-#: Servos by id: the rate at which each answered, and its model number; more than one when two do.
-Found = Mapping[int, Sequence[tuple[int, int]]]
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """What one servo, found at an id and a rate, lacks to be the joint's."""
-
-    servo: MountedServo
-    servo_id: int
-    baud_rate: int
-    changes: tuple[Difference, ...]
-
-
-def find_servos(line: Line, ids: Sequence[int], baud_rate: int) -> Found:
-    """Who answers at the face's rate and the factory's; at the others while one of `ids` lacks.
-
-    The slowest, which takes four seconds, only while nobody answers.
-    """
-    found: dict[int, list[tuple[int, int]]] = {}
-    rates = list(dict.fromkeys([baud_rate, _FACTORY_RATE, *SCANNED_RATES]))
-    for rate, numbers in scan(line, rates):
-        for servo_id, number in numbers.items():
-            found.setdefault(servo_id, []).append((rate, number))
-        complete = set(ids) <= set(found) and rates.index(rate) >= rates.index(_FACTORY_RATE)
-        if complete or (found and rate == rates[-2]):
-            break
-    return found
-
-
-def chain_is_complete(servos: Sequence[MountedServo], found: Found) -> bool:
-    """Whether every servo answers at its own id, so that nobody needs to be unplugged."""
-    return all(servo.joint.servo_id in found for servo in servos)
-
-
-def plan_chain(
-    line: Line, servos: Sequence[MountedServo], found: Found, baud_rate: int
-) -> list[Plan]:
-    """A plan for every servo in its place. Raises ServoError with a line for each that is not."""
-    lines = []
-    for servo in servos:
-        servo_id, name = servo.joint.servo_id, servo.joint.name
-        answers = found[servo_id]
-        line.baud_rate = answers[0][0]
-        if len(answers) > 1:
-            rates = " and at ".join(f"{rate:,}" for rate, _ in answers)
-            lines.append(f"{name}: id {servo_id} answers at {rates} baud: {_alone(name)}")
-        elif shares_id(line, servo_id):
-            lines.append(f"{name}: two servos answer to id {servo_id}: {_alone(name)}")
-        else:
-            lines.extend(_other_model(servo, answers[0][1]))
-    if lines:
-        raise ServoError("\n".join(lines))
-    return [
-        _plan(line, servo, servo.joint.servo_id, found[servo.joint.servo_id][0][0], baud_rate)
-        for servo in servos
-    ]
-
-
-def plan_alone(line: Line, servo: MountedServo, found: Found, baud_rate: int) -> Plan:
-    """A plan for the one servo there is, whatever its id. Raises ServoError unless it is one."""
-    name = servo.joint.name
-    if not found:
-        raise ServoError("no servo answers at any rate; check its power and cable")
-    answers = [(servo_id, *each) for servo_id, all_of_it in found.items() for each in all_of_it]
-    if len(answers) > 1:
-        missing = f"{name} (id {servo.joint.servo_id}) does not answer; "
-        raise ServoError(
-            f"{'' if servo.joint.servo_id in found else missing}{len(answers)} servos answer "
-            f"(ids {sorted(each[0] for each in answers)}); connect one at a time: {_alone(name)}"
-        )
-    ((servo_id, rate, number),) = answers
-    line.baud_rate = rate
-    spoilt = duplicates(line, [servo.joint.servo_id]) if servo_id != servo.joint.servo_id else []
-    if spoilt or shares_id(line, servo_id):
-        each = spoilt[0] if spoilt else servo_id
-        raise ServoError(f"two servos answer to id {each}: {_alone(name)}")
-    other = _other_model(servo, number)
-    if other:
-        raise ServoError(other[0])
-    return _plan(line, servo, servo_id, rate, baud_rate)
-
-
-def _plan(line: Line, servo: MountedServo, servo_id: int, rate: int, baud_rate: int) -> Plan:
-    line.baud_rate = rate
+def _lacking(line: Line, servo: MountedServo, servo_id: int, baud_rate: int) -> list[Difference]:
     wanted = wanted_settings(servo, baud_rate)
-    lacking = differences(read_settings(line, servo_id, servo.model, wanted), wanted)
-    return Plan(servo, servo_id, rate, tuple(lacking))
+    return differences(read_settings(line, servo_id, servo.model, wanted), wanted)
 
 
-def _other_model(servo: MountedServo, number: int) -> list[str]:
-    if number == servo.model.model_number:
-        return []
-    known = model_by_number(number)
-    it_is = known.name if known else f"of unknown model {number}"
-    return [
-        f"the servo found for {servo.joint.name!r} is {it_is}, the YAML says {servo.model.name}; "
-        "connect the right one, or correct the YAML"
-    ]
+def _answers(line: Line) -> dict[int, int]:
+    line.transport.discard_input()
+    return {s.servo_id: int.from_bytes(s.data[:2], "little") for s in line.ping_all()}
 
 
-def _alone(name: str) -> str:
-    return f"connect the servo of {name!r} alone and run `lipservo setup-servos {name}`"
+_CHAIN: Final = ChainSetup(
+    make_line=Line,
+    mounted_servos=mounted_servos,
+    rates=SCANNED_RATES,
+    factory_rate=_FACTORY_RATE,
+    slowest_rate=SCANNED_RATES[-1],
+    rate_of=baud_rates,
+    answers=_answers,
+    shares_id=lambda line, each: bool(duplicates(line, [each])) or shares_id(line, each),
+    model_name=model_name,
+    lacking=_lacking,
+    unlock=lambda line, servo_id, model: _write(line, servo_id, model, "torque_enable", 0),
+    write=_write,
+    read=lambda line, servo_id, model, name: read_settings(line, servo_id, model, [name])[name],
+    lock=lambda *_: None,
+)
+servos_by_joint, unhurried_line = _CHAIN.servos_by_joint, _CHAIN.unhurried_line
+scan, find_servos = _CHAIN.scan, _CHAIN.find_servos
+plan_chain, plan_alone, set_up = _CHAIN.plan_chain, _CHAIN.plan_alone, _CHAIN.set_up
 
 
 #: What a servo of no face yet must hold before it is moved for the first time: LeRobot homes it by
 #: its homing offset and drives it in mode 4; a face of ours uses neither.
 _PLAIN = {"drive_mode": 0, "operating_mode": 3, "homing_offset": 0, "startup_configuration": 0}
+
+
+#: What is taken back of a servo that another program has set up is its middle, too.
+CLEARS_MIDDLE: Final = True
 
 
 def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
@@ -328,7 +173,10 @@ def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
         scanned = scan(line, [first_rate, *SCANNED_RATES])
         rate, found = next((each for each in scanned if each[1]), (0, {}))
     if not found:
-        raise ServoError(f"{port}: no servo answers at any rate; check power and cable")
+        raise ServoError(
+            f"{port}: no Dynamixel answers at any rate; check power and cable; servos of another "
+            "kind: say so: --bus feetech"
+        )
     models = {each: model_by_number(number) for each, number in sorted(found.items())}
     unknown = [each for each, model in models.items() if model is None]
     if unknown:

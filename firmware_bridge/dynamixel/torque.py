@@ -14,11 +14,12 @@ from firmware_bridge.dynamixel.control_table import (
     WATCHDOG_UNIT_S,
     register,
 )
-from firmware_bridge.dynamixel.mounting import MountedServo, Mounting, identify, mismatches
-from firmware_bridge.dynamixel.state_cache import ServoStateCache
+from firmware_bridge.dynamixel.mounting import MountedServo, identify, mismatches
+from firmware_bridge.dynamixel.present_state import PresentState
 from firmware_bridge.dynamixel.wire import codec
 from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, MAX_ID
 from firmware_bridge.dynamixel.wire.line import Line
+from firmware_bridge.serial_servos.mounting import Mounting
 from firmware_bridge.transport import Transport
 
 _WRITE_TRIES: Final = 3
@@ -173,13 +174,14 @@ class TorqueSwitch:
     def __init__(
         self,
         servos: Sequence[MountedServo],
-        cache: ServoStateCache,
+        present: PresentState,
         mounting: Mounting,
         soft_start: SoftStart,
         watchdogs: Watchdogs,
     ) -> None:
         self._servos = tuple(servos)
-        self._cache = cache
+        self._present = present
+        self._cache = present.cache
         self._mounting = mounting
         self._soft_start = soft_start
         self._watchdogs = watchdogs
@@ -253,21 +255,13 @@ class TorqueSwitch:
         wrong = mismatches(servo, said)
         if wrong:
             return "; ".join(wrong), 0
-        cache.take_identity(index, said, line.transport.clock.now())
+        self._present.take_identity(index, said, line.transport.clock.now())
         line.return_delay_s = float(cache.return_delay_s.max())
         line.write(servo_id, _LEVEL, b"\2")
         place = self._place(line, servo_id)
         if place is None:
             return "does not say where it stands", 0
-        low, high = int(cache.low[index]), int(cache.high[index])
-        if low <= place <= high:
-            return "", place
-        here_deg, *ends_deg = (self._mounting.one_deg(index, each) for each in (place, low, high))
-        return (
-            f"stands at {here_deg:.1f} deg, outside its own range; move it into "
-            f"{min(ends_deg):.1f}..{max(ends_deg):.1f} deg by hand",
-            0,
-        )
+        return self._mounting.obstacle(index, place, cache.low[index], cache.high[index]), place
 
     def _place(self, line: Line, servo_id: int) -> int | None:
         for _ in range(_TRIES):

@@ -15,7 +15,6 @@ from firmware_bridge.bus import (
     all_set,
     any_set,
 )
-from firmware_bridge.dynamixel.wire.codec import BITS_PER_BYTE
 from firmware_bridge.errors import PortError
 from firmware_bridge.feetech import codec
 from firmware_bridge.feetech.codec import EMPTY_SIZE, GoalWrite, Status, statuses_in
@@ -27,10 +26,12 @@ from firmware_bridge.feetech.control_table import (
     Dialect,
 )
 from firmware_bridge.feetech.line import Group, Line
-from firmware_bridge.feetech.mounting import MountedServo, Mounting, identify_all
-from firmware_bridge.feetech.state_cache import ServoStateCache
+from firmware_bridge.feetech.mounting import MountedServo, identify_all
+from firmware_bridge.feetech.present_state import PresentState
 from firmware_bridge.feetech.torque import TorqueSwitch
 from firmware_bridge.joints import named
+from firmware_bridge.serial_servos.half_duplex import BITS_PER_BYTE
+from firmware_bridge.serial_servos.mounting import Mounting
 from firmware_bridge.transport import Transport
 
 #: What computer and adapter add to a question; one USB frame.
@@ -88,13 +89,14 @@ class FeetechBus:
         """
         self._servos = tuple(servos)
         self._ids = [servo.joint.servo_id for servo in servos]
-        self._index = {servo_id: n for n, servo_id in enumerate(self._ids)}
         self._open_transport = open_transport
         self._strict = strict
         self._dialect = dialect = servos[0].model.dialect
         self._mounting = Mounting(servos)
-        self._cache = ServoStateCache(servos)
-        self._torque = TorqueSwitch(servos, self._cache, self._mounting)
+        self._present = PresentState(servos)
+        self._cache = self._present.cache
+        self._index = self._cache.index
+        self._torque = TorqueSwitch(servos, self._present, self._mounting)
         self._goal = dialect.registers["goal_position"].address
         self._goal_write = GoalWrite(self._ids, self._goal, dialect.byte_order)
         self._state = self._group(STATE, dialect.state_size)
@@ -102,6 +104,13 @@ class FeetechBus:
         self._holding = self._group(TORQUE_ENABLE, 1)
         self._remarks: tuple[str, ...] = ()
         self._turn = 0
+        #: Goals sent last and when; who is yet behind, goals having been withheld.
+        self._sent = np.full(len(self._ids), np.nan)
+        self._sent_s = 0.0
+        self._behind = np.zeros(len(self._ids), dtype=np.bool_)
+        self._top_pulses_s = np.array(
+            [s.joint.max_speed_deg_s * s.model.pulses_per_deg for s in servos]
+        )
         self._line: Line | None = None
 
     def _group(self, address: int, size: int) -> Group:
@@ -129,15 +138,25 @@ class FeetechBus:
         line = self._line or self.line  # the property raises
         pulses = self._mounting.pulses(positions_deg)
         taken = (cache.low <= pulses) & (pulses <= cache.high)
+        torque, since_s = self._torque, self._sent_s
+        self._sent_s = line.transport.clock.now()
         if all_set(taken):
-            self._cache.errors, self._cache.goals = cache.no_errors, pulses
-            if all_set(cache.driven):
+            cache.errors, cache.goals = cache.no_errors, pulses
+            if all_set(torque.driven) and not any_set(self._behind):
+                self._sent = pulses
                 line.tell(self._goal_write.request(pulses))
                 return
         else:
-            self._cache.errors = np.where(taken, 0, GOAL_OUT_OF_RANGE).astype(np.uint8)
-            self._cache.goals = np.where(taken, pulses, cache.goals)
-        sent = taken & cache.driven
+            cache.errors = np.where(taken, 0, GOAL_OUT_OF_RANGE).astype(np.uint8)
+            cache.goals = np.where(taken, pulses, cache.goals)
+        # Whose goals were withheld for a while follows at its own top speed.
+        self._behind = (self._behind | torque.doubted) & (torque.doubted | torque.driven)
+        reach = np.trunc(self._top_pulses_s * (self._sent_s - since_s))
+        near = np.clip(cache.goals, self._sent - reach, self._sent + reach)
+        goals = np.where(self._behind, near, cache.goals)
+        self._behind &= torque.doubted | (goals != cache.goals)
+        self._sent = np.where(torque.doubted, self._sent, goals)
+        sent = taken & torque.driven
         if any_set(sent):
             encode = self._dialect.encode
             line.tell(
@@ -145,7 +164,7 @@ class FeetechBus:
                     self._goal,
                     2,
                     [
-                        (self._ids[n], encode("goal_position", int(pulses[n])))
+                        (self._ids[n], encode("goal_position", int(goals[n])))
                         for n in np.flatnonzero(sent).tolist()
                     ],
                 )
@@ -170,7 +189,7 @@ class FeetechBus:
             goals[n] = cache.goals[n]
         cut = STATE - CONTROL
         states = [Status(each.servo_id, each.error, each.data[cut:]) for each in statuses]
-        ages_s = cache.take_state(states, now_s)
+        ages_s = self._present.take_state(states, now_s)
         return Readings(
             time_s=now_s,
             positions_deg=self._mounting.joint_deg(cache.pulses),
@@ -185,7 +204,9 @@ class FeetechBus:
         line, cache = self._line or self.line, self._cache
         found = self._state.ask(line)
         now_s = line.transport.clock.now()
-        ages_s = cache.take_state(found, now_s)
+        ages_s = self._present.take_state(found, now_s)
+        if any_set(ages_s):
+            self._torque.doubt(ages_s)
         return Feedback(
             time_s=now_s,
             positions_deg=self._mounting.joint_deg(cache.pulses),
@@ -195,10 +216,17 @@ class FeetechBus:
         )
 
     def look_after(self) -> Health:
-        """Torque and bounds of one servo, in turns; the rest comes with every feedback."""
+        """Torque and bounds of one servo, in turns; the rest comes with every feedback.
+
+        Of one that is back from a silence first: until then it gets no goals.
+        """
         line, cache = self._line or self.line, self._cache
         index = self._turn
-        self._turn = (index + 1) % len(self._ids)
+        back = self._torque.doubted & (cache.heard_s == cache.heard_s.max())
+        if any_set(back):
+            index = int(back.argmax())
+        else:
+            self._turn = (index + 1) % len(self._ids)
         servo_id = self._ids[index]
         status = line.read(servo_id, CONTROL, self._dialect.control_size)
         if status is not None:
@@ -207,7 +235,7 @@ class FeetechBus:
             for group in (self._state, self._whole, self._holding):
                 if group.leaves_out:
                     group.trust(servo_id)
-        return cache.health(line.transport.clock.now())
+        return cache.health(line.transport.clock.now(), self._present.current_ma)
 
     def obstacle(self, index: int) -> str:
         """Asked anew before every torque: it may have been replaced, or set up by somebody else."""
@@ -215,10 +243,12 @@ class FeetechBus:
 
     def enable_torque(self, index: int) -> str:
         """Identity, place, bounds, goal, torque; each read back before the next."""
+        self._behind[index] = False
         return self._torque.enable(self.line, index)
 
     def keep_torque(self, index: int) -> bool:
         """Goal := place, for a servo whose torque is on already."""
+        self._behind[index] = False
         return self._torque.keep(self.line, index)
 
     def disable_torque(self, index: int) -> bool:
@@ -255,7 +285,7 @@ class FeetechBus:
     def reboot(self, index: int) -> None:
         """Torque off, which ends the servo's protection; not all know an instruction to restart."""
         self._torque.disable(self.line, index)
-        self._cache.forget_trouble(index)
+        self._present.forget_trouble(index)
 
     def reopen(self) -> None:
         """A new handle. Raises PortError."""
@@ -292,7 +322,7 @@ class FeetechBus:
     def _begin(self, line: Line) -> None:
         """Use this line from now on, with the deadlines that its slowest servo needs."""
         self._line = line
-        line.return_delay_s = self._torque.return_delay_s()
+        line.return_delay_s = float(self._cache.return_delay_s.max())
         for group in (self._state, self._whole, self._holding):
             group.reset()
 

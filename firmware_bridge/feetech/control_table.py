@@ -108,6 +108,16 @@ class ServoModel:
     stall_a: float
 
     @property
+    def center_pulse(self) -> int:
+        """Where the servo angle is 0."""
+        return self.dialect.center
+
+    @property
+    def pulses_per_deg(self) -> float:
+        """Of the position registers."""
+        return self.dialect.positions_per_deg
+
+    @property
     def current_unit_ma(self) -> float | None:
         """Of present_current; None: it counts load alone."""
         return self.dialect.current_unit_ma

@@ -5,7 +5,6 @@ from typing import Final
 
 from firmware_bridge.bus import describe_errors
 from firmware_bridge.bus_kinds import Finding, Severity, other_kind_at
-from firmware_bridge.dynamixel.provisioning import differences
 from firmware_bridge.feetech.bus import budget
 from firmware_bridge.feetech.control_table import (
     CONTROL,
@@ -16,10 +15,11 @@ from firmware_bridge.feetech.control_table import (
 )
 from firmware_bridge.feetech.line import Line
 from firmware_bridge.feetech.mounting import MountedServo
+from firmware_bridge.feetech.present_state import hardware_errors
 from firmware_bridge.feetech.provisioning import read_eeprom, scan, shares_id, wanted_settings
-from firmware_bridge.feetech.state_cache import hardware_errors
+from firmware_bridge.serial_servos.mounting import SETUP
+from firmware_bridge.serial_servos.provisioning import differences
 
-_SETUP: Final = "run `lipservo setup-servos`"
 _WARM_DEGC: Final = 10
 _DEAD_COMPUTER: Final = (
     "these servos have no watchdog: when the computer dies they hold at the goal sent last"
@@ -37,8 +37,8 @@ def examine(line: Line, servos: Sequence[MountedServo], rate_hz: float) -> Itera
     rates = [wanted_rate, *baud_rates().values()]
     spoilt = False
     for rate, found in scan(line, rates):
-        at_rate |= {each: (rate, model[0]) for each, model in found.items() if each not in at_rate}
-        spoilt |= line.spoilt
+        at_rate |= {each: (rate, model) for each, model in found.items() if each not in at_rate}
+        spoilt |= line.heard_noise
         if set(ids) <= set(at_rate):
             break
     line.baud_rate = wanted_rate
@@ -66,17 +66,17 @@ def _servo(
     name = f"{servo.joint.name} (id {servo_id})"
     if shares_id(line, servo_id):
         what = f"answers of {name} are spoilt: two servos may have this id"
-        remedy = f"connect one of them alone and {_SETUP} {servo.joint.name}"
+        remedy = f"connect one of them alone and {SETUP} {servo.joint.name}"
         yield Finding(Severity.BAD, what, remedy)
         return
     if seen is None:
-        remedy = f"check its cable and power, or {_SETUP}"
+        remedy = f"check its cable and power, or {SETUP}"
         yield Finding(Severity.BAD, f"{name} does not answer", remedy)
         return
     rate, number = seen
     if rate != wanted_rate:
         what = f"{name} answers at {rate:,} baud, the YAML says {wanted_rate:,}"
-        yield Finding(Severity.BAD, what, _SETUP)
+        yield Finding(Severity.BAD, what, SETUP)
         return
     if model_name(number) != model.name:
         what = f"{name} is {model_name(number)}, the YAML says {model.name}"
@@ -108,7 +108,7 @@ def _servo(
         what = f"{name} has torque on"
         yield Finding(Severity.WARNING, what, "is another program driving the face?")
     for difference in differences(eeprom, wanted_settings(servo, line.baud_rate, eeprom)):
-        yield Finding(Severity.BAD, f"{name}: {difference}", _SETUP)
+        yield Finding(Severity.BAD, f"{name}: {difference}", SETUP)
 
 
 _PRESENT: Final = ("present_voltage", "present_temperature", "status")

@@ -41,7 +41,7 @@ class FeetechKind(BusKind):
             from firmware_bridge.simulator.bus import SimulatedBus
 
             return SimulatedBus(wiring.joints, clock, capabilities=self.capabilities(settings))
-        from firmware_bridge.dynamixel.wire.serial_transport import SameAdapter
+        from firmware_bridge.serial_servos.serial_transport import SameAdapter
 
         opener = SameAdapter(settings.port, settings.baud_rate)
         return FeetechBus(servos, opener, strict=strict)
@@ -61,9 +61,9 @@ class FeetechKind(BusKind):
 
     def port_release(self, port: str, wiring: Wiring | None) -> Callable[[], PortRelease]:
         """At the face's rate; where that is not known, at all usual ones."""
-        from firmware_bridge.dynamixel.wire.serial_transport import SameAdapter
         from firmware_bridge.feetech.control_table import baud_rates
         from firmware_bridge.feetech.torque import LineRelease
+        from firmware_bridge.serial_servos.serial_transport import SameAdapter
 
         rates = tuple(baud_rates().values()) if wiring is None else (wiring.settings.baud_rate,)
         opener = SameAdapter(port, rates[0])

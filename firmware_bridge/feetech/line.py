@@ -1,10 +1,8 @@
-"""One half-duplex line of Feetech servos: questions and answers, who may speak when, deadlines."""
+"""One line of Feetech servos: questions to them and their answers."""
 
-from collections.abc import Callable, Sequence
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
-from firmware_bridge.dynamixel.wire.codec import BITS_PER_BYTE
-from firmware_bridge.dynamixel.wire.line import LearntLatency, PendingAnswers
 from firmware_bridge.feetech import codec
 from firmware_bridge.feetech.codec import (
     EMPTY_SIZE,
@@ -14,6 +12,7 @@ from firmware_bridge.feetech.codec import (
     packets_in,
     statuses_in,
 )
+from firmware_bridge.serial_servos.half_duplex import HalfDuplex
 from firmware_bridge.transport import Transport
 
 #: Of several servos: one undisturbed stream of all, or those that came whole, one by one.
@@ -31,14 +30,11 @@ _SUSPECT_AFTER, _ABSENT_AFTER = 2, 5
 _RETRY_EVERY: Final = 200
 
 
-class Line:
-    """Master of the line. Not thread-safe; every method raises PortError when the port fails.
+class Line(HalfDuplex):
+    """Master of the line.
 
-    A servo that does not answer is no error but a missing status. Nothing is sent before the
-    computed end of the last transaction, and an answer that could be the late one to another
-    question does not count: the question is asked in another length.
-    spoilt: something came in answer to the last question, but not what was asked.
-    extra_wait_s: how long beyond its time an answer is waited for; for commands outside the loop.
+    An answer that could be the late one to another question does not count: the question is asked
+    in another length.
     """
 
     def __init__(
@@ -48,28 +44,7 @@ class Line:
         *,
         extra_wait_s: float = 0.0,
     ) -> None:
-        """return_delay_s: the slowest servo's; it lengthens deadlines, not the wire."""
-        self.transport = transport
-        self.return_delay_s = return_delay_s
-        self.byte_s = BITS_PER_BYTE / transport.baud_rate
-        self.spoilt = False
-        self.echoes = False
-        self._extra_wait_s = extra_wait_s
-        self._clock = transport.clock
-        self._latency = LearntLatency()
-        self._pending = PendingAnswers()
-        self._quiet_s = self._sent_s = 0.0
-        self._heard = b""  # in answer to a question that was not answered as asked
-
-    @property
-    def baud_rate(self) -> int:
-        """Bits a second on the wire."""
-        return self.transport.baud_rate
-
-    @baud_rate.setter
-    def baud_rate(self, baud_rate: int) -> None:
-        self.transport.baud_rate = baud_rate
-        self.byte_s = BITS_PER_BYTE / baud_rate
+        super().__init__(transport, return_delay_s, extra_wait_s)
 
     def read(
         self, servo_id: int, address: int, size: int, extra_wait_s: float = 0.0
@@ -80,12 +55,12 @@ class Line:
             wide = self._pending.free_size((servo_id,), size)
         request = codec.read(servo_id, address, wide)
 
-        def take(stream: bytes) -> Status | None:
+        def take(stream: bytes, *, last: bool) -> Status | None:  # noqa: ARG001 - whole or nothing
             found = statuses_in(stream)
             fitting = (s for s in found if s.servo_id == servo_id and len(s.data) == wide)
             return next(fitting, None)
 
-        status: Status | None = self._transact(request, wide + EMPTY_SIZE, take, 1, extra_wait_s)
+        status = self._transact(request, wide + EMPTY_SIZE, take, extra_wait_s=extra_wait_s)
         if status is None:
             self._pending.note(servo_id, wide, request, self._clock.now())
             return None
@@ -94,14 +69,11 @@ class Line:
     def write(self, servo_id: int, address: int, data: bytes, extra_wait_s: float = 0.0) -> None:
         """Set bytes of one servo. What it acknowledges says nothing: read it back."""
 
-        def take(stream: bytes) -> Status | None:
+        def take(stream: bytes, *, last: bool) -> Status | None:  # noqa: ARG001 - whole or nothing
             return next((s for s in statuses_in(stream) if s.servo_id == servo_id), None)
 
-        self._transact(codec.write(servo_id, address, data), EMPTY_SIZE, take, 1, extra_wait_s)
-
-    def tell(self, request: bytes) -> None:
-        """Send what nobody answers."""
-        self._send(request)
+        request = codec.write(servo_id, address, data)
+        self._transact(request, EMPTY_SIZE, take, extra_wait_s=extra_wait_s)
 
     def sync_read(self, span: SpanRead) -> Answers:
         """The answers of all as one stream, undisturbed; or those that came whole, one by one."""
@@ -110,22 +82,20 @@ class Line:
             size = self._pending.free_size(span.ids, span.size)
             wide = span if size == span.size else SpanRead(span.ids, span.address, size)
 
-        def take(stream: bytes) -> Answers | None:
+        def take(stream: bytes, *, last: bool) -> Answers | None:
             if wide.is_undisturbed(stream):
                 return stream
-            found = self._salvaged(wide, stream)
-            return found if len(found) == len(wide.ids) else None
+            by_id = {s.servo_id: s for s in statuses_in(stream) if len(s.data) == wide.size}
+            found = [by_id[each] for each in wide.ids if each in by_id]
+            return found if last or len(found) == len(wide.ids) else None
 
         n = len(span.ids)
-        taken: Answers | None = self._transact(wide.request, wide.reply_size, take, n)
-        if isinstance(taken, bytes) and wide is span:
-            return taken
-        if taken is None:
-            taken = self._salvaged(wide, self._heard)
-            for missing in {*wide.ids} - {status.servo_id for status in taken}:
-                self._pending.note(missing, wide.size, wide.request, self._clock.now())
-        statuses = statuses_in(taken) if isinstance(taken, bytes) else taken
-        return [status._replace(data=status.data[: span.size]) for status in statuses]
+        taken: Answers = self._transact(wide.request, wide.reply_size, take, n_turns=n) or []
+        if isinstance(taken, bytes):
+            return taken if wide is span else _cut(statuses_in(taken), span.size)
+        for missing in {*wide.ids} - {status.servo_id for status in taken}:
+            self._pending.note(missing, wide.size, wide.request, self._clock.now())
+        return _cut(taken, span.size)
 
     def scan(self, ids: Sequence[int] = range(MAX_ID + 1)) -> dict[int, list[bytes]]:
         """Who answers, with the model number's two bytes, once for each answer that came whole.
@@ -143,61 +113,16 @@ class Line:
         while more := self.transport.read(self._clock.now() + _SCAN_WAIT_S):
             heard += more
         found: dict[int, list[bytes]] = {}
-        self.spoilt = False
+        self.heard_noise = False
         for status, _ in packets_in(heard):
-            self.spoilt |= status is None
+            self.heard_noise |= status is None
             if status is not None and len(status.data) == IDENTITY_SIZE:
                 found.setdefault(status.servo_id, []).append(status.data[3:])
         return found
 
-    def _salvaged(self, span: SpanRead, stream: bytes) -> list[Status]:
-        by_id = {s.servo_id: s for s in statuses_in(stream) if len(s.data) == span.size}
-        return [by_id[each] for each in span.ids if each in by_id]
 
-    def _send(self, request: bytes) -> float:
-        """When the last byte will be on the wire; our own bytes queue up and need no waiting."""
-        now_s = self._clock.now()
-        if now_s < self._quiet_s:
-            self._clock.sleep_until(self._quiet_s)
-            now_s = self._clock.now()
-        self.transport.write(request)
-        self._sent_s = max(now_s, self._sent_s) + len(request) * self.byte_s
-        return self._sent_s
-
-    def _transact(
-        self,
-        request: bytes,
-        reply_size: int,
-        take: Callable[[bytes], Any],
-        n_turns: int,
-        extra_wait_s: float = 0.0,
-    ) -> Any:
-        """Send, then read until `take` makes something of it, or None: the reply's time is over."""
-        transport, clock, latency = self.transport, self._clock, self._latency
-        extra_wait_s = max(extra_wait_s, self._extra_wait_s)
-        transport.discard_input()
-        due_s = self._send(request) + reply_size * self.byte_s
-        end_s = due_s + n_turns * self.return_delay_s
-        deadline_s = end_s + latency.slack_s + extra_wait_s
-        clock.sleep_until(due_s)
-        heard = b""
-        while more := transport.read(deadline_s):
-            heard += more
-            if heard.startswith(request):  # an adapter that gives back what is sent
-                heard, self.echoes = heard[len(request) :], True
-            if len(heard) >= reply_size and (taken := take(heard)) is not None:
-                self._quiet_s = clock.now()
-                if not extra_wait_s:
-                    latency.learn(self._quiet_s - due_s)
-                self.spoilt = False
-                return taken
-            if heard and not extra_wait_s:
-                rest_s = max(end_s, clock.now()) + latency.rest_slack_s
-                deadline_s = min(deadline_s, rest_s)
-        self._heard = heard
-        self._quiet_s = max(end_s, clock.now())
-        self.spoilt = bool(heard)
-        return None
+def _cut(statuses: Sequence[Status], size: int) -> list[Status]:
+    return [status._replace(data=status.data[:size]) for status in statuses]
 
 
 class Group:

@@ -4,10 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
-
-from firmware_bridge.bus import Array
-from firmware_bridge.bus_kinds import Wiring, other_kind_at
+from firmware_bridge.bus_kinds import Wiring
 from firmware_bridge.errors import ServoError
 from firmware_bridge.feetech.control_table import (
     EEPROM_SIZE,
@@ -20,35 +17,19 @@ from firmware_bridge.feetech.control_table import (
     model_name,
 )
 from firmware_bridge.feetech.line import Line
-from firmware_bridge.joints import Joint, named
+from firmware_bridge.joints import named
+from firmware_bridge.serial_servos.mounting import SETUP, checked_identities
+from firmware_bridge.serial_servos.mounting import MountedServo as Mounted
 
 #: A servo that is there answers one of five questions even on a bad line; waited for longer each
 #: time, for a busy computer may be late with all of them. Nothing moves yet, so there is time.
 _EXTRA_WAITS_S: Final = (0.0, 0.0, 0.01, 0.03, 0.1)
 #: Of both units of speed; the other is one step a second.
 _COARSE_STEPS_S: Final = 50
-_SETUP: Final = "run `lipservo setup-servos`"
 
 
-@dataclass(frozen=True, slots=True)
-class MountedServo:
-    """One servo and the joint it drives. servo angle = sign x (joint angle + zero_offset_deg)."""
-
-    joint: Joint
-    model: ServoModel
-    sign: int = 1
-    zero_offset_deg: float = 0.0
-
-    def pulse(self, joint_deg: float) -> int:
-        """The position register's value for a joint angle."""
-        dialect = self.model.dialect
-        servo_deg = self.sign * (joint_deg + self.zero_offset_deg)
-        return round(dialect.center + servo_deg * dialect.positions_per_deg)
-
-    def pulse_range(self) -> tuple[int, int]:
-        """The joint's soft limits in pulses, the smaller first."""
-        ends = self.pulse(self.joint.min_deg), self.pulse(self.joint.max_deg)
-        return min(ends), max(ends)
+#: One Feetech servo and the joint it drives.
+MountedServo = Mounted[ServoModel]
 
 
 def mounted_servos(wiring: Wiring) -> list[MountedServo]:
@@ -65,32 +46,6 @@ def mounted_servos(wiring: Wiring) -> list[MountedServo]:
             f"{other.model.name}: they speak two dialects and cannot share one bus"
         )
     return servos
-
-
-class Mounting:
-    """All servos of a face at once. Arrays are (n_servos,)."""
-
-    def __init__(self, servos: Sequence[MountedServo]) -> None:
-        dialects = [servo.model.dialect for servo in servos]
-        self._scale = np.array(
-            [s.sign * d.positions_per_deg for s, d in zip(servos, dialects, strict=True)]
-        )
-        offset = np.array([servo.zero_offset_deg for servo in servos])
-        self._zero = np.array([float(d.center) for d in dialects]) + offset * self._scale
-
-    def pulses(self, joint_deg: Array) -> Array:
-        """Whole pulses, as floats: what is not finite stays so."""
-        pulses: Array = np.rint(self._zero + joint_deg * self._scale)
-        return pulses
-
-    def joint_deg(self, pulses: Array) -> Array:
-        """Joint degrees; NaN stays NaN."""
-        joint_deg: Array = (pulses - self._zero) / self._scale
-        return joint_deg
-
-    def one_deg(self, index: int, pulse: float) -> float:
-        """Joint degrees of one servo's position register."""
-        return float((pulse - self._zero[index]) / self._scale[index])
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +88,7 @@ def identify(
         if eeprom and state:
             place = dialect.decode("present_position", state.data, STATE)
             return ServoIdentity(eeprom.data[3:5], dialect.decode_all(eeprom.data), place)
-        n_spoilt += line.spoilt
+        n_spoilt += line.heard_noise
     if n_spoilt >= len(_EXTRA_WAITS_S) - 1:
         return ServoIdentity(b"", {}, 0, doubled=True)
     return None
@@ -150,38 +105,19 @@ def mismatches(servo: MountedServo, found: ServoIdentity) -> list[str]:
         return [f"is not the {model.name} of the YAML but an {it_is}; correct the YAML"]
     eeprom, lines = found.eeprom, []
     if eeprom.get("operating_mode"):
-        lines.append(f"is in operating mode {eeprom['operating_mode']}, not 0; {_SETUP}")
+        lines.append(f"is in operating mode {eeprom['operating_mode']}, not 0; {SETUP}")
     if "homing_offset" in eeprom and eeprom["phase"] & MANY_TURNS:
-        lines.append(f"counts many turns (phase {eeprom['phase']}); {_SETUP}")
+        lines.append(f"counts many turns (phase {eeprom['phase']}); {SETUP}")
     low, high = servo.pulse_range()
     least, most = eeprom["min_position_limit"], eeprom["max_position_limit"]
     if not least <= low <= high <= most:
-        lines.append(f"has limits {least}..{most}, the joint needs {low}..{high}; {_SETUP}")
+        lines.append(f"has limits {least}..{most}, the joint needs {low}..{high}; {SETUP}")
     return lines
 
 
 def identify_all(
     line: Line, servos: Sequence[MountedServo], *, strict: bool
 ) -> list[ServoIdentity | None]:
-    """Ask everybody. Raises ServoError with every mismatch in one text.
-
-    Not strict: servos that do not answer are left for later, unless all or a critical one.
-    """
+    """Ask every servo. Raises as `checked_identities`."""
     found = [identify(line, servo) for servo in servos]
-    silent = [servo for servo, each in zip(servos, found, strict=True) if each is None]
-    if len(silent) == len(servos):
-        other = other_kind_at(line.transport, "feetech")
-        if other:
-            raise ServoError(other)
-    bearable = not strict and len(silent) < len(servos)
-    bearable = bearable and not any(servo.joint.critical for servo in silent)
-    lines = []
-    for servo, each in zip(servos, found, strict=True):
-        if each is None:
-            wrong = [] if bearable else ["does not answer; check its power, cable and baud rate"]
-        else:
-            wrong = mismatches(servo, each)
-        lines += [f"{named(servo.joint)} {why}" for why in wrong]
-    if lines:
-        raise ServoError("\n".join(lines))
-    return found
+    return checked_identities("feetech", line.transport, servos, found, mismatches, strict=strict)

@@ -18,7 +18,6 @@ from firmware_bridge.bus_kinds import Wiring
 from firmware_bridge.bus_settings import Strict, within
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.control_table import CENTER_PULSE, PULSES_PER_DEG
-from firmware_bridge.dynamixel.wire.codec import BITS_PER_BYTE
 from firmware_bridge.errors import ServoError
 from firmware_bridge.feetech.bus import FeetechBus
 from firmware_bridge.feetech.codec import BROADCAST_ID, Instruction, packet, packets_in
@@ -34,6 +33,7 @@ from firmware_bridge.feetech.control_table import (
 )
 from firmware_bridge.feetech.mounting import MountedServo, mounted_servos
 from firmware_bridge.feetech.provisioning import wanted_settings
+from firmware_bridge.serial_servos.half_duplex import BITS_PER_BYTE
 from firmware_bridge.simulator.motors import UNBOUNDED, Course, Environment, Motors
 from firmware_bridge.simulator.ports import MemoryTransport, PtyHost
 

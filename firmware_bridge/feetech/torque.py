@@ -5,18 +5,14 @@ from typing import Final
 
 import numpy as np
 
+from firmware_bridge.bus import Array
 from firmware_bridge.bus_kinds import NOT_SEEN
 from firmware_bridge.feetech import codec
 from firmware_bridge.feetech.control_table import CONTROL, SOFT_START_S, TORQUE_ENABLE
 from firmware_bridge.feetech.line import Line
-from firmware_bridge.feetech.mounting import (
-    MountedServo,
-    Mounting,
-    ServoIdentity,
-    identify,
-    mismatches,
-)
-from firmware_bridge.feetech.state_cache import ServoStateCache
+from firmware_bridge.feetech.mounting import MountedServo, ServoIdentity, identify, mismatches
+from firmware_bridge.feetech.present_state import PresentState
+from firmware_bridge.serial_servos.mounting import Mounting
 from firmware_bridge.transport import Transport
 
 _WRITE_TRIES: Final = 3
@@ -29,6 +25,8 @@ _SPEED_MARGIN: Final = 1.05
 _STAGGER_S: Final = 0.010
 #: In a tick there is no time for more.
 _TRIES: Final = 2
+#: Silent for so long, it may have restarted, without bounds and with a goal switching torque on.
+_RESTART_S: Final = 0.1
 
 
 def write_verified(line: Line, servo_id: int, address: int, data: bytes) -> bool:
@@ -59,11 +57,16 @@ class TorqueSwitch:
     """
 
     def __init__(
-        self, servos: Sequence[MountedServo], cache: ServoStateCache, mounting: Mounting
+        self, servos: Sequence[MountedServo], present: PresentState, mounting: Mounting
     ) -> None:
         n = len(servos)
         self._servos = tuple(servos)
-        self._cache = cache
+        self._present = present
+        self._cache = present.cache
+        #: Who gets goals: a goal may switch torque on.
+        self.driven = np.zeros(n, dtype=np.bool_)
+        #: Who gets none until its bounds were read, having been silent.
+        self.doubted = np.zeros(n, dtype=np.bool_)
         self._mounting = mounting
         self._dialect = servos[0].model.dialect
         self._identities: list[ServoIdentity | None] = [None] * n
@@ -75,11 +78,7 @@ class TorqueSwitch:
     def note_identity(self, index: int, found: ServoIdentity, now_s: float) -> None:
         """What a servo reported of itself counts from now on."""
         self._identities[index] = found
-        self._cache.take_identity(index, found, now_s)
-
-    def return_delay_s(self) -> float:
-        """Of the slowest servo."""
-        return max(each.return_delay_s for each in self._identities if each is not None)
+        self._present.take_identity(index, found, now_s)
 
     @property
     def at_full_strength(self) -> bool:
@@ -105,7 +104,7 @@ class TorqueSwitch:
         if not torque_verified(line, servo_id, on=True):
             self.disable(line, index)
             return "does not switch its torque on"
-        cache.driven[index] = True
+        self.driven[index] = True
         cache.set_one("torque", index, True)
         now_s = line.transport.clock.now()
         self._full_at_s[index] = now_s + SOFT_START_S
@@ -123,12 +122,12 @@ class TorqueSwitch:
         obstacle, place = self._place_to_hold(line, index)
         if obstacle or not self._bound(line, index, soft=False):
             return False
-        cache.driven[index] = self._take_goal(line, index, place)
-        return bool(cache.driven[index])
+        self.driven[index] = self._take_goal(line, index, place)
+        return bool(self.driven[index])
 
     def disable(self, line: Line, index: int) -> bool:
         """Torque off; whether it was read back."""
-        self._cache.driven[index] = False
+        self.driven[index] = self.doubted[index] = False
         self._full_at_s[index] = np.inf
         limp = torque_verified(line, self._servos[index].joint.servo_id, on=False)
         if limp:
@@ -138,8 +137,14 @@ class TorqueSwitch:
 
     def disable_all(self) -> None:
         """Nobody gets goals, nor full strength, any more."""
-        self._cache.driven[:] = False
+        self.driven[:] = self.doubted[:] = False
         self._full_at_s[:] = np.inf
+
+    def doubt(self, ages_s: Array) -> None:
+        """Withhold goals from who was silent for long. ages_s: 0 for those who just answered."""
+        silent = self.driven & (ages_s > _RESTART_S)
+        self.doubted |= silent
+        self.driven &= ~silent
 
     def look_after(self, line: Line, index: int, control: bytes) -> None:
         """Full strength once it is due; off, if it has forgotten its bounds: it has restarted.
@@ -147,11 +152,14 @@ class TorqueSwitch:
         control: the bytes from `CONTROL` on. Some come back from a brown-out with torque on.
         """
         self._cache.set_one("torque", index, control[0] != 0)
-        if not self._cache.driven[index] or not control[0]:
+        if self.doubted[index] and not control[0]:
+            self.doubted[index] = False  # it is brought up anew
+        if not (self.driven[index] or self.doubted[index]) or not control[0]:
             return
         if self._dialect.decode("goal_speed", control, CONTROL) != self._speeds[index]:
             self.disable(line, index)
             return
+        self.driven[index], self.doubted[index] = True, False
         is_due = self._full_at_s[index] <= line.transport.clock.now()
         if is_due and self._bound(line, index, soft=False):
             self._full_at_s[index] = np.inf
@@ -203,18 +211,9 @@ class TorqueSwitch:
         if wrong:
             return "; ".join(wrong), 0
         self.note_identity(index, found, line.transport.clock.now())
-        line.return_delay_s = self.return_delay_s()
-        low, high = int(cache.low[index]), int(cache.high[index])
-        if low <= found.place <= high:
-            return "", found.place
-        here_deg, *ends_deg = (
-            self._mounting.one_deg(index, each) for each in (found.place, low, high)
-        )
-        return (
-            f"stands at {here_deg:.1f} deg, outside its own range; move it into "
-            f"{min(ends_deg):.1f}..{max(ends_deg):.1f} deg by hand",
-            0,
-        )
+        line.return_delay_s = float(cache.return_delay_s.max())
+        low, high = cache.low[index], cache.high[index]
+        return self._mounting.obstacle(index, found.place, low, high), found.place
 
 
 class LineRelease:

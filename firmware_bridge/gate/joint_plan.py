@@ -19,9 +19,9 @@ from firmware_bridge.gate.limits import AccelerationLimit
 #: Plans stay so far below a joint's limits: clocks of sound and bridge differ by 0.02 %, and a
 #: target is a float.
 _SHARE_OF_LIMITS = 0.99
-#: A closure is complete so long after the onset that announces it, in most recordings; lips that
-#: are a little late still touch within it. Measured: docs/decisions/0043.
-_NOTICE_S = 0.06
+#: Nineteen of twenty P B M last so long or longer, so lips that are so late still touch within it.
+#: Measured: docs/decisions/0059.
+_NOTICE_S = 0.04
 #: More sweeps come nearer to the least squares, and cost 30 us each where a window is too fast.
 _SWEEPS: Final = 3
 #: A joint that is this far from what was wanted shows it: it moves a lip by some tenths of a mm.

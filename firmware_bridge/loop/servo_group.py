@@ -101,7 +101,8 @@ class ServoGroup:
             bus, joints, dry_run=settings.dry_run, given_up=given_up, switched_off=off
         )
         self.supervision = ServoSupervision(self._joints, settings.tracking, given_up, off)
-        self._heat = HeatDerating([each.load for each in can])
+        is_known = any(each.load or each.heat for each in can)
+        self._heat = HeatDerating([each.load for each in can]) if is_known else None
         self.torque_off = TorqueOff(self._joints, self.gate)
         self._brakes_deg = _BRAKES_S * np.array([joint.max_speed_deg_s for joint in joints])
         #: By how much each joint's amplitude shrinks to spare its servo, (n_joints,).
@@ -276,7 +277,8 @@ class ServoGroup:
             self._bus.write_positions(np.where(limp, np.nan, goals_deg))
         self.feedback = feedback = self._bus.feedback()
         self._health = health = self._bus.look_after()
-        self.scale = self._heat.scale(feedback, health)
+        if self._heat is not None:
+            self.scale = self._heat.scale(feedback, health)
         if self._any_has_place:
             self.supervision.check_tracking(goals_deg, feedback)
         if self._any_blind:

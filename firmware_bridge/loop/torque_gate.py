@@ -184,4 +184,5 @@ class TorqueOff:
         let_go = {name: can[name] for name in compress(names, self._confirmed)}
         dry_run = self._gate.dry_run
         left = {} if dry_run else dict.fromkeys(compress(names, ~self._confirmed), why)
-        return let_go_report(let_go, left, at_rest=at_rest, dry_run=dry_run)
+        confirms = any(each.confirmed_limp for each in can.values())
+        return let_go_report(let_go, left, at_rest=at_rest, dry_run=dry_run, confirms=confirms)

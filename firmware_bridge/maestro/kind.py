@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from firmware_bridge.bus_kinds import BusKind, Finding, PortRelease, Severity, Wiring
 from firmware_bridge.capabilities import BusCapabilities
 from firmware_bridge.maestro.settings import MaestroSettings
-from firmware_bridge.pulse_bus import PULSES_OFF, usb_product
+from firmware_bridge.pulse_bus import PULSES_OFF, STAGGER_S, usb_product
 from firmware_bridge.pulse_servos import PulseServo
 
 if TYPE_CHECKING:
@@ -16,12 +16,13 @@ if TYPE_CHECKING:
     from firmware_bridge.bus_settings import BusSettings
     from firmware_bridge.clock import Clock
 
-#: A jaw has caught up by then; speech waits for it.
+#: A servo has caught up so long after its turn; speech waits for it.
 _SOFT_START_S: Final = 1.0
 CAPABILITIES: Final = BusCapabilities(
     hold=True,
     profile=True,
     soft_start_s=_SOFT_START_S,
+    stagger_s=STAGGER_S,
     pulse_rate_hz=50.0,
     released_words=PULSES_OFF,
 )
@@ -124,7 +125,7 @@ class MaestroKind(BusKind):
 
 
 def _opener(port: str) -> Callable[[], Any]:
-    from firmware_bridge.dynamixel.wire.serial_transport import SameAdapter
+    from firmware_bridge.serial_servos.serial_transport import SameAdapter
 
     return SameAdapter(port, BAUD_RATE)
 

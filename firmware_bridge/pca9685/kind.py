@@ -10,7 +10,7 @@ from firmware_bridge.capabilities import BusCapabilities
 from firmware_bridge.errors import PortError, ServoError
 from firmware_bridge.pca9685.registers import N_CHANNELS
 from firmware_bridge.pca9685.settings import Pca9685Servo, Pca9685Settings, check_pulses
-from firmware_bridge.pulse_bus import PULSES_OFF
+from firmware_bridge.pulse_bus import PULSES_OFF, STAGGER_S
 
 if TYPE_CHECKING:
     from firmware_bridge.bus import ServoBus
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from firmware_bridge.pca9685.i2c import I2cChip
     from firmware_bridge.pca9685.oe_guard import OeGuard
 
-#: A jaw has caught up by then; speech waits for it.
+#: A servo has caught up so long after its turn; speech waits for it.
 _SOFT_START_S: Final = 1.0
 #: Bits a second of a bus of which nothing else is known, and those of a byte with its acknowledge.
 _STANDARD_HZ: Final = 100_000
@@ -45,6 +45,7 @@ class Pca9685Kind(BusKind):
         return BusCapabilities(
             hold=True,
             soft_start_s=_SOFT_START_S,
+            stagger_s=STAGGER_S,
             in_memory=settings.port is None,
             watchdog=_has_guard(settings),
             pulse_rate_hz=settings.frequency_hz,

@@ -455,7 +455,8 @@ class Supervisor:
 
     def _report_of(self, release: FaceRelease) -> StopReport:
         let_go = {name: self._servos.can[name] for name in release.let_go}
-        return let_go_report(let_go, release.unconfirmed)
+        confirms = any(each.confirmed_limp for each in self._servos.can.values())
+        return let_go_report(let_go, release.unconfirmed, confirms=confirms)
 
     def _conclude(self, report: StopReport, status: int) -> None:
         """The servos have had their last word: a face that a person stopped waits, others end."""

@@ -293,6 +293,7 @@ OPTIONS_OF_THE_PROGRAM: Final = ("-v", "--verbose", "--log-json")
 MOVED_OPTIONS: Final = {
     "run": {
         **_MOVED,
+        "--live-link": _OF_THE_YAML.format("avatars.live_link") + "; `lipservo say` has it",
         "--dashboard-listen": _OF_DAEMON,
         "--token-file": _OF_DAEMON,
         "--open-to-this-computer": _OF_DAEMON,

@@ -7,8 +7,7 @@ number. Joints are `servo_1`, `servo_2` and so on, in the order of the face's YA
 import os
 import platform
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.metadata import version
 from itertools import pairwise
 from typing import Any, Final, Literal, get_origin
@@ -17,8 +16,9 @@ import numpy as np
 from pydantic import BaseModel
 
 from firmware_bridge.bus import ServoBus
-from firmware_bridge.bus_kinds import Finding, Wiring
+from firmware_bridge.bus_kinds import Finding, Severity
 from firmware_bridge.clock import Clock, ticks
+from firmware_bridge.errors import BusError
 from firmware_bridge.pulse_bus import usb_product
 from lipservo.settings.settings import FaceSettings
 from lipsync.arrays import Array
@@ -50,11 +50,14 @@ def about_face(settings: FaceSettings) -> Report:
             "python": platform.python_version(),
             "n_cpus": os.cpu_count(),
         },
-        "bus": {
-            **plain_values(settings.bus),
-            "usb": usb_product(settings.servo_port or ""),
-            "capabilities": settings.capabilities.as_dict(),
-        },
+        "buses": [
+            {
+                **plain_values(one.bus),
+                "usb": usb_product(one.servo_port or ""),
+                "capabilities": one.capabilities.as_dict(),
+            }
+            for one in settings.alone.values()
+        ],
         "rate_hz": settings.rate_hz,
         "servos": [
             {"servo": label, **plain_values(servo)}
@@ -81,15 +84,20 @@ def plain_values(settings: BaseModel) -> dict[str, object]:
     return told
 
 
-def examined(settings: FaceSettings, secrets: Sequence[str]) -> list[dict[str, str]]:
-    """What `doctor` finds, of joints that have labels for names. Raises as `BusKind.examine`."""
-    wiring = settings.wiring
-    joints = tuple(
-        replace(joint, name=label)
-        for joint, label in zip(wiring.joints, labels(settings), strict=True)
-    )
-    hidden = Wiring(wiring.settings, joints, wiring.servos, wiring.rate_hz)
-    return [_finding(each, secrets) for each in settings.bus_kind.examine(hidden)]
+def examined(
+    settings: FaceSettings,
+    secrets: Sequence[str],
+    examine: Callable[[FaceSettings], Iterator[Finding]],
+) -> list[dict[str, str]]:
+    """What `doctor` finds, of joints that have labels for names; a port that is dead, too."""
+    servos = dict(zip(labels(settings), settings.servos.values(), strict=True))
+    found = []
+    try:
+        for each in examine(settings.model_copy(update={"servos": servos, "prevent": ()})):
+            found.append(_finding(each, secrets))
+    except BusError as error:
+        found.append(_finding(Finding(Severity.BAD, str(error)), secrets))
+    return found
 
 
 def _finding(finding: Finding, secrets: Sequence[str]) -> dict[str, str]:
@@ -105,7 +113,11 @@ def secrets_of(settings: FaceSettings, config: str) -> list[str]:
     port = settings.servo_port or ""
     found = {port, os.path.realpath(port) if port else "", config, settings.name, platform.node()}
     found |= {os.environ.get(name, "") for name in ("USER", "LOGNAME", "HOME", "HOSTNAME")}
-    found |= set(settings.servos)
+    found |= {
+        *settings.servos,
+        *settings.buses,
+        *(bus.port or "" for bus in settings.buses.values()),
+    }
     return sorted((each for each in found if len(each) > 1), key=len, reverse=True)
 
 

@@ -103,8 +103,7 @@ def run_face(
                 serving = voice_agents(listener, speech.side, requested)
                 run.serve(stack.enter_context(serving))
             life.start()
-            zero_s = clock.now()
-            street.begin(zero_s)
+            zero_s = street.start(clock.now())
             playout = source if isinstance(source, Playout) and not endless else None
             end = _End(zero_s + length_s + delay.total_s, playout)
             play(street, life, is_over=end.is_over, tally=tally, observers=observers)

@@ -55,7 +55,7 @@ class FaceSpeech:
             self.recognizer,
             synthesizer,
             channel,
-            soft_start_s=requested.settings.capabilities.soft_start_s,
+            start_s=requested.settings.capabilities.start_s(len(requested.settings.servos)),
             is_watchable=board is not None,
             board=board,
         )

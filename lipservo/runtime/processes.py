@@ -159,12 +159,12 @@ def run_speech_process(
         )
         side = speech.side
         avatars = entered_avatars(request.avatars, request.model, stack)
+        # What the robot says is on a timeline of its own, which begins anew with each process.
         if zero_s is None or not start_s:
-            zero_s = clock.now()
+            zero_s = side.start(clock.now())
         else:
             _LOG.info("%s goes on at %.1f s", source.name, start_s)
-        # What the robot says is on a timeline of its own, which begins anew with each process.
-        side.begin(zero_s if request.voice is None else clock.now())
+            side.begin(zero_s if request.voice is None else clock.now())
         handed.lifeline.began(zero_s)
         listener = None if agents is None else socket.socket(fileno=agents)
         serving = voice_agents(listener, side, requested)

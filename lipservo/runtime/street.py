@@ -29,6 +29,10 @@ class Street:
         """The sound begins at monotonic `zero_s`."""
         self.side.begin(zero_s)
 
+    def start(self, now_s: float) -> float:
+        """The servos get torque at monotonic `now_s`; when the sound begins."""
+        return self.side.start(now_s)
+
     def tick(self, time_s: float, late: int) -> StreetTick:
         """Everything that happens at monotonic grid time `time_s`."""
         self.side.advance(time_s)
@@ -66,7 +70,7 @@ def make_street(
         recognizer,
         synthesizer,
         channel,
-        soft_start_s=bus.capabilities.soft_start_s,
+        start_s=bus.capabilities.start_s(len(face.joints)),
     )
     bridge = bridge_for(face.settings, bus, channel, rate_hz=rate_hz)
     return Street(side, bridge, face.model.rest)

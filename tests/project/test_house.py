@@ -6,7 +6,13 @@ import sys
 import pytest
 import typer
 import yaml
-from lipservo_lab.bench.house.code_lines import budgets, code_lines, house_table, room_lines
+from lipservo_lab.bench.house.code_lines import (
+    budgets,
+    code_lines,
+    house_table,
+    room_lines,
+    sources,
+)
 from lipservo_lab.bench.house.whole_objects import SourceTree, late_attributes, mixin_bases
 from lipservo_lab.commands.groups import bench
 from places import DATA, ROOT
@@ -57,6 +63,18 @@ def test_documenting_costs_nothing():
     ]
 
     assert code_lines(plain) == code_lines("\n".join(told) + "\n") == 4
+
+
+def test_every_folder_of_ours_is_counted_and_no_built_copy(tmp_path):
+    ours = ("lipservo/commands/build/a.py", "client/lipservo_client/b.py")
+    for name in (*ours, "client/build/lib/b.py", "client/tests/c.py", "client/.venv/d.py"):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("a = 1\n")
+    found = [path for folder in ("lipservo", "client") for path in sources(tmp_path, folder)]
+
+    assert [path.relative_to(tmp_path).as_posix() for path in found] == list(ours)
+    assert set(sources(ROOT, "lipservo")) >= set((ROOT / "lipservo/commands/build").glob("*.py"))
 
 
 def test_no_class_has_its_other_half_in_a_neighbour_file(tree):

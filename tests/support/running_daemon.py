@@ -11,8 +11,8 @@ from pathlib import Path
 from places import short_folder
 
 from firmware_bridge.dynamixel.wire.line import Line
-from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.process.control_client import ask
+from firmware_bridge.serial_servos.serial_transport import open_port
 
 BAUD_RATE = 1_000_000
 

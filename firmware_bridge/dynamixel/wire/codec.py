@@ -19,8 +19,6 @@ import numpy as np
 from fastcrc import crc16 as _crc16
 from numpy.typing import ArrayLike, NDArray
 
-#: On the wire: start bit, eight data bits, stop bit.
-BITS_PER_BYTE: Final = 10
 HEADER: Final = b"\xff\xff\xfd\x00"
 #: x^16 + x^15 + x^2 + 1, start 0, not reflected: what Dynamixel calls CRC-16 (IBM/ANSI).
 crc16 = _crc16.umts

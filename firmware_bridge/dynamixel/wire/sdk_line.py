@@ -14,8 +14,8 @@ from dynamixel_sdk import COMM_SUCCESS, GroupSyncRead, GroupSyncWrite, PacketHan
 from firmware_bridge.clock import Clock, MonotonicClock
 from firmware_bridge.dynamixel.wire.codec import FrameParser, Instruction, SpanRead, Status
 from firmware_bridge.dynamixel.wire.line import Line
-from firmware_bridge.dynamixel.wire.serial_transport import claim, explain, release
 from firmware_bridge.errors import PortError, PortGone
+from firmware_bridge.serial_servos.serial_transport import claim, explain, release
 
 _Result = TypeVar("_Result")
 

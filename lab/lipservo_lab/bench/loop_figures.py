@@ -14,12 +14,12 @@ from firmware_bridge.clock import MonotonicClock, ticks
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.mounting import MountedServo
-from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.process.operating_system import on_time
+from firmware_bridge.serial_servos.serial_transport import open_port
 from firmware_bridge.stopping import StopLevel
 from lipservo.runtime.servos.sim_process import simulated_port
 from lipservo.runtime.summary import Histogram

@@ -4,21 +4,24 @@ It knows the face's limits and nothing of the code under test, and trusts nobody
 """
 
 import struct
-from collections.abc import Sequence
-from typing import Final
+from collections.abc import Iterator, Sequence
+from typing import Any, Final, Literal, NamedTuple, Protocol
 
 import numpy as np
 
 from firmware_bridge.bus import Array
 from firmware_bridge.dynamixel.control_table import PULSES_PER_TURN, register
-from firmware_bridge.dynamixel.mounting import MountedServo
-from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, Frame, FrameParser, Instruction
-from firmware_bridge.simulator.chain import SimulatedChain
+from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, FrameParser, Instruction
+from firmware_bridge.feetech import codec as feetech_codec
+from firmware_bridge.feetech.control_table import TORQUE_ENABLE
+from firmware_bridge.feetech.control_table import servo_models as feetech_models
+from firmware_bridge.serial_servos.mounting import MountedServo
 from firmware_bridge.simulator.motors import POSITION_LOOP_PER_S
 from firmware_bridge.stopping import StopLevel
 
 _GOAL, _TORQUE = register("goal_position").address, register("torque_enable").address
 _GOAL_BYTES, _TORQUE_BYTES = struct.pack("<H", _GOAL), struct.pack("<H", _TORQUE)
+_FEETECH_GOAL: Final = feetech_models()["STS3215"].dialect.registers["goal_position"].address
 #: A goal is rounded to a pulse, and so was the one before.
 _ROUNDING_PULSES: Final = 1
 #: What counts as the place where a servo stands: half a degree, for a limp shaft may be moving.
@@ -35,6 +38,92 @@ _FREE_PULSES: Final = 0.5
 _JUMP_DEG_S: Final = 700.0
 
 
+class SeenOrder(NamedTuple):
+    """What the computer tells one servo: a goal in a tick, one to it alone, or torque on."""
+
+    what: Literal["goal", "first goal", "torque"]
+    servo_id: int
+    goal: int = 0
+
+
+class AuditedWire(Protocol):
+    """What one protocol's packets order, and when a servo may be armed.
+
+    has_watchdog: servos stop by themselves where the computer is gone.
+    """
+
+    has_watchdog: bool
+
+    def orders(self, data: bytes) -> Iterator[SeenOrder]:
+        """Of one write of the computer."""
+
+    def is_set_up(self, servo: Any, wanted: MountedServo[Any]) -> bool:
+        """Whether a simulated servo is as torque may come on."""
+
+
+class DynamixelWire:
+    """Protocol 2.0."""
+
+    has_watchdog = True
+
+    def __init__(self) -> None:
+        self._parser = FrameParser()
+
+    def orders(self, data: bytes) -> Iterator[SeenOrder]:
+        """Of one write of the computer."""
+        if _GOAL_BYTES not in data and _TORQUE_BYTES not in data and not self._parser.pending:
+            return  # the address is in no packet of it
+        for frame in self._parser.feed(data):
+            parameters = frame.parameters
+            if frame.instruction == Instruction.WRITE and frame.packet_id != BROADCAST_ID:
+                if parameters[:2] == _GOAL_BYTES:
+                    goal = int.from_bytes(parameters[2:6], "little", signed=True)
+                    yield SeenOrder("first goal", frame.packet_id, goal)
+                elif parameters[:3] == _TORQUE_BYTES + b"\1":
+                    yield SeenOrder("torque", frame.packet_id)
+            elif frame.instruction == Instruction.SYNC_WRITE and parameters[:2] == _GOAL_BYTES:
+                for servo_id, goal in struct.iter_unpack("<Bi", parameters[4:]):
+                    yield SeenOrder("goal", servo_id, goal)
+
+    def is_set_up(self, servo: Any, wanted: MountedServo[Any]) -> bool:
+        """Its settings are the face's, and its watchdog runs."""
+        low, high = wanted.pulse_range()
+        return bool(
+            servo["drive_mode"] == 0
+            and servo["homing_offset"] == 0
+            and servo["operating_mode"] == (3 if wanted.current_cap is None else 5)
+            and servo["min_position_limit"] <= low <= high <= servo["max_position_limit"]
+            and servo["bus_watchdog"] > 0
+        )
+
+
+class FeetechWire:
+    """Feetech's protocol, STS: little-endian, one sync write of goals a tick."""
+
+    has_watchdog = False
+
+    def orders(self, data: bytes) -> Iterator[SeenOrder]:
+        """Of one write of the computer, which holds whole packets."""
+        for packet in feetech_codec.statuses_in(data):
+            servo_id, instruction, parameters = packet
+            if instruction == feetech_codec.Instruction.WRITE and parameters[0] == _FEETECH_GOAL:
+                yield SeenOrder("first goal", servo_id, int.from_bytes(parameters[1:3], "little"))
+            elif instruction == feetech_codec.Instruction.SYNC_WRITE:
+                address, size, blocks = parameters[0], parameters[1], parameters[2:]
+                for at in range(0, len(blocks), size + 1):
+                    value = int.from_bytes(blocks[at + 1 : at + 1 + size], "little")
+                    if address == _FEETECH_GOAL:
+                        yield SeenOrder("goal", blocks[at], value)
+                    elif address == TORQUE_ENABLE and value == 1:
+                        yield SeenOrder("torque", blocks[at])
+
+    def is_set_up(self, servo: Any, wanted: MountedServo[Any]) -> bool:
+        """Its limits are the face's, and its speed is bounded."""
+        low, high = wanted.pulse_range()
+        in_order = servo["min_position_limit"] <= low <= high <= servo["max_position_limit"]
+        return bool(in_order and servo["operating_mode"] == 0 and servo["goal_speed"] > 0)
+
+
 class Auditor:
     """Counts what must not happen; all counts are of events, on one servo each.
 
@@ -48,7 +137,10 @@ class Auditor:
     steps faster than 5 deg/s, later than 0.3 s after a person froze the face.
     """
 
-    def __init__(self, servos: Sequence[MountedServo], period_s: float) -> None:
+    def __init__(
+        self, servos: Sequence[MountedServo[Any]], period_s: float, wire: AuditedWire | None = None
+    ) -> None:
+        """wire: None: of Dynamixels."""
         per_deg = PULSES_PER_TURN / 360.0
         ranges = np.array([servo.pulse_range() for servo in servos], dtype=np.float64)
         self._servos = {servo.joint.servo_id: servo for servo in servos}
@@ -65,8 +157,8 @@ class Auditor:
         self._free = np.zeros(len(servos))
         self._is_free = np.zeros(len(servos), dtype=np.bool_)
         self._last: dict[int, int] = {}
-        self._parser = FrameParser()
-        self._chain: SimulatedChain | None = None
+        self._wire = wire or DynamixelWire()
+        self._chain: Any = None
         self._before: tuple[Array, Array] | None = None
         self._held = np.zeros(len(servos), dtype=np.bool_)  # torque was on at the step before
         self._before_s = 0.0
@@ -78,10 +170,10 @@ class Auditor:
         self.too_fast = self.moved_outside = self.armed_wrongly = self.armed_late = 0
         self.fastest = 0.0
 
-    def watch(self, chain: SimulatedChain) -> None:
+    def watch(self, chain: Any) -> None:
         """Follow the shafts of this chain, and look into its servos when torque comes on."""
         self._chain = chain
-        chain.motion = self._see_motion
+        chain.motors.motion = self._see_motion
 
     def note_stop(self, time_s: float, level: StopLevel) -> None:
         """A person stopped the face then; a frozen one must not move until it is let go."""
@@ -94,21 +186,13 @@ class Auditor:
 
     def see(self, time_s: float, data: bytes) -> None:
         """Look at one write of the computer."""
-        if _GOAL_BYTES not in data and _TORQUE_BYTES not in data and not self._parser.pending:
-            return  # the address is in no packet of it
-        for frame in self._parser.feed(data):
-            self._see_frame(frame, time_s)
-
-    def _see_frame(self, frame: Frame, time_s: float) -> None:
-        parameters = frame.parameters
-        if frame.instruction == Instruction.WRITE and frame.packet_id != BROADCAST_ID:
-            if parameters[:2] == _GOAL_BYTES:
-                self._see_first_goal(frame.packet_id, parameters[2:6])
-            elif parameters[:3] == _TORQUE_BYTES + b"\1":
-                self._see_torque(frame.packet_id, time_s)
-        elif frame.instruction == Instruction.SYNC_WRITE and parameters[:2] == _GOAL_BYTES:
-            for servo_id, goal in struct.iter_unpack("<Bi", parameters[4:]):
+        for what, servo_id, goal in self._wire.orders(data):
+            if what == "goal":
                 self._see_goal(servo_id, goal)
+            elif what == "first goal":
+                self._see_first_goal(servo_id, goal)
+            else:
+                self._see_torque(servo_id, time_s)
 
     def _see_goal(self, servo_id: int, goal: int) -> None:
         self.goals += 1
@@ -122,9 +206,8 @@ class Auditor:
         if too_long and not self._is_way_back(servo_id, before, goal):
             self.steps_too_long += 1
 
-    def _see_first_goal(self, servo_id: int, data: bytes) -> None:
+    def _see_first_goal(self, servo_id: int, goal: int) -> None:
         """A goal to one servo alone comes before torque: it must be where the servo stands."""
-        goal = int.from_bytes(data, "little", signed=True)
         self._last[servo_id] = goal
         self.goals += 1
         if not self._is_place(servo_id, goal):
@@ -152,20 +235,15 @@ class Auditor:
         if index is None or self._chain is None:
             return
         servo, wanted = self._chain.servos[index], self._servos[servo_id]
-        low, high = wanted.pulse_range()
-        as_set_up = (
-            servo["drive_mode"] == 0
-            and servo["homing_offset"] == 0
-            and servo["operating_mode"] == (3 if wanted.current_cap is None else 5)
-            and servo["min_position_limit"] <= low <= high <= servo["max_position_limit"]
-        )
         place = self._chain.motors.position[index]
         at_place = abs(servo["goal_position"] - place) <= _PLACE_PULSES
-        self.armed_wrongly += not (as_set_up and at_place and servo["bus_watchdog"] > 0)
+        self.armed_wrongly += not (at_place and self._wire.is_set_up(servo, wanted))
 
     def _see_motion(self, time_s: float, position: Array) -> None:
         assert self._chain is not None  # it calls
         motors = self._chain.motors
+        if self._frozen and not (self._wire.has_watchdog or self._chain.plugged):
+            self._stopped_s = time_s  # they go on to their last goal, whatever a person wants
         seen, self._before = self._before, (position.copy(), motors.trajectory.copy())
         held, self._held = self._held & motors.torque_on, motors.torque_on.copy()
         span_s, self._before_s = time_s - self._before_s, time_s
@@ -197,5 +275,5 @@ class Auditor:
         """Which simulated servo answers to this id now."""
         if self._chain is None:
             return None
-        found = [s.index for s in self._chain.servos if s.servo_id == servo_id]
+        found = [s.index for s in self._chain.servos if s["id"] == servo_id]
         return found[0] if len(found) == 1 else None

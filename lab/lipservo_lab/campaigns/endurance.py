@@ -22,7 +22,8 @@ from firmware_bridge.simulator.chain import chain_for
 from firmware_bridge.simulator.faults import Fault
 from firmware_bridge.simulator.ports import MemoryTransport
 from lipservo_lab.campaigns.auditor import Auditor
-from lipservo_lab.campaigns.fault_campaign import BAUD_RATE, face, wanted_deg
+from lipservo_lab.campaigns.chain_trials import BAUD_RATE, face
+from lipservo_lab.campaigns.fault_campaign import wanted_deg
 from lipsync.errors import UserError
 from lipsync.output_file import check_output, write_whole
 

@@ -1,47 +1,50 @@
-"""Every kind of fault against the whole bridge, on a virtual clock, with an auditor on the wire."""
+"""Every kind of fault of every kind of bus against the whole bridge, on a virtual clock.
+
+What a bus must not do, and who looks at that, is its `Trials`; all else is here.
+"""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
 from itertools import product
 from typing import Final, Protocol
 
 import numpy as np
 
-from firmware_bridge.bus import ServoState
+from firmware_bridge.bus import ServoBus, ServoState
 from firmware_bridge.clock import Clock, ManualClock
-from firmware_bridge.dynamixel.bus import DynamixelBus
-from firmware_bridge.dynamixel.control_table import servo_models
-from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.errors import BusError
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.life_cycle import LifeCycle, LifeCycleLinks
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
-from firmware_bridge.simulator.chain import chain_for
-from firmware_bridge.simulator.faults import KINDS, ON_INSTRUCTIONS, ON_REPLIES, Fault
-from firmware_bridge.simulator.ports import MemoryTransport
-from firmware_bridge.stopping import Order, StopLevel, StopRequest
-from lipservo_lab.campaigns.auditor import Auditor
+from firmware_bridge.stopping import Order, StopLevel, StopReport, StopRequest
 
-BAUD_RATE: Final = 1_000_000
 #: Quiet, then trouble, then time to recover: reboots and cool-downs take seconds.
 FAULT_FROM_S, FAULT_UNTIL_S, END_S = 2.0, 4.0, 12.0
 INTENSITIES: Final = (0, 1, 2)
-SIZES: Final = (5, 10, 20)
-RATES_HZ: Final = (30.0, 100.0)
 #: A stop comes in the middle of the fault.
 STOP_S: Final = 3.0
 STOPS: Final = (None, StopLevel.SOFT, StopLevel.LIMP, StopLevel.FREEZE)
-_PROBABILITIES: Final = (0.01, 0.1, 0.5)
-_MAX_SPEED_DEG_S: Final = 300.0
+MAX_SPEED_DEG_S: Final = 300.0
+#: Kinds of bus that have trials, and where.
+_TRIALS: Final = {
+    "dynamixel": "chain_trials:DYNAMIXEL",
+    "feetech": "chain_trials:FEETECH",
+    "maestro": "pulse_trials:MAESTRO",
+    "pca9685": "pulse_trials:PCA9685",
+}
+CAMPAIGN_BUSES: Final = tuple(_TRIALS)
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One fault at one intensity on one face, armed strictly or not, and a person's stop in it."""
+    """One fault of one bus at one intensity, armed strictly or not, and a person's stop in it."""
 
+    bus: str
     kind: str
     intensity: int
     n_servos: int
@@ -49,106 +52,128 @@ class Case:
     strict: bool = False
     stop: StopLevel | None = None
 
-    def faults(self) -> list[Fault]:
-        """Packets: 1, 10, 50 % of them. Servos: one once, one again and again, all at once."""
-        kind, hard = self.kind, self.intensity
-        amount = {
-            "late_reply": (0.0005, 0.003, 0.010)[hard],
-            "error_reply": 1.0,
-            "id_change": 200.0,
-            "pushed": (5.0, 20.0, 60.0)[hard],
-            "encoder_fault": (0.0, 10.0, 90.0)[hard],
-            "load": (0.3, 0.6, 0.9)[hard],
-            "jam": 0.9,
-            "limits_drift": 2100.0,
-        }.get(kind, 0.0)
-        if kind in ON_REPLIES | ON_INSTRUCTIONS:
-            share = _PROBABILITIES[hard]
-            return [
-                Fault(
-                    kind,
-                    probability=share,
-                    from_s=FAULT_FROM_S,
-                    until_s=FAULT_UNTIL_S,
-                    amount=amount,
-                )
-            ]
-        servos = () if hard == 2 or kind == "unplug" else (self.n_servos // 2,)
-        often = 0.5 if hard == 1 else 0.0
-        lasts_s = 0.3 if hard == 1 else FAULT_UNTIL_S - FAULT_FROM_S
-        return [
-            Fault(
-                kind,
-                servos=servos,
-                at_s=() if often else (FAULT_FROM_S,),
-                from_s=FAULT_FROM_S,
-                until_s=FAULT_UNTIL_S,
-                every_s=often,
-                lasts_s=lasts_s,
-                amount=amount,
-            )
-        ]
+    def times_s(self) -> list[tuple[float, float]]:
+        """When it happens and for how long: once; every half second; all of the time."""
+        every_s, lasts_s = ((9.0, 0.3), (0.5, 0.2), (0.1, 0.1))[self.intensity]
+        return [(at_s, lasts_s) for at_s in np.arange(FAULT_FROM_S, FAULT_UNTIL_S, every_s)]
+
+
+class Stage(Protocol):
+    """A face whose simulated servos are in trouble, and what is seen of them from outside."""
+
+    @property
+    def bus(self) -> ServoBus:
+        """What the bridge drives."""
+
+    @property
+    def clock(self) -> ManualClock:
+        """What moves the servos."""
+
+    @property
+    def joints(self) -> Sequence[Joint]:
+        """In the order of the servos."""
+
+    @property
+    def auditor(self) -> "StopWitness":
+        """What looks at the wire."""
+
+    def look(self, bridge: Bridge) -> None:
+        """After every tick."""
+
+    def look_at_last(self) -> None:
+        """Before servos are let go, where nobody has stopped the face."""
+
+    def counts(self, report: StopReport | None) -> Mapping[str, int]:
+        """How often what must not happen has: `Trials.must_not`, and maybe more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trials:
+    """What is played against one kind of bus."""
+
+    kinds: Sequence[str]
+    sizes: Sequence[int]
+    rates_hz: Sequence[float]
+    must_not: Sequence[str]
+    stage: Callable[[Case], Stage]
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """What came of one case.
 
-    motion_too_fast, moved_outside, armed_wrongly, undone, moved_frozen: see `Auditor`.
-    torque_left_on: servos that can be reached and hold at the end. recovery_s: from the end of the
-    fault until every servo follows again; None: never, which is right where nothing can bring it
-    back (another id, another baud rate, a third reboot), or stopped before.
+    counts: of each of `Trials.must_not`. recovery_s: from the end of the fault until every servo
+    follows again; None: never, which is right where nothing can bring it back (another id, another
+    baud rate, a third reboot), or stopped before.
     """
 
     case: Case
     error: str
-    goals_outside_limits: int
-    steps_above_clamp: int
-    motion_too_fast: int
-    moved_outside: int
-    armed_wrongly: int
-    undone: int
-    moved_frozen: int
-    contention: int
-    torque_unknown: int
-    torque_left_on: int
+    counts: Mapping[str, int]
     recovery_s: float | None
 
     @property
     def survived(self) -> bool:
         """The process lives and nothing that must not happen happened."""
-        bad = self.goals_outside_limits + self.steps_above_clamp + self.motion_too_fast
-        bad += (
-            self.moved_outside
-            + self.armed_wrongly
-            + self.undone
-            + self.contention
-            + self.moved_frozen
-        )
-        return not self.error and bad + self.torque_unknown + self.torque_left_on == 0
+        return not self.error and not any(self.counts.values())
+
+    def __str__(self) -> str:
+        wrong = {"error": self.error, **self.counts}
+        return f"{self.case}: " + ", ".join(f"{name} {n}" for name, n in wrong.items() if n)
 
 
-def cases(*, whole: bool = False) -> Iterator[Case]:
+@cache
+def trials_of(bus: str) -> Trials:
+    """Of a kind of bus. Raises KeyError where there are none."""
+    module, _, name = _TRIALS[bus].partition(":")
+    trials: Trials = getattr(import_module(f"lipservo_lab.campaigns.{module}"), name)
+    return trials
+
+
+def cases(bus: str, *, whole: bool = False) -> Iterator[Case]:
     """Every kind, intensity, size and rate, with arming and stop in turns.
 
     whole: every way of arming and every stop for each of them, eight times as many.
     """
-    ways = list(product((False, True), STOPS))
-    grid = product(KINDS, INTENSITIES, SIZES, RATES_HZ)
+    ways, of = list(product((False, True), STOPS)), trials_of(bus)
+    grid = product(of.kinds, INTENSITIES, of.sizes, of.rates_hz)
     for n, (kind, intensity, n_servos, rate_hz) in enumerate(grid):
         for strict, stop in ways if whole else (ways[n * 3 % len(ways)],):
-            yield Case(kind, intensity, n_servos, rate_hz, strict, stop)
+            yield Case(bus, kind, intensity, n_servos, rate_hz, strict, stop)
 
 
-def face(n_servos: int) -> list[MountedServo]:
-    """Servos as in `face_sim`, every other one mounted the other way round."""
-    model = servo_models()["XL330-M288"]
-    return [
-        MountedServo(
-            Joint(f"joint_{k}", k, -30.0, 40.0, _MAX_SPEED_DEG_S), model, 1 if k % 2 else -1
-        )
-        for k in range(1, n_servos + 1)
-    ]
+def play(case: Case, end_s: float = END_S) -> Outcome:
+    """Run one case to its end."""
+    trials = trials_of(case.bus)
+    stage = trials.stage(case)
+    clock, channel = stage.clock, MemoryTargetChannel()
+    settings = BridgeSettings(case.rate_hz, tolerant=not case.strict)
+    bridge = Bridge(stage.bus, stage.joints, channel, settings)
+    control = StopInTheFault(case.stop, clock, stage.auditor)
+    error, recovered_s, report = "", math.nan, None
+    try:
+        with stage.bus, LifeCycle(bridge, clock, LifeCycleLinks(control=control)) as life:
+            life.start()
+            for time_s, late in life.ticks():
+                if time_s > end_s:
+                    break
+                channel.publish(ServoTargets(time_s, wanted_deg(time_s, case.n_servos)))
+                bridge.tick(time_s, late)
+                stage.look(bridge)
+                fine = all(s is ServoState.DRIVEN for s in bridge.status.servo_states)
+                if not fine:
+                    recovered_s = math.nan
+                elif math.isnan(recovered_s):
+                    recovered_s = time_s
+            if not life.stopping:
+                stage.look_at_last()
+        report = life.report
+    except (BusError, ArithmeticError, LookupError, ValueError, TypeError) as problem:
+        error = f"{type(problem).__name__}: {problem}"
+    never = case.stop is not None or math.isnan(recovered_s)
+    recovery_s = None if never else max(0.0, recovered_s - FAULT_UNTIL_S)
+    counts = stage.counts(report)
+    return Outcome(case, error, {name: counts[name] for name in trials.must_not}, recovery_s)
 
 
 class StopWitness(Protocol):
@@ -194,73 +219,6 @@ class StopInTheFault:
 
     def report_end(self, report: Mapping[str, object]) -> None:
         """Nobody waits."""
-
-
-def play(case: Case, seed: int = 1, end_s: float = END_S) -> Outcome:
-    """Run one case to its end."""
-    servos = face(case.n_servos)
-    clock = ManualClock()
-    chain = chain_for(servos, BAUD_RATE, faults=case.faults(), seed=seed)
-    auditor = Auditor(servos, 1.0 / case.rate_hz)
-    auditor.watch(chain)
-    bus = DynamixelBus(
-        servos,
-        lambda: MemoryTransport(chain, clock, BAUD_RATE, tap=auditor.see),
-        watchdog_s=max(0.1, 3.0 / case.rate_hz),
-        strict=case.strict,
-    )
-    channel = MemoryTargetChannel()
-    joints = [servo.joint for servo in servos]
-    settings = BridgeSettings(case.rate_hz, tolerant=not case.strict)
-    bridge = Bridge(bus, joints, channel, settings)
-    control = StopInTheFault(case.stop, clock, auditor)
-    error, recovered_s, unknown = "", math.nan, 0
-    try:
-        with bus, LifeCycle(bridge, clock, LifeCycleLinks(control=control)) as life:
-            life.start()
-            for time_s, late in life.ticks():
-                if time_s > end_s:
-                    break
-                channel.publish(ServoTargets(time_s, wanted_deg(time_s, case.n_servos)))
-                bridge.tick(time_s, late)
-                fine = all(s is ServoState.DRIVEN for s in bridge.status.servo_states)
-                if not fine:
-                    recovered_s = math.nan
-                elif math.isnan(recovered_s):
-                    recovered_s = time_s
-            if chain.plugged and not life.stopping:
-                believed = bus.look_after().torque_on
-                for servo, belief in zip(chain.servos, believed, strict=True):
-                    reachable = servo.deaf_until_s <= clock.now() and _reachable(servo, servos)
-                    unknown += reachable and servo.torque_on != belief
-    except (BusError, ArithmeticError, LookupError, ValueError, TypeError) as problem:
-        error = f"{type(problem).__name__}: {problem}"
-    stiff = sum(s.torque_on for s in chain.servos if _reachable(s, servos))
-    never = case.stop is not None or math.isnan(recovered_s)
-    return Outcome(
-        case=case,
-        error=error,
-        goals_outside_limits=auditor.goals_outside,
-        steps_above_clamp=auditor.steps_too_long,
-        motion_too_fast=auditor.too_fast,
-        moved_outside=auditor.moved_outside,
-        armed_wrongly=auditor.armed_wrongly,
-        undone=auditor.armed_late,
-        moved_frozen=auditor.moved_frozen,
-        contention=chain.counts.contention,
-        torque_unknown=int(unknown),
-        torque_left_on=int(stiff) if chain.plugged else 0,
-        recovery_s=None if never else max(0.0, recovered_s - FAULT_UNTIL_S),
-    )
-
-
-def _reachable(servo: object, servos: Sequence[MountedServo]) -> bool:
-    """Whether a servo still has its own id and rate: nobody can know of one that has not."""
-    from firmware_bridge.simulator.servo import SimulatedServo
-
-    assert isinstance(servo, SimulatedServo)
-    at_home = servo.servo_id == servos[servo.index].joint.servo_id
-    return at_home and servo.baud_rate == BAUD_RATE and not math.isinf(servo.deaf_until_s)
 
 
 def wanted_deg(time_s: float, n_servos: int) -> np.ndarray:

@@ -13,13 +13,13 @@ from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.wire.codec import (
     ALERT_BIT,
-    BITS_PER_BYTE,
     Instruction,
     SpanRead,
     Status,
 )
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.span_group import SpanGroup
+from firmware_bridge.serial_servos.half_duplex import BITS_PER_BYTE
 from firmware_bridge.simulator.chain import SimulatedChain
 
 

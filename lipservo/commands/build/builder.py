@@ -1,6 +1,7 @@
 """`new-face`: the servos that there are become the YAML of a face."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,20 +13,25 @@ from lipsync.errors import UserError
 from lipsync.output_file import write_whole
 
 if TYPE_CHECKING:
-    from firmware_bridge.bus_kinds import BusKind
-    from lipservo.runtime.servos.new_face import WiredJoint
+    from lipservo.runtime.servos.new_face import NewBus, WiredJoint
 
 
 def new_face(
     output: Annotated[Path, typer.Option("--output", "-o", help="The YAML to write.")],
     port: Annotated[
-        str | None,
-        typer.Option(help="Where the servos are, /dev/ttyUSB0 for one.", show_default=False),
+        list[str] | None,
+        typer.Option(
+            metavar="PORT",
+            help="Where the servos are, /dev/ttyUSB0 for one; of several buses NAME=PORT.",
+            show_default=False,
+        ),
     ] = None,
     bus: Annotated[
-        str | None,
+        list[str] | None,
         typer.Option(
-            help="dynamixel, feetech, maestro, pca9685, ...; default: what the port says it is.",
+            metavar="KIND",
+            help="dynamixel, feetech, maestro, pca9685, ...; default: what the port says it is. "
+            "NAME=KIND, once for each, of a face with several.",
             show_default=False,
         ),
     ] = None,
@@ -35,9 +41,11 @@ def new_face(
         typer.Option(help="LeRobot range file: names and limits by id.", show_default=False),
     ] = None,
     board: Annotated[
-        str | None,
+        list[str] | None,
         typer.Option(
-            help="Of hobby servos: the Maestro's model (micro6), the PCA9685's address (0x40).",
+            metavar="BOARD",
+            help="Of hobby servos: the Maestro's model (micro6), the PCA9685's address (0x40); "
+            "of several buses NAME=BOARD.",
             show_default=False,
         ),
     ] = None,
@@ -45,7 +53,8 @@ def new_face(
         list[str] | None,
         typer.Option(
             metavar="NAME=CHANNEL:WORD",
-            help="A hobby servo, and what a longer pulse does: jaw=0:opens; again for each.",
+            help="A hobby servo, and what a longer pulse does: jaw=0:opens; again for each; "
+            "where two buses have hobby servos lips/jaw=0:opens.",
             show_default=False,
         ),
     ] = None,
@@ -57,80 +66,83 @@ def new_face(
     the face into its neutral by hand before: that is where 0 degrees will be. Hobby servos get
     narrow limits, 1400 to 1600 us, and are not moved.
     """
-    from firmware_bridge.bus_kinds import bus_kind, kind_at
-    from lipservo.runtime.servos.new_face import check_face_file
+    from lipservo.runtime.servos.new_face import check_face_file, face_on_buses, parts_of
+    from lipservo.settings.settings import parse_face
 
     check_face_file(output)
-    if bus is None and port is None:
+    parts = parts_of(bus or [], port or [], board or [], channel or [])
+    if not parts:
         raise UserError("no port: give --port, or --bus for a board that is not plugged in yet")
-    kind = bus_kind(bus) if bus is not None else kind_at(port or "")
-    is_wired = bool(kind.board_key)
-    for name, given, fits in (
-        ("--board", board is not None, is_wired),
-        ("--channel", bool(channel), is_wired),
-        ("--yes", yes, is_wired),
-        ("--ranges", ranges is not None, not is_wired),
-    ):
-        if given and not fits:
-            raise UserError(f"{name} is not of a {kind.name} bus")
-    if is_wired:
-        text, n_joints = _wired(output, kind, port, board, channel or [], yes=yes)
-        then = "neutral and limits, as its first lines say"
-    else:
-        if port is None:
-            raise UserError("no port: give --port; the servos there are asked who they are")
-        text, n_joints = _found(output, kind, port, baud_rate, ranges)
-        then = "set limits in it, `lipservo setup-servos`"
+    for given, name, is_wired in ((yes, "--yes", True), (ranges is not None, "--ranges", False)):
+        if given and all(bool(part.kind.board_key) is not is_wired for part in parts.values()):
+            raise UserError(f"{name} is not of a {next(iter(parts.values())).kind.name} bus")
+    texts: dict[str, str] = {}
+    names: list[str] = []
+    for bus_name, part in parts.items():
+        if bus_name:
+            MESSAGES.print(f"bus {bus_name}, {part.kind.name}:")
+        if part.kind.board_key:
+            found = _wired(output, part, names, yes=yes)
+        else:
+            found = _found(output, part, names, baud_rate, ranges)
+        texts[bus_name] = found
+        names += parse_face(found, output.name).servos
+    text = face_on_buses(output.stem, texts) if len(texts) > 1 else next(iter(texts.values()))
+    parse_face(text, output.name)
     write_whole(output, text)
-    RESULTS.print(f"{output}: {n_joints} joints. Next: {then}")
+    is_wired = any(part.kind.board_key for part in parts.values())
+    then = (
+        "neutral and limits, as its first lines say"
+        if is_wired
+        else "set limits in it, `lipservo setup-servos`"
+    )
+    RESULTS.print(f"{output}: {len(names)} joints. Next: {then}")
 
 
-def _wired(
-    output: Path,
-    kind: "BusKind",
-    port: str | None,
-    board: str | None,
-    channels: Sequence[str],
-    *,
-    yes: bool,
-) -> tuple[str, int]:
+def _wired(output: Path, part: "NewBus", taken: Sequence[str], *, yes: bool) -> str:
     """Hobby servos, which nobody can find: as a person says that they are wired."""
     from lipservo.runtime.servos.new_face import check_wiring, parse_channel, pulse_face_yaml
 
     joints: list[WiredJoint] = []
-    for each in channels:
-        joints.append(parse_channel(each, joints))
+    kind, board = part.kind, part.board
+    for each in part.channels:
+        joints.append(parse_channel(each, joints, taken))
     if yes and not joints:
         raise UserError("which servos: give --channel jaw=0:opens, again for each")
     if board is None:
         usual = kind.usual_board
         what = f"Which {kind.board_key} has the {kind.name}"
         board = usual if yes else typer.prompt(what, default=usual, err=True)
-    while not channels:
+    while not part.channels:
         text = typer.prompt(
             "A servo, as in jaw=0:opens (Enter: no more)", "", err=True, show_default=False
         )
         if not text and joints:
             break
         try:
-            joints.append(parse_channel(text, joints))
+            joints.append(parse_channel(text, joints, taken))
         except UserError as error:
             MESSAGES.print(str(error))
-    text = pulse_face_yaml(output.stem, kind, port, board or "", joints)
+    text = pulse_face_yaml(output.stem, kind, part.port, board or "", joints)
     check_wiring(text, output.name)
-    return text, len(joints)
+    return text
 
 
 def _found(
-    output: Path, kind: "BusKind", port: str, baud_rate: int, ranges: Path | None
-) -> tuple[str, int]:
+    output: Path, part: "NewBus", taken: Sequence[str], baud_rate: int, ranges: Path | None
+) -> str:
     """Servos that say who they are: each is moved a little, and a person says what moved."""
     from calibration.capture.lerobot_ranges import by_id, read_ranges
     from lipservo.runtime.servos.new_face import FoundJoint, check_joint_name, face_yaml, nudge
     from lipservo.settings.settings import parse_face
 
+    kind, port = part.kind, part.port
+    if port is None:
+        raise UserError("no port: give --port; the servos there are asked who they are")
     tools = kind.workshop()
     recorded = {} if ranges is None else by_id(read_ranges(ranges))
+    if not tools.CLEARS_MIDDLE:  # servos go on to show their place as it was recorded
+        recorded = {key: replace(each, homing_offset_ticks=0) for key, each in recorded.items()}
     rate, found = tools.find_unknown(port, baud_rate)
     MESSAGES.print(f"{len(found)} servos at {rate:,} baud: ids {', '.join(map(str, found))}")
     _clear_foreign(tools, port, rate, found)
@@ -141,7 +153,9 @@ def _found(
         name = typer.prompt(
             f"id {servo_id} ({model}) moved by 3 degrees and back. Which joint",
             default=known.name if known else None,
-            value_proc=partial(_joint_name, check_joint_name, [joint.name for joint in joints]),
+            value_proc=partial(
+                _joint_name, check_joint_name, [*taken, *(joint.name for joint in joints)]
+            ),
             err=True,
         )
         word = typer.prompt("What should a positive angle do (opens, raises, widens ...)", err=True)
@@ -150,7 +164,7 @@ def _found(
         joints.append(joint if known is None else joint.within(known, tick))
     text = face_yaml(output.stem, kind, port, rate, joints)
     parse_face(text, output.name)
-    return text, len(joints)
+    return text
 
 
 def _clear_foreign(tools: Any, port: str, rate: int, found: Mapping[int, str]) -> None:

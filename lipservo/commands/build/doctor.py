@@ -5,6 +5,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -35,6 +36,32 @@ def _examined(settings: "FaceSettings") -> "Iterator[Finding]":
                 yield replace(each, what=f"{name}: {each.what}")
         except BusError as error:
             yield Finding(Severity.BAD, f"{name}: {error}")
+
+
+def _lags(settings: "FaceSettings", config: str) -> "Iterator[Finding]":
+    """What is known of how late servos are that cannot say where they stand."""
+    from firmware_bridge.bus_kinds import Finding, Severity
+    from lipservo.runtime.servos.assembly import assemble_face
+
+    can, names = settings.capabilities, list(settings.servos)
+    blind = [name for name in settings.mouth_servos if not can.of(names.index(name)).place]
+    if not blind or settings.calibration is None:
+        return
+    calibration = assemble_face(config, None).calibration
+    if calibration.following is None:
+        yield Finding(
+            Severity.WARNING,
+            "how late these servos are is not known, and lips are late by as much: "
+            f"{', '.join(blind)}",
+            "film one (docs/calibration.md) and type it: `lipservo calibrate lags FILE --lag-ms "
+            f"{blind[0]}=60`",
+        )
+        return
+    late_s = dict(zip(calibration.servo_names, calibration.following.lag_s.tolist(), strict=True))
+    late = ", ".join(f"{name} {1e3 * late_s[name]:.0f} ms" for name in blind)
+    yield Finding(
+        Severity.GOOD, f"late by the calibration, which these servos cannot confirm: {late}"
+    )
 
 
 def doctor(
@@ -76,14 +103,14 @@ def doctor(
         return
     if move is not None or yes:
         raise typer.BadParameter("--move and --yes go with --report")
-    _examine(settings, as_json=as_json)
+    _examine(settings, config, as_json=as_json)
 
 
-def _examine(settings: "FaceSettings", *, as_json: bool) -> None:
+def _examine(settings: "FaceSettings", config: str, *, as_json: bool) -> None:
     from firmware_bridge.bus_kinds import Severity
 
     findings = []
-    for finding in _examined(settings):
+    for finding in chain(_examined(settings), _lags(settings, config)):
         findings.append(finding)
         if not as_json:
             mark = {0: "ok  ", 1: "warn", 2: "BAD "}[finding.severity]
@@ -111,7 +138,7 @@ def _report(
 ) -> None:
     """All of it measured, then written whole; ended in between it leaves nothing."""
     from firmware_bridge.stop_signals import DeferredSignals, StopRequested
-    from lipservo.health.hardware_report import about_face, as_text, examined, secrets_of
+    from lipservo.health.hardware_report import about_face, as_text, examined, scrubbed, secrets_of
     from lipsync.output_file import check_output, written_whole
 
     text_file = file.with_suffix(".txt")
@@ -120,16 +147,20 @@ def _report(
     joint = _joint(settings, move)
     for each in (file, text_file):
         check_output(each)
-    names = ", ".join(settings.servos)
+    names, secrets = ", ".join(settings.servos), secrets_of(settings, config)
     _consent(f"The servos are let go, and what they hold falls: {names}. Go on", yes=yes)
     status = 0
     with DeferredSignals() as signals:
         try:
             found: dict[str, Any] = about_face(settings)
             MESSAGES.print("examining")
-            found["findings"] = examined(settings, secrets_of(settings, config))
+            found["findings"] = examined(settings, secrets, _examined)
             MESSAGES.print(f"reading and writing for {seconds:g} s")
-            found["limp_loop"] = _limp_loop(settings, seconds)
+            try:
+                found["limp_loop"] = _limp_loop(settings, seconds)
+            except BusError as error:
+                complain(f"{error}; the report says so")
+                found["limp_loop"] = {"error": scrubbed(str(error), secrets)}
         except StopRequested as stop:
             status = 128 + stop.number
             with suppress(StopRequested), signals.finish_first():
@@ -137,7 +168,8 @@ def _report(
     if status:
         raise typer.Exit(status)
     found["steps"] = None
-    if move is not None or _wants_steps(joint, yes=yes):
+    is_dead = "error" in found["limp_loop"]
+    if not is_dead and (move is not None or _wants_steps(joint, yes=yes)):
         if move is not None:
             _consent(_move_question(joint), yes=yes)
         found["steps"] = _steps(settings, joint)
@@ -148,6 +180,8 @@ def _report(
         f"{file} and {text_file.name}: read them, then send them "
         '(docs/hardware.md, "Tell us what yours does")'
     )
+    if is_dead:
+        raise typer.Exit(1)
 
 
 def _joint(settings: "FaceSettings", name: str | None) -> str:

@@ -18,7 +18,6 @@ from lipservo.commands.options import (
     DryRun,
     Json,
     Listen,
-    LiveLink,
     Mic,
     Model,
     OpenPage,
@@ -77,7 +76,6 @@ def run(
     config: Config = DEFAULT_FACE,
     model: Model = None,
     osc: Osc = None,
-    live_link: LiveLink = None,
     trace: Trace = None,
     port: Port = None,
     sim: Sim = None,
@@ -109,7 +107,7 @@ def run(
         quiet=quiet or as_json,
         dry_run=dry_run,
         voice=voice,
-        avatars=avatars_of(config, osc, live_link),
+        avatars=avatars_of(config, osc, None),
     )
     if not dashboard:
         run_once(request, sim)

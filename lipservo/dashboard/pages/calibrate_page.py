@@ -49,7 +49,7 @@ def calibrate_page(config: str | None, told: Told | None, trouble: str | None) -
     with card("A new calibration", "in a terminal at the face's computer; stop the face first"):
         settings = settings_of(config)
         has_place = settings is None or settings.capabilities.place
-        html(_steps(config or "FACE", has_place=has_place), "steps")
+        html(steps_of(config or "FACE", has_place=has_place), "steps")
 
 
 def _sentence(text: str) -> str:
@@ -142,7 +142,7 @@ _FOLLOWING: Final = (
     ("backlash_deg", "{:.1f}° of play"),
 )
 #: Picture, heading, what happens, command.
-STEPS: Final = (
+STEPS: Final[tuple[tuple[str, str, str, str], ...]] = (
     (
         "rehearse", "Rehearse", "On a simulated robot of which nothing is known: the whole path in "
         "minutes, and nothing can break.",
@@ -194,9 +194,11 @@ PULSE_STEPS: Final = {
 }  # fmt: skip
 
 
-def _steps(face: str, *, has_place: bool) -> str:
+def steps_of(face: str, *, has_place: bool) -> str:
+    """The way to a calibration of a face, as HTML. has_place: its servos say where they stand."""
     other = {} if has_place else PULSE_STEPS
-    steps = (other.get(step[0], step) for step in STEPS)
+    # A way that measures where servos stand is none for those that cannot say it.
+    steps = (other.get(step[0], step) for step in STEPS if has_place or step[0] != "dots")
     return "<ol>" + "".join(_step(face, *step) for step in steps) + "</ol>"
 
 

@@ -28,7 +28,6 @@ from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import TargetChannel
 from firmware_bridge.process.port_record import note_port
-from firmware_bridge.several_buses import SeveralBuses
 from lipservo.health.health_log import kept_pulses_path
 from lipservo.settings.settings import FaceSettings, calibration_file, load_face, load_shipped_face
 from lipsync.face.model import FaceModel
@@ -117,6 +116,8 @@ def bus_for(face: FaceSettings, clock: Clock, *, strict: bool = True) -> ServoBu
         wiring = replace(face.wiring, capabilities=face.capabilities)
         return bus_kind(wiring.settings.kind).open(wiring, clock)
     buses = {name: bus_for(one, clock, strict=strict) for name, one in face.alone.items()}
+    from firmware_bridge.several_buses import SeveralBuses
+
     return SeveralBuses(buses, face.bus_of, clock, face.rate_hz)
 
 

@@ -3,7 +3,7 @@
 import math
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,13 +12,14 @@ import numpy as np
 import yaml
 
 from calibration.capture.lerobot_ranges import TICKS_A_TURN, RecordedRange
-from firmware_bridge.bus_kinds import BusKind
+from firmware_bridge.bus_kinds import BusKind, bus_kind, kind_at
 from firmware_bridge.clock import ManualClock, MonotonicClock
 from firmware_bridge.gate.ramp import Ramp
 from firmware_bridge.joints import LONGEST_FOUND_US, SHORTEST_FOUND_US
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
+from firmware_bridge.port_names import BUS_NAME
 from firmware_bridge.stopping import StopLevel
 from lipservo.runtime.servos.driven_face import DriveOptions, face_life
 from lipservo.runtime.servos.face_stopped import FaceStopped
@@ -71,6 +72,19 @@ _PULSE_SERVO = """\
     neutral_us: {neutral:<11} # 0 degrees: where the joint rests
     min_us: {low:<15} # pulses that it bears
     max_us: {high}
+"""
+
+
+_SEVERAL_HEAD = """\
+# Written by `lipservo new-face`: a face on several buses. Wiring, power, parts: docs/hardware.md.
+# Limits are narrow on purpose: find the real ones by hand.
+#
+# 1. lipservo doctor --config THIS               what answers on each bus
+# 2. lipservo calibrate neutral --yes --config THIS    hands off: hobby servos jump to neutral once
+# 3. lipservo jog --dashboard --config THIS      find the limits of each servo, and set them there
+# 4. lipservo setup-servos --bus NAME --config THIS    of servos with a memory, once limits are set
+# 5. lipservo calibrate --help                   teach it a speaker's mouth
+
 """
 
 
@@ -198,11 +212,16 @@ class WiredJoint:
     positive: str
 
 
-def parse_channel(text: str, taken: Sequence[WiredJoint]) -> WiredJoint:
-    """`jaw=0:opens`: joint, channel, and what a longer pulse does. Raises UserError."""
+def parse_channel(
+    text: str, taken: Sequence[WiredJoint], elsewhere: Sequence[str] = ()
+) -> WiredJoint:
+    """`jaw=0:opens`: joint, channel, and what a longer pulse does. Raises UserError.
+
+    taken: those of the same board; elsewhere: names of joints on other buses.
+    """
     name, _, wiring = text.partition("=")
     number, _, positive = wiring.partition(":")
-    name = check_joint_name(name, [each.name for each in taken])
+    name = check_joint_name(name, [*elsewhere, *(each.name for each in taken)])
     if not number.strip().isdecimal() or len(number) > _MOST_DIGITS:
         raise UserError(f"{shown(text)}: needs NAME=CHANNEL:WORD, jaw=0:opens for one")
     if not positive.strip():
@@ -264,3 +283,88 @@ def _quoted(text: str) -> str:
     if is_plain:
         return text
     return yaml.safe_dump(text, default_style='"', width=math.inf).rstrip("\n")
+
+
+@dataclass(frozen=True, slots=True)
+class NewBus:
+    """One bus of a face that is to be written, as a person gave it. channels: `jaw=0:opens`."""
+
+    kind: BusKind
+    port: str | None
+    board: str | None
+    channels: tuple[str, ...]
+
+
+def parts_of(
+    buses: Sequence[str], ports: Sequence[str], boards: Sequence[str], channels: Sequence[str]
+) -> dict[str, NewBus]:
+    """Every bus by its name, of options in either form: `maestro`, or `lips=maestro` for several.
+
+    A face with one bus has it under an empty name; {}: nothing says which. Raises UserError.
+    """
+    if not any("=" in each for each in buses):
+        for option, given in (("--bus", buses), ("--port", ports), ("--board", boards)):
+            if len(given) > 1:
+                raise UserError(
+                    f"{option} is given {len(given)} times; a face with several buses names each: "
+                    "--bus lips=maestro --bus neck=dynamixel"
+                )
+        if not buses and not ports:
+            return {}
+        port, board = next(iter(ports), None), next(iter(boards), None)
+        kind = bus_kind(buses[0]) if buses else kind_at(port or "")
+        for option, is_given in (("--board", board), ("--channel", channels)):
+            if is_given and not kind.board_key:
+                raise UserError(f"{option} is not of a {kind.name} bus")
+        return {"": NewBus(kind, port, board, tuple(channels))}
+    kinds = {name: bus_kind(kind) for name, kind in _by_bus("--bus", buses, None).items()}
+    hobby = [name for name, kind in kinds.items() if kind.board_key]
+    where, which = _by_bus("--port", ports, list(kinds)), _by_bus("--board", boards, hobby)
+    wired: dict[str, list[str]] = {name: [] for name in hobby}
+    for each in channels:
+        name, slash, wiring = each.rpartition("/")
+        if not slash and len(hobby) == 1:
+            name = hobby[0]
+        if name not in wired:
+            raise UserError(
+                f"--channel {shown(each)}: say on which bus: {(hobby or ['lips'])[0]}/{wiring}; "
+                f"buses of hobby servos: {', '.join(hobby) or 'none'}"
+            )
+        wired[name].append(wiring)
+    return {
+        name: NewBus(kind, where.get(name), which.get(name), tuple(wired.get(name, ())))
+        for name, kind in kinds.items()
+    }
+
+
+def _by_bus(option: str, given: Sequence[str], known: Sequence[str] | None) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for each in given:
+        name, is_named, value = each.partition("=")
+        if not is_named or not value or not re.match(BUS_NAME, name):
+            raise UserError(f"{option} {shown(each)}: needs NAME=..., as in {option} lips=...")
+        if known is not None and name not in known:
+            raise UserError(
+                f"{option} {shown(each)}: buses that have one: {', '.join(known) or 'none'}"
+            )
+        if name in found:
+            raise UserError(f"{option}: {name} is given twice")
+        found[name] = value
+    return found
+
+
+def face_on_buses(name: str, texts: Mapping[str, str]) -> str:
+    """The YAML of one face of those of each bus, by the name of the bus."""
+    parts = {bus: yaml.safe_load(text) for bus, text in texts.items()}
+    servos = {
+        joint: {"bus": bus, **servo}
+        for bus, part in parts.items()
+        for joint, servo in part["servos"].items()
+    }
+    content = {
+        "name": name.encode(errors="replace").decode(),
+        "rate_hz": max(part["rate_hz"] for part in parts.values()),
+        "buses": {bus: part["bus"] for bus, part in parts.items()},
+        "servos": servos,
+    }
+    return _SEVERAL_HEAD + yaml.safe_dump(content, sort_keys=False)

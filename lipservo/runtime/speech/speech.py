@@ -277,6 +277,10 @@ class Speech:
         """The sound begins at monotonic `zero_s`."""
         self._clock.begin(zero_s)
 
+    def rest_before(self, wait_s: float) -> None:
+        """For so long before the first sound the mouth is shown at rest, too."""
+        self._n_published -= round(wait_s / PUBLISH_PERIOD_S)
+
     def sound_time_s(self, display_s: float) -> float:
         """The sound time whose face belongs to monotonic display time `display_s`."""
         return self._clock.sound_s(display_s) - self.delay.total_s

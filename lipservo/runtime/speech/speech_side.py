@@ -114,6 +114,10 @@ class OwnVoice:
             end_s = event.start_s if event.end_s is None else event.end_s
             self.playout.phonemes.append((event.phoneme, event.start_s, end_s))
 
+    def be_quiet(self) -> None:
+        """The servos come on: nothing is said until all of them follow."""
+        self.playout.be_quiet(self._quiet_s)
+
     def fall_silent(self) -> None:
         """The face is stopped: what was not heard never will be."""
         self.playout.requests.append(PlayoutRequest("interrupt"))
@@ -124,7 +128,7 @@ class OwnVoice:
         expression = self._speech.expression
         if expression is not None and expression.is_resting and not self.playout.is_over:
             expression.wake()
-            self.playout.be_quiet(self._quiet_s)
+            self.be_quiet()
 
     def _follow(self, now_s: float) -> None:
         """A device that stands still closes the mouth; its clock stands still with it."""
@@ -181,7 +185,7 @@ _MARGIN_S: Final = 0.3
 
 
 class SpeechSide:
-    """`begin` once, `advance` in each tick."""
+    """`start` or `begin` once, `advance` in each tick."""
 
     def __init__(
         self,
@@ -190,12 +194,18 @@ class SpeechSide:
         mouth: AdjustableMouth | None = None,
         rest: Array | None = None,
         board: SpeechBoard | None = None,
+        *,
+        quiet_s: float = 0.0,
+        is_live: bool = False,
     ) -> None:
         """mouth: takes what is set of it, and moves livelier with a voice that is excited.
 
         rest: the face (n_components,) of a mouth at rest, for while the face is stopped. board:
-        where it tells what it shows; None: nobody watches.
+        where it tells what it shows; None: nobody watches. quiet_s: servos follow so long after
+        they got torque. is_live: the sound does not wait for them.
         """
+        self._quiet_s, self._is_live = quiet_s, is_live
+        self._was_stopped = False
         self._rest = rest
         self.speech = speech
         self.voice = voice
@@ -208,6 +218,28 @@ class SpeechSide:
         self.speech.begin(zero_s)
         if self.voice is not None:
             self.voice.begin()
+
+    def start(self, now_s: float) -> float:
+        """The servos get torque at monotonic `now_s`; when the sound begins.
+
+        Nothing is said and no mouth moves until all of them follow: of servos that come on one
+        after another half a mouth would.
+        """
+        waits = self.voice is None and not self._is_live
+        zero_s = now_s + self._quiet_s if waits else now_s
+        self.begin(zero_s)
+        if waits:
+            self.speech.rest_before(self._quiet_s)
+        else:
+            self._await_servos(now_s)
+        return zero_s
+
+    def _await_servos(self, now_s: float) -> None:
+        if self.voice is not None:
+            self.voice.be_quiet()
+        elif self._rest is not None and self._quiet_s:
+            until_s = self.speech.sound_time_s(now_s) + self._quiet_s
+            self.speech.cut_off(now_s, self._rest, until_s)
 
     def advance(self, now_s: float) -> None:
         """Hear, play and publish all that is due at monotonic `now_s`."""
@@ -252,6 +284,9 @@ class SpeechSide:
             self.fall_silent()
             if self._rest is not None:
                 self.speech.cut_off(now_s, self._rest)
+        elif self._was_stopped:
+            self._await_servos(now_s)
+        self._was_stopped = is_stopped
 
 
 def mouth_plan(face: Face) -> JointPlan:
@@ -271,13 +306,13 @@ def make_speech_side(
     synthesizer: Synthesizer,
     channel: TargetChannel,
     *,
-    soft_start_s: float,
+    start_s: float,
     is_watchable: bool = True,
     board: LiveBoard | None = None,
 ) -> SpeechSide:
     """Everything between an entered source and the targets of a face's servos.
 
-    soft_start_s: the servos are slow for so long, and nothing is said until they are not.
+    start_s: the servos come on for so long, and nothing is said until they follow.
     is_watchable: somebody may look on whose twin has eyes; where nobody can, a face that is only a
     mouth has no expression.
     """
@@ -290,12 +325,14 @@ def make_speech_side(
     offset_mm = face.settings.motion.lip_gap_offset_mm or 0.0
     lip_gap = LipGapOffset(face.model, offset_mm, PUBLISH_PERIOD_S)
     watched = None if board is None else SpeechBoard(board, rest)
+    quiet_s = start_s + _MARGIN_S if start_s else 0.0
     if not isinstance(source, Playout):
         heard = RecognizedPhonemes(source, recognizer, voice)
         options = SpeechOptions(expression=expression, lip_gap=lip_gap, plan=mouth_plan(face))
         clock = clock_for(source)
         speech = Speech(heard, clock, synthesizer, face.calibration, names, channel, options)
-        return SpeechSide(speech, None, mouth, rest, watched)
+        is_live = source.is_live
+        return SpeechSide(speech, None, mouth, rest, watched, quiet_s=quiet_s, is_live=is_live)
     from lipservo.runtime.speech.performed_line import performed_in
     from lipsync.offline.performed_motion import PerformedMotion
 
@@ -304,6 +341,5 @@ def make_speech_side(
     motion = PerformedMotion(synthesizer, performed_in(source), lip_gap_of(face.model))
     options = SpeechOptions(source.latency_s, expression, lip_gap, mouth_plan(face))
     speech = Speech(spoken, played, motion, face.calibration, names, channel, options)
-    quiet_s = soft_start_s + _MARGIN_S if soft_start_s else 0.0
     own = OwnVoice(source, played, speech, rest, quiet_s=quiet_s)
-    return SpeechSide(speech, own, mouth, rest, watched)
+    return SpeechSide(speech, own, mouth, rest, watched, quiet_s=quiet_s)

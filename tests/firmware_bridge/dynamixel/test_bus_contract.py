@@ -17,10 +17,10 @@ from firmware_bridge.dynamixel.mounting import mounted_servos
 from firmware_bridge.dynamixel.wire.codec import SpanRead
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.sdk_line import SdkLine, SdkTransport
-from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.errors import PortError, PortGone
 from firmware_bridge.maestro.kind import MAESTRO
 from firmware_bridge.maestro.simulator import simulated_wire as simulated_maestro
+from firmware_bridge.serial_servos.serial_transport import open_port
 from firmware_bridge.several_buses import SeveralBuses
 from firmware_bridge.simulator.bus import SimulatedBus
 from firmware_bridge.simulator.chain import chain_for

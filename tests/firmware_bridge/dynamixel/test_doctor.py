@@ -11,8 +11,9 @@ from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.bus import cycle_s, slow_adapter
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.doctor import Severity, examine
-from firmware_bridge.dynamixel.provisioning import UNHURRIED_S, shares_id
+from firmware_bridge.dynamixel.provisioning import shares_id
 from firmware_bridge.dynamixel.wire.line import Line
+from firmware_bridge.serial_servos.provisioning import UNHURRIED_S
 from firmware_bridge.simulator.chain import SimulatedChain
 from firmware_bridge.simulator.ports import MemoryTransport
 

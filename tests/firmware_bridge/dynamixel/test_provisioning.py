@@ -11,9 +11,6 @@ from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.doctor import Severity, examine
 from firmware_bridge.dynamixel.mounting import read_identities
 from firmware_bridge.dynamixel.provisioning import (
-    UNHURRIED_S,
-    Difference,
-    differences,
     read_settings,
     scan,
     set_up,
@@ -21,6 +18,7 @@ from firmware_bridge.dynamixel.provisioning import (
 )
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.errors import ServoError
+from firmware_bridge.serial_servos.provisioning import UNHURRIED_S, Difference, differences
 from firmware_bridge.simulator.chain import SimulatedChain
 from firmware_bridge.simulator.ports import MemoryTransport
 

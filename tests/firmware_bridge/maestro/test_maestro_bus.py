@@ -319,6 +319,24 @@ def test_a_maestro_that_does_not_hear_is_never_said_to_be_let_go():
         MaestroRelease(face.opener(), "port", face.wiring.settings, knows=True).tell_all([0])
 
 
+def test_of_a_maestro_that_hangs_no_servo_is_said_to_have_no_pulses():
+    face = put_together()
+    with face.bus:
+        face.bridge.start()
+        drive(face, 3.0)
+        face.maestro.deaf = True
+        face.bridge.stop(StopLevel.LIMP)
+        drive(face, 3.0)
+        report = face.bridge.stop_report()
+        assert (report.released, report.complete) == ((), False)
+        assert set(report.unconfirmed.values()) == {"does not answer"}
+        assert report.text().startswith(f"{N} servos may still be driven:\n  ")
+        assert "confirmed" not in report.text()
+        face.maestro.deaf = False
+        assert face.bus.disable_all().all()
+    assert last_us(face) == [0.0] * N
+
+
 def test_the_doctor_says_what_happens_when_the_computer_dies(monkeypatch):
     for timeout_s, really_s, said in (
         (0.0, 0.0, "when the computer dies the servos are held"),

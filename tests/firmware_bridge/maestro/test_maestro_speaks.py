@@ -7,7 +7,7 @@ from speech import CLIP_LABELS_PATH
 
 from firmware_bridge.clock import ManualClock, ticks
 from firmware_bridge.feetech.bus import FeetechBus
-from firmware_bridge.feetech.mounting import Mounting, mounted_servos
+from firmware_bridge.feetech.mounting import mounted_servos
 from firmware_bridge.feetech.simulator import chain_for
 from firmware_bridge.maestro.controller import MaestroController
 from firmware_bridge.maestro.kind import BAUD_RATE, CAPABILITIES
@@ -17,6 +17,7 @@ from firmware_bridge.pca9685.kind import PCA9685, controller_of
 from firmware_bridge.pca9685.simulator import MemoryTransfers, chip_for
 from firmware_bridge.pulse_bus import PulseBus
 from firmware_bridge.pulse_servos import PulseScale
+from firmware_bridge.serial_servos.mounting import Mounting
 from firmware_bridge.simulator.ports import MemoryTransport
 from lipservo.runtime.servos.assembly import assemble_face, simulated_wire
 from lipsync.recognition.scripted import read_phonemes
@@ -55,7 +56,7 @@ def on_feetech(face):
     servos, rate = mounted_servos(wiring), wiring.settings.baud_rate
     chain, mounting = chain_for(servos, rate), Mounting(servos)
     bus = FeetechBus(servos, lambda: MemoryTransport(chain, clock, rate))
-    return bus, clock, lambda: mounting.one_deg(0, chain.servos[0].place)
+    return bus, clock, lambda: mounting.joint_deg(np.array([chain.servos[0].place]))[0]
 
 
 def closures(name, make):

@@ -17,8 +17,8 @@ from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.wire import codec
 from firmware_bridge.dynamixel.wire.codec import FrameParser
 from firmware_bridge.dynamixel.wire.line import Line
-from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.errors import PortError
+from firmware_bridge.serial_servos.serial_transport import open_port
 from firmware_bridge.simulator.chain import SimulatedChain
 from firmware_bridge.simulator.ports import PtyHost
 from lipservo.commands.build.sim_bus import sim_bus

@@ -10,8 +10,8 @@ import serial
 
 from firmware_bridge.dynamixel.wire import codec
 from firmware_bridge.dynamixel.wire.codec import FrameParser
-from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.errors import PortError
+from firmware_bridge.serial_servos.serial_transport import open_port
 from lipservo.runtime.servos.sim_process import simulated_port
 
 BAUD_RATE = 1_000_000
@@ -111,7 +111,7 @@ def test_a_port_without_permission_is_answered_with_the_command_that_helps(tmp_p
     script = (
         "import os, sys\n"
         "from firmware_bridge.errors import PortError\n"
-        "from firmware_bridge.dynamixel.wire.serial_transport import open_port\n"
+        "from firmware_bridge.serial_servos.serial_transport import open_port\n"
         "try:\n"
         "    open_port(sys.argv[1], 1_000_000)\n"
         "except PortError as error:\n"

@@ -5,10 +5,14 @@ import struct
 import numpy as np
 import pytest
 from dynamixel_chain import BAUD_RATE, mounted
-from lipservo_lab.campaigns.auditor import Auditor
+from lipservo_lab.campaigns.auditor import Auditor, FeetechWire
+from lipservo_lab.campaigns.chain_trials import face
 
 from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.dynamixel.wire.codec import Instruction, packet
+from firmware_bridge.feetech import codec
+from firmware_bridge.feetech.control_table import servo_models
+from firmware_bridge.feetech.simulator import chain_for as chain_for_feetechs
 from firmware_bridge.simulator.chain import chain_for
 from firmware_bridge.stopping import StopLevel
 
@@ -105,3 +109,24 @@ def test_torque_without_a_watchdog_or_after_a_stop_is_counted(audited):
     audited.write("torque_enable", 1)
 
     assert (audited.auditor.armed_wrongly, audited.auditor.armed_late) == (1, 1)
+
+
+@pytest.mark.parametrize(
+    ("packet_of", "count"),
+    [
+        (lambda: codec.sync_write(42, 2, [(1, (3000).to_bytes(2, "little"))]), "goals_outside"),
+        (lambda: codec.sync_write(42, 2, [(1, (2250).to_bytes(2, "little"))]), "steps_too_long"),
+        (lambda: codec.write(1, 42, (2100).to_bytes(2, "little")), "goals_outside"),
+        (lambda: codec.torque((1,), on=True), "armed_wrongly"),
+    ],
+)
+def test_what_a_feetech_servo_must_not_be_told_is_counted(packet_of, count):
+    """It stands at 2048, may go to 2503, by 114 a period, and has no bound of its speed yet."""
+    servos = face(1, servo_models()["STS3215"])
+    auditor = Auditor(servos, PERIOD_S, FeetechWire())
+    auditor.watch(chain_for_feetechs(servos, BAUD_RATE))
+    auditor.see(0.0, codec.sync_write(42, 2, [(1, (2048).to_bytes(2, "little"))]))
+    assert not auditor.goals_outside + auditor.steps_too_long + auditor.armed_wrongly
+    auditor.see(0.1, packet_of())
+
+    assert getattr(auditor, count) == 1

@@ -6,39 +6,66 @@ import sys
 
 import pytest
 from lipservo_lab.campaigns.endurance import MUST_NOT, Endurance
-from lipservo_lab.campaigns.fault_campaign import Case, cases, play
+from lipservo_lab.campaigns.fault_campaign import CAMPAIGN_BUSES, Case, cases, play, trials_of
 
-from firmware_bridge.simulator.faults import KINDS
 from firmware_bridge.stopping import StopLevel
 
+HOBBY = ("maestro", "pca9685")
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["drop_reply", "unplug", "overload", "reboot", "encoder_fault"])
-def test_a_fault_is_survived_without_a_wrong_goal(kind):
-    outcome = play(Case(kind, 1, 5, 30.0))
+
+@pytest.mark.parametrize(
+    ("bus", "kind"), [(bus, kind) for bus in HOBBY for kind in trials_of(bus).kinds]
+)
+def test_a_fault_is_survived_without_a_wrong_pulse_or_an_untrue_word(bus, kind):
+    outcome = play(Case(bus, kind, 1, 5, 50.0))
+
+    assert outcome.survived, outcome
+
+
+@pytest.mark.parametrize("bus", HOBBY)
+@pytest.mark.parametrize("stop", [StopLevel.SOFT, StopLevel.FREEZE])
+def test_a_servo_whose_turn_comes_after_a_stop_gets_no_pulse(bus, stop):
+    """Sixteen come on one after another when a person stops the face."""
+    outcome = play(Case(bus, "brown-out", 0, 16, 50.0, True, stop))
 
     assert outcome.survived, outcome
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_kind_of_fault_is_survived(kind):
-    for case in cases():
+@pytest.mark.parametrize("kind", ["drop_reply", "unplug", "overload", "reboot", "encoder_fault"])
+def test_a_fault_is_survived_without_a_wrong_goal(kind):
+    outcome = play(Case("dynamixel", kind, 1, 5, 30.0))
+
+    assert outcome.survived, outcome
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("bus", "kind"),
+    [(bus, kind) for bus in ("dynamixel", "feetech") for kind in trials_of(bus).kinds],
+)
+def test_every_kind_of_fault_is_survived(bus, kind):
+    for case in cases(bus):
         if case.kind == kind and (case.n_servos, case.rate_hz) == (5, 30.0):
-            assert play(case).survived, case
+            outcome = play(case)
+            assert outcome.survived, outcome
 
 
 @pytest.mark.slow
 def test_a_servo_that_was_not_heard_when_the_face_froze_stands_as_soon_as_it_is():
     """It had come back a moment before: slow, and half a second away from its goal."""
-    outcome = play(Case("late_reply", 2, 20, 100.0, True, StopLevel.FREEZE))
+    outcome = play(Case("dynamixel", "late_reply", 2, 20, 100.0, True, StopLevel.FREEZE))
 
-    assert outcome.moved_frozen == 0
+    assert outcome.counts["moved_frozen"] == 0
 
 
-def test_the_campaign_is_as_large_as_promised():
-    assert len(KINDS) >= 25
-    assert len(list(cases())) == len(KINDS) * 3 * 3 * 2
+@pytest.mark.parametrize("bus", CAMPAIGN_BUSES)
+def test_the_campaign_has_every_fault_of_its_simulator(bus):
+    kinds = trials_of(bus).kinds
+
+    assert {case.kind for case in cases(bus)} == set(kinds)
+    assert len(list(cases(bus))) == len(kinds) * 3 * 3 * 2
+    assert len(kinds) >= {"dynamixel": 25}.get(bus, 5)
 
 
 ENDURE = """

@@ -53,14 +53,23 @@ def jaws_of_osc(packets):
     return [m.params[1] for m in messages if m.params[0] == "jawOpen"]
 
 
+def named_in_yaml(folder, key, target):
+    """What is typed for a face whose YAML names an avatar."""
+    shipped = resources.files("lipservo.config") / "face_sim.yaml"
+    face = folder / "face.yaml"
+    face.write_text(f"{shipped.read_text()}\navatars: {{{key}: '{target}'}}\n")
+    return ["--config", str(face)]
+
+
 @pytest.mark.parametrize(
-    ("option", "jaws_of"), [("--osc", jaws_of_osc), ("--live-link", jaws_of_live_link)]
+    ("key", "jaws_of"), [("osc", jaws_of_osc), ("live_link", jaws_of_live_link)]
 )
 def test_an_avatar_speaks_with_the_robot_and_closes_its_mouth_at_the_end(
-    receiver, phrase, option, jaws_of
+    receiver, phrase, key, jaws_of, tmp_path
 ):
     at = "{}:{}".format(*receiver.getsockname())
-    done = CliRunner().invoke(app, ["run", "--wav", str(phrase), option, at, "--json"])
+    given = ["--osc", at] if key == "osc" else named_in_yaml(tmp_path, key, at)
+    done = CliRunner().invoke(app, ["run", "--wav", str(phrase), *given, "--json"])
 
     assert done.exit_code == 0, done.output
     jaws = jaws_of(waiting(receiver))
@@ -105,12 +114,8 @@ def test_a_bad_address_is_refused_in_one_line_before_a_servo_is_spoken_to(
 ):
     own_folder(monkeypatch)
     given = [option, target]
-    if command[0] == "daemon":
-        shipped = resources.files("lipservo.config") / "face_sim.yaml"
-        face = tmp_path / "face.yaml"
-        key = option[2:].replace("-", "_")
-        face.write_text(f"{shipped.read_text()}\navatars: {{{key}: '{target}'}}\n")
-        given = ["--config", str(face)]
+    if command[0] == "daemon" or (command[0], option) == ("run", "--live-link"):
+        given = named_in_yaml(tmp_path, option[2:].replace("-", "_"), target)
     done = CliRunner().invoke(app, [*command, *given])
 
     assert isinstance(done.exception, AvatarError), done.exception

@@ -9,7 +9,7 @@ import pytest
 import soundfile
 
 from firmware_bridge.dynamixel.wire.line import Line
-from firmware_bridge.dynamixel.wire.serial_transport import open_port
+from firmware_bridge.serial_servos.serial_transport import open_port
 from lipservo.runtime.servos.sim_process import simulated_port
 from lipservo.settings.settings import load_face
 
@@ -135,6 +135,40 @@ def test_new_face_writes_a_yaml_that_loads(tmp_path):
         ("jaw", 1, "opens", 1),
         ("brow", 2, "raises", -1),
     ]
+
+
+@pytest.mark.parametrize("model", ["STS3215", "SCS0009"])
+def test_new_face_finds_feetech_servos_and_moves_each(tmp_path, model):
+    path = tmp_path / "mine.yaml"
+    how = ("new-face", "-o", path, "--bus", "feetech", "--port")
+    with simulated_port(["--kind", "feetech", "--servos", "2", "--model", model]) as port:
+        done = lipservo(*how, port, input="jaw\nopens\ny\nbrow\nraises\nn\n")
+        assert done.returncode == 0, done.stderr
+        as_dynamixel = lipservo("new-face", "-o", tmp_path / "other.yaml", "--port", port)
+    face = load_face(path)
+
+    assert face.bus.kind == "feetech"
+    assert [(name, s.id, s.model, s.sign) for name, s in face.servos.items()] == [
+        ("jaw", 1, model, 1),
+        ("brow", 2, model, -1),
+    ]
+    assert as_dynamixel.returncode == 1
+    assert "say so: --bus feetech" in as_dynamixel.stderr
+
+
+def test_new_face_on_two_buses_finds_one_and_asks_for_the_other(tmp_path):
+    path = tmp_path / "mine.yaml"
+    with simulated_port(["--servos", "1", "--baud-rate", "1000000"]) as port:
+        buses = ("--bus", "lips=maestro", "--bus", "neck=dynamixel", "--port", f"neck={port}")
+        answers = "mini12\njaw=0:opens\n\njaw\nneck_yaw\nturns left\ny\n"
+        done = lipservo("new-face", "-o", path, *buses, input=answers)
+    assert done.returncode == 0, done.stderr
+    assert "jaw is another servo of this face already" in done.stderr
+    face = load_face(path)
+
+    assert face.bus_of == ("lips", "neck")
+    assert (face.servos["jaw"].channel, face.servos["neck_yaw"].id) == (0, 1)
+    assert "Next: neutral and limits" in done.stdout
 
 
 def test_new_face_says_so_when_its_answers_end_early(tmp_path):

@@ -7,6 +7,7 @@ from in_process import lipservo
 
 from firmware_bridge.bus_kinds import bus_kind
 from lipservo.runtime.servos.new_face import WiredJoint, check_wiring, pulse_face_yaml
+from lipservo.runtime.servos.sim_process import simulated_port
 from lipservo.settings.settings import load_face
 from lipsync.errors import UserError
 
@@ -64,6 +65,52 @@ def test_bad_input_is_one_line_and_no_file(tmp_path, arguments, words):
     assert done.returncode == 1
     assert words in done.stderr
     assert len(done.stderr.splitlines()) == 1
+    assert not path.exists()
+
+
+TWO = ("--bus", "lips=maestro", "--bus", "eyes=pca9685", "--yes")
+
+
+def test_a_face_on_two_buses_is_written_and_can_be_moved(tmp_path):
+    path = tmp_path / "mine.yaml"
+    wired = ("--channel", "lips/jaw=0:opens", "--channel", "eyes/lids=3:opens")
+    where = ("--port", "lips=/dev/ttyACM0", "--board", "lips=mini12")
+    done = lipservo("new-face", "-o", path, *TWO, *where, *wired)
+
+    assert done.returncode == 0, done.stderr
+    face = load_face(path)
+    assert [(name, bus.kind, bus.port) for name, bus in face.buses.items()] == [
+        ("lips", "maestro", "/dev/ttyACM0"), ("eyes", "pca9685", None),
+    ]  # fmt: skip
+    assert face.buses["lips"].model == "mini12"
+    assert face.bus_of == ("lips", "eyes")
+    assert (face.servos["lids"].channel, face.servos["lids"].min_us) == (3, 1400.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--bus", "maestro", "--bus", "pca9685"), "--bus is given 2 times; a face with several"),
+        ((*TWO, "--bus", "lips=maestro"), "--bus: lips is given twice"),
+        ((*TWO, "--bus", "maestro"), "--bus 'maestro': needs NAME=..."),
+        ((*TWO, "--port", "/dev/ttyACM0"), "--port '/dev/ttyACM0': needs NAME=..."),
+        ((*TWO, "--board", "neck=nano"), "buses that have one: lips, eyes"),
+        ((*TWO, *JAW), "'jaw=0:opens': say on which bus: lips/jaw=0:opens"),
+        ((*TWO, "--channel", "neck/jaw=0:opens"), "buses of hobby servos: lips, eyes"),
+        ((*TWO, "--channel", "lips/jaw=0:opens"), "which servos: give --channel"),
+        (
+            (*TWO, "--channel", "lips/jaw=0:opens", "--channel", "eyes/jaw=0:opens"),
+            "jaw is another servo of this face already",
+        ),
+        (("--bus", "lips=maestro", "--bus", "neck=dynamixel", "--yes", *JAW), "no port: give"),
+    ],
+)
+def test_bad_input_for_two_buses_is_an_error_and_no_file(tmp_path, arguments, words):
+    path = tmp_path / "mine.yaml"
+    done = lipservo("new-face", "-o", path, *arguments)
+
+    assert done.returncode == 1
+    assert words in done.stderr.splitlines()[-1]
     assert not path.exists()
 
 
@@ -154,6 +201,27 @@ def test_lags_of_servos_without_an_encoder_are_typed(tmp_path, typed, words):
     else:
         assert load_calibration(path).following.lag_s.tolist() == [0.0725]
         assert "72 ms late" in done.stdout
+
+
+def test_the_doctor_says_which_lags_no_servo_confirms_and_which_are_not_known(tmp_path):
+    from importlib import resources
+
+    files = resources.files("lipservo.config")
+    shipped = (files / "face_jaw.calibration.yaml").read_text()
+    (tmp_path / "face_jaw.calibration.yaml").write_text(shipped)
+    path = tmp_path / "jaw.yaml"
+    path.write_text((files / "face_jaw_maestro.yaml").read_text())
+
+    def said():
+        with simulated_port(["--config", str(path)]) as port:
+            return lipservo("doctor", "--config", path, "--port", port).stdout
+
+    assert "late by the calibration, which these servos cannot confirm: jaw" in said()
+    without = tmp_path / "face_jaw.calibration.yaml"
+    without.unlink()
+    assert lipservo("calibrate", "fit", "--config", path, "-o", without).returncode == 0
+    assert "how late these servos are is not known, and lips are late by as much: jaw" in said()
+    assert "lipservo calibrate lags FILE --lag-ms jaw=60" in said()
 
 
 def test_a_board_that_is_no_word_is_refused():

@@ -33,7 +33,7 @@ class Bench:
         self.seed, self.disturbances = seed, disturbances
         self.before_write = lambda *_: None
         monkeypatch.setattr(
-            "firmware_bridge.dynamixel.provisioning.open_port", lambda *_: self.open()
+            "firmware_bridge.serial_servos.provisioning.open_port", lambda *_: self.open()
         )
 
     def open(self):

@@ -14,10 +14,10 @@ from places import short_folder
 from typer.testing import CliRunner
 
 from firmware_bridge.dynamixel.wire.line import Line
-from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.port_holders import holders_of
 from firmware_bridge.process.runtime_folder import runtime_folder, searched_folders
+from firmware_bridge.serial_servos.serial_transport import open_port
 from firmware_bridge.stopping import StopLevel
 from lipservo.cli import app
 from lipservo.runtime.servos.sim_process import simulated_port
@@ -228,7 +228,7 @@ sys.stdin.read()
 """
 HOLDER = """
 import sys, time
-from firmware_bridge.dynamixel.wire.serial_transport import open_port
+from firmware_bridge.serial_servos.serial_transport import open_port
 from firmware_bridge.dynamixel.wire.line import Line
 transport = open_port(sys.argv[1], 2_000_000)
 Line(transport).write(7, 64, b"\\1")

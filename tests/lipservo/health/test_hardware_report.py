@@ -122,7 +122,6 @@ def test_of_nothing_there_is_no_spread():
         (("--report", "no/x.json", "--port", "x", "--yes"), "there is no folder no"),
         (("--report", "x.json", "--port", "x", "--move", "tongue"), "no joint 'tongue'"),
         (("--move", "jaw", "--port", "x"), "--move and --yes go with --report"),
-        (("--report", "x.json", "--port", "/dev/ttyUSB77", "--yes"), "ttyUSB77"),
     ],
 )
 def test_what_it_refuses_is_one_line_and_nothing_is_written(
@@ -135,6 +134,26 @@ def test_what_it_refuses_is_one_line_and_nothing_is_written(
     assert done.returncode in (1, 2)
     assert words in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("face", ["face_sim", "face_jaw_maestro", "face_head_mixed"])
+def test_a_port_that_is_dead_is_in_the_report(tmp_path, face):
+    """Of a face with several buses each is examined, the dead and the others."""
+    port = "lips=/dev/ttyUSB77" if face == "face_head_mixed" else "/dev/ttyUSB77"
+    file = tmp_path / "report.json"
+    how = ("--report", file, "--config", face, "--yes", "--seconds", "1")
+    done = lipservo("doctor", *how, "--port", port)
+    found = json.loads(file.read_text())
+
+    assert done.returncode == 1
+    assert "ttyUSB77" in done.stderr
+    bad = [each["what"] for each in found["findings"] if each["severity"] == "bad"]
+    assert any("no such port" in what for what in bad), found["findings"]
+    assert "no such port" in found["limp_loop"]["error"]
+    assert found["steps"] is None
+    text = file.read_text()
+    assert "ttyUSB77" not in text
+    assert '"lips"' not in text or face != "face_head_mixed"
 
 
 @pytest.mark.slow

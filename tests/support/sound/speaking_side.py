@@ -40,7 +40,7 @@ class SpeakingSide:
             recognizer or Deaf(),
             synthesizer,
             self._channel,
-            soft_start_s=0.0,
+            start_s=0.0,
         )
         self.delay = self.side.speech.delay
 

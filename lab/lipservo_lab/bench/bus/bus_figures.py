@@ -23,13 +23,13 @@ from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.wire import codec
 from firmware_bridge.dynamixel.wire.codec import CommonFrame, GoalWrite, SpanRead, Status
 from firmware_bridge.dynamixel.wire.line import Line
-from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.dynamixel.wire.span_group import SpanGroup
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.process.operating_system import on_time
+from firmware_bridge.serial_servos.serial_transport import open_port
 from firmware_bridge.transport import Transport
 from lipservo.runtime.servos.sim_process import simulated_port
 from lipservo_lab.bench.bus.host_witness import HostWitness

@@ -15,7 +15,6 @@ import smbus2
 
 from firmware_bridge.bus_kinds import Wiring
 from firmware_bridge.clock import ManualClock
-from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
@@ -30,6 +29,7 @@ from firmware_bridge.pca9685.registers import FULL, IDENTITY, Mode1, Register
 from firmware_bridge.pca9685.settings import Pca9685Settings
 from firmware_bridge.pulse_bus import PulseBus, PulseController
 from firmware_bridge.pulse_servos import PulseServo
+from firmware_bridge.serial_servos.serial_transport import open_port
 
 N_SERVOS: Final = 16
 _RATE_HZ: Final = 50.0
@@ -65,7 +65,7 @@ def pulse_tick_ratios() -> dict[str, float]:
             calls[f"{name} limited"] = _loop(by_hand, limits_speed=True)
         for name, controller in (("maestro", _maestro(stack)), ("pca9685", _pca9685())):
             calls[f"{name} whole"] = stack.enter_context(_whole_tick(*controller))
-        spent_us = _calls_us(calls)
+        spent_us = calls_us(calls)
     middle = {name: statistics.median(each) for name, each in spent_us.items()}
     figures: dict[str, float] = {}
     for name in ("maestro", "pca9685"):
@@ -80,7 +80,7 @@ def pulse_tick_ratios() -> dict[str, float]:
     return figures
 
 
-def _calls_us(calls: Mapping[str, Call]) -> dict[str, list[float]]:
+def calls_us(calls: Mapping[str, Call]) -> dict[str, list[float]]:
     """CPU time of every call, by name, in microseconds."""
     spent_us: dict[str, list[float]] = {name: [] for name in calls}
     for block in range(_WARM_UP_BLOCKS + _BLOCKS):
@@ -93,13 +93,14 @@ def _calls_us(calls: Mapping[str, Call]) -> dict[str, list[float]]:
     return spent_us
 
 
-def _timed(work: Callable[[Any], object], argument: object) -> int:
+def timed(work: Callable[[Any], object], argument: object) -> int:
+    """Thread CPU time of one call, in nanoseconds."""
     begun_ns = time.thread_time_ns()
     work(argument)
     return time.thread_time_ns() - begun_ns
 
 
-def _moving_deg(n: int) -> np.ndarray:
+def moving_deg(n: int) -> np.ndarray:
     """Where the joints are wanted in call n: 4 degrees to and fro at 2 Hz, (n_servos,)."""
     phase = 0.3 * np.arange(N_SERVOS)
     return np.asarray(4.0 * np.sin(2.0 * np.pi * 2.0 * n / _RATE_HZ + phase))
@@ -157,7 +158,7 @@ def _bus_tick(
 
         def tick(n: int) -> int:
             clock.advance(1.0 / _RATE_HZ)
-            return _timed(work, _moving_deg(n))
+            return timed(work, moving_deg(n))
 
         for n in range(_SETTLES_TICKS):
             tick(n)
@@ -177,8 +178,8 @@ def _whole_tick(
 
         def tick(n: int) -> int:
             clock.advance(1.0 / _RATE_HZ)
-            channel.publish(ServoTargets(clock.now(), _moving_deg(n)))
-            return _timed(bridge.tick, clock.now())
+            channel.publish(ServoTargets(clock.now(), moving_deg(n)))
+            return timed(bridge.tick, clock.now())
 
         for n in range(_SETTLES_TICKS):
             tick(n)
@@ -206,7 +207,7 @@ def _loop(send: Callable[[list[float]], None], *, limits_speed: bool) -> Call:
         send(sent_us)
 
     done = limited_work if limits_speed else work
-    return lambda n: _timed(done, _moving_deg(n).tolist())
+    return lambda n: timed(done, moving_deg(n).tolist())
 
 
 def _maestro_by_hand(stack: ExitStack) -> Callable[[list[float]], None]:

@@ -13,11 +13,11 @@ from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.mounting import MountedServo
-from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
+from firmware_bridge.serial_servos.serial_transport import open_port
 from firmware_bridge.transport import Transport
 from lipservo_lab.bench.bus.servo_clients import (
     BAUD_RATE,

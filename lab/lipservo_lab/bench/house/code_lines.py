@@ -84,12 +84,14 @@ def code_lines(source: str) -> int:
 
 
 def sources(root: Path, folder: str) -> Iterator[Path]:
-    """Yield every Python file of ours in a folder; tests and built copies are none."""
+    """Yield every Python file of ours in a folder; tests and built copies are none.
+
+    Copies are built beside a pyproject.toml: a folder `build` further down is ours.
+    """
     for path in sorted((root / folder).rglob("*.py")):
         inside = path.relative_to(root / folder).parts[:-1]
-        if not {"tests", "build", "node_modules"} & set(inside) and not any(
-            part.startswith(".") for part in inside
-        ):
+        is_ours = inside[:1] != ("build",) and not {"tests", "node_modules"} & set(inside)
+        if is_ours and not any(part.startswith(".") for part in inside):
             yield path
 
 

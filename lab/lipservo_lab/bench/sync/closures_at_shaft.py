@@ -4,6 +4,7 @@ The clip of `make run` goes through recogniser, synthesiser, calibration, plan a
 simulated to the byte. What counts is where their shafts stand, not what they were sent.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -11,17 +12,22 @@ from typing import Final
 
 import numpy as np
 
+from calibration.simulated.practice_robot import markers_of_face
 from firmware_bridge.clock import ManualClock, ticks
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.joints import Joint
+from firmware_bridge.several_buses import SeveralBuses
 from firmware_bridge.simulator.chain import chain_for
 from firmware_bridge.simulator.ports import MemoryTransport, WatchedServos
+from lipservo.calibrating.calibration_setup import CalibrationSetup
 from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
 from lipservo.runtime.servos.assembly import Face, assemble_face, simulated_wire
 from lipservo.runtime.street import make_street
+from lipservo.settings.settings import FaceSettings
 from lipservo_lab.evaluation.recognition.heard_motion import recognize_file
+from lipsync.animpho.units import load_face_with_animphos
 from lipsync.arrays import Array
 from lipsync.audio.file import FileSource
 from lipsync.errors import UserError
@@ -32,12 +38,15 @@ from lipsync.recognition.recognizers import make_recognizer
 _BILABIALS: Final = ("P", "B", "M")
 #: A closure counts from so long before its phoneme until so long after it.
 _AROUND_S: Final = 0.06
-#: So near to the angles of closed lips a joint has closed them: a jaw of 80 mm moves 1.4 mm.
-_MET_DEG: Final = 1.0
+#: Lips that come so near to where the angles of closed lips would bring them are closed.
+_MET_MM: Final = 0.5
 _AFTER_S: Final = 0.5
 #: Until the last of staggered servos has come on and has caught up.
 _COMES_ON_S: Final = 0.5
 _BAUD_RATE: Final = 1_000_000
+#: Threads of several buses are waited for, however busy the computer is: so many ticks a second
+#: would be as slow as that.
+_PATIENT_HZ: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,14 +65,14 @@ class Shown:
 def closures_at_shaft(name: str) -> dict[str, float]:
     """Closures of the clip that the shafts of a face meet, and the same face on Dynamixels.
 
-    A closure is met where every joint of the mouth comes within a degree of its angle for the face
-    whose lips are nearest, during the phoneme or 60 ms beside it.
+    A closure is met where the lips come within half a millimetre of the gap that the angles leave
+    for the face whose lips are nearest, during the phoneme or 60 ms beside it.
     """
     face = assemble_face(name, None)
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         events = recognize_file(make_recognizer(), clip).events
         closures = [each for each in events if each.phoneme in _BILABIALS]
-        met = _n_met(face, _shown(face, _own_servos(face), clip), closures)
+        met = _n_met(face, _shown(face, _own_servos(face.settings), clip), closures)
         on_dynamixel = _n_met(face, _shown(face, _dynamixels(face), clip), closures)
     return {
         "closures": len(closures),
@@ -73,16 +82,48 @@ def closures_at_shaft(name: str) -> dict[str, float]:
     }
 
 
-def _own_servos(face: Face) -> WatchedServos:
-    """Those of the face's YAML."""
-    watch = getattr(face.settings.bus_kind.simulator(), "watched_servos", None)
+class _ClockOfAll(ManualClock):
+    """A clock that takes those of several buses along."""
+
+    def __init__(self, clocks: Sequence[ManualClock]) -> None:
+        super().__init__()
+        self._clocks = tuple(clocks)
+
+    def sleep_until(self, time_s: float) -> None:
+        """All are there; a bus that spoke for longer stays."""
+        super().sleep_until(time_s)
+        for clock in self._clocks:
+            clock.sleep_until(time_s)
+
+
+def _own_servos(settings: FaceSettings) -> WatchedServos:
+    """Those of the face's YAML, on all of its buses."""
+    if settings.buses:
+        return _on_several_buses(settings)
+    watch = getattr(settings.bus_kind.simulator(), "watched_servos", None)
     if watch is not None:
-        watched: WatchedServos = watch(face.settings.wiring)
+        watched: WatchedServos = watch(settings.wiring)
         return watched
-    bus, clock = simulated_wire(face.settings)
+    bus, clock = simulated_wire(settings)
     if not bus.capabilities.place:
-        raise UserError(f"{face.settings.name}: where the shafts of its simulator stand is unknown")
+        raise UserError(f"{settings.name}: where the shafts of its simulator stand is unknown")
     return WatchedServos(bus, clock, None, lambda: bus.feedback().positions_deg, lambda: True)
+
+
+def _on_several_buses(settings: FaceSettings) -> WatchedServos:
+    parts = {name: _own_servos(alone) for name, alone in settings.alone.items()}
+    clock = _ClockOfAll([part.clock for part in parts.values()])
+    buses = {name: part.bus for name, part in parts.items()}
+    bus = SeveralBuses(buses, settings.bus_of, clock, _PATIENT_HZ)
+    at = {name: np.flatnonzero(np.array(settings.bus_of) == name) for name in parts}
+
+    def shafts_deg() -> Array:
+        found_deg = np.full(len(settings.servos), np.nan)
+        for name, part in parts.items():
+            found_deg[at[name]] = part.shafts_deg()
+        return found_deg
+
+    return WatchedServos(bus, clock, None, shafts_deg, lambda: True)
 
 
 def _dynamixels(face: Face) -> WatchedServos:
@@ -119,10 +160,17 @@ def _shown(face: Face, servos: WatchedServos, clip: Path) -> Shown:
     return Shown(np.array(sound_s), np.array(faces), np.array(shafts_deg))
 
 
-def _n_met(face: Face, shown: Shown, closures: list[PhonemeEvent]) -> int:
-    markers_mm = face.model.markers_mm(shown.faces)
+def _gap_mm(markers_mm: Array) -> Array:
+    """(n, 47, 3) -> (n,): between the inner lips."""
     upper, lower = markers_mm[:, MARKERS_47.upper_lip], markers_mm[:, MARKERS_47.lower_lip]
-    gap_mm = upper[:, 1] - lower[:, 1]
+    return np.asarray(upper[:, 1] - lower[:, 1])
+
+
+def _n_met(face: Face, shown: Shown, closures: list[PhonemeEvent]) -> int:
+    servos = CalibrationSetup(face.settings, load_face_with_animphos(), quiet=True).servos
+    markers_of = markers_of_face(face.model.markers_mm(face.model.rest[None])[0], servos)
+    gap_mm = _gap_mm(face.model.markers_mm(shown.faces))
+    shown_mm = _gap_mm(markers_of(shown.shafts_deg))
     n_met = 0
     for event in closures:
         end_s = np.inf if event.end_s is None else event.end_s + _AROUND_S
@@ -130,6 +178,6 @@ def _n_met(face: Face, shown: Shown, closures: list[PhonemeEvent]) -> int:
         if around.any():
             nearest = int(np.argmin(np.where(around, gap_mm, np.inf)))
             closed_deg = face.calibration.positions_deg(shown.faces[nearest])
-            off_deg = np.abs(shown.shafts_deg[around] - closed_deg).max(axis=1)
-            n_met += bool(off_deg.min() <= _MET_DEG)
+            closed_mm = _gap_mm(markers_of(closed_deg[None]))[0]
+            n_met += bool(shown_mm[around].min() <= closed_mm + _MET_MM)
     return n_met

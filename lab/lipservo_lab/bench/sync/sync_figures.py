@@ -57,9 +57,7 @@ def drift_s(skew: float, duration_s: float, *, jitter_s: float = 0.005) -> float
     loudspeaker = SimulatedLoudspeaker(_DEVICE_HZ, 0.08, skew, jitter_s)
     playout = Playout(loudspeaker)
     synthesizer = make_synthesizer(face.model, MotionOptions())
-    side = make_speech_side(
-        face, playout, Deaf(), synthesizer, MemoryTargetChannel(), soft_start_s=0.0
-    )
+    side = make_speech_side(face, playout, Deaf(), synthesizer, MemoryTargetChannel(), start_s=0.0)
     now_s = np.arange(round(duration_s * RATE_HZ)) / RATE_HZ
     shown_s = np.empty(len(now_s))
     loudspeaker.advance(0.0)

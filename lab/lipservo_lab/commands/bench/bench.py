@@ -72,13 +72,14 @@ def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = Fal
 def bus(as_json: Json = False, quiet: Quiet = False) -> None:
     """Measure a bridge's process, its tick, and the bare line, on simulated servos.
 
-    Against the wire and dynamixel-sdk; against rustypot too, when that is installed. Hobby servos
-    against a loop by hand, with smbus2 installed.
+    Against the wire and dynamixel-sdk; against rustypot too, when that is installed. Feetech servos
+    against a loop by hand; hobby servos too, with smbus2 installed.
     """
     from importlib.util import find_spec
 
     from lipservo_lab.bench.bus import bus_figures as measure
     from lipservo_lab.bench.bus.bus_figures import cpu_ratios
+    from lipservo_lab.bench.bus.feetech_tick_figures import feetech_tick_ratios
     from lipservo_lab.bench.bus.process_cpu_figures import process_ratios
     from lipservo_lab.bench.bus.stall_figures import stall_figures
     from lipservo_lab.bench.bus.tick_cpu_figures import tick_ratios
@@ -93,6 +94,7 @@ def bus(as_json: Json = False, quiet: Quiet = False) -> None:
         measure.silent_cycle_figures,
         measure.replug_figures,
         stall_figures,
+        feetech_tick_ratios,
     ]
     if find_spec("smbus2") is not None:
         from lipservo_lab.bench.bus.pulse_tick_figures import pulse_tick_ratios
@@ -163,11 +165,11 @@ def faults(
     Exit status 1 when anything happened that must not.
     """
     from lipservo_lab.bench.fault_figures import (
-        CAMPAIGN_BUSES,
         campaign_figures,
         signal_campaign_figures,
         stop_campaign_figures,
     )
+    from lipservo_lab.campaigns.fault_campaign import CAMPAIGN_BUSES
 
     if stops + signals + whole > 1:
         raise UserError("--stops, --signals and --whole: give one of them")

@@ -24,8 +24,9 @@ from lipservo_lab.campaigns.line_campaign import (
 
 from firmware_bridge.dynamixel.mounting import identify, identify_all
 from firmware_bridge.dynamixel.wire.codec import SpanRead
-from firmware_bridge.dynamixel.wire.line import Line, PendingAnswers
+from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.span_group import SpanGroup
+from firmware_bridge.serial_servos.half_duplex import PendingAnswers
 from firmware_bridge.simulator.faults import Fault
 
 #: All four servos asked at once.

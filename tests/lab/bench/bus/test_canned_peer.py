@@ -8,12 +8,12 @@ import time
 
 import numpy as np
 import pytest
-from lipservo_lab.campaigns.fault_campaign import face
+from lipservo_lab.campaigns.chain_trials import face
 
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.wire.codec import SpanRead
 from firmware_bridge.dynamixel.wire.line import Line
-from firmware_bridge.dynamixel.wire.serial_transport import open_port
+from firmware_bridge.serial_servos.serial_transport import open_port
 
 BAUD_RATE = 1_000_000
 IDS = (1, 2, 3)

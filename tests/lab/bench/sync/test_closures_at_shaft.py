@@ -9,7 +9,15 @@ from lipservo.cli import app
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["face_jaw_maestro", "face_jaw_pca9685"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "face_jaw_maestro",
+        "face_jaw_pca9685",
+        "face_jaw_feetech",
+        "face_head_mixed",
+    ],
+)
 def test_closures_are_met_at_the_shaft(name):
     done = CliRunner().invoke(app, ["bench", "sync", "--face", name, "--json"])
     assert done.exit_code == 0, done.output

@@ -1,12 +1,18 @@
 """What the page says of a calibration, and whether the commands that it names exist."""
 
+import re
 import shlex
 
 import pytest
 import typer
 
 from lipservo.cli import app
-from lipservo.dashboard.pages.calibrate_page import PULSE_STEPS, STEPS, read_calibration
+from lipservo.dashboard.pages.calibrate_page import (
+    PULSE_STEPS,
+    STEPS,
+    read_calibration,
+    steps_of,
+)
 from lipservo.dashboard.pages.pages import COMMAND
 
 
@@ -38,3 +44,15 @@ def test_a_command_that_a_page_names_exists_with_its_options(line):
     known = {flag for parameter in command.params for flag in parameter.opts}
     assert program == "lipservo"
     assert {word for word in words if word.startswith("-")} <= known
+
+
+def test_hobby_servos_are_offered_no_way_that_asks_where_they_stand():
+    told = {
+        has_place: re.sub(r"<[^>]*>", "", steps_of("mine.yaml", has_place=has_place))
+        for has_place in (True, False)
+    }
+
+    for words in ("calibrate measure", "calibrate guided", "jog --limp"):
+        assert words in told[True]
+        assert words not in told[False]
+    assert "--lag-ms jaw=60" in told[False]

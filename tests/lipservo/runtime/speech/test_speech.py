@@ -180,7 +180,7 @@ def test_a_face_is_stopped_before_its_first_sound_and_its_speech_goes_on():
     card = Card(0.0)
     synthesizer = make_synthesizer(face.model, MotionOptions())
     channel = MemoryTargetChannel()
-    side = make_speech_side(face, card, Deaf(), synthesizer, channel, soft_start_s=0.0)
+    side = make_speech_side(face, card, Deaf(), synthesizer, channel, start_s=0.0)
     side.begin(0.0)
     side.follow_stop(0.0, is_stopped=True)
     for n in range(30):

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from dynamixel_chain import MemoryFace, enable_all, mounted, run
+from dynamixel_chain import MemoryFace, enable_all, run
 
-from firmware_bridge.dynamixel.state_cache import ServoStateCache
+from firmware_bridge.serial_servos.state_cache import ServoStateCache
 
 
 @pytest.mark.parametrize(
@@ -17,10 +17,10 @@ from firmware_bridge.dynamixel.state_cache import ServoStateCache
     ],
 )
 def test_a_change_is_seen_in_the_next_health_and_not_in_the_one_before(name, shown, value):
-    cache = ServoStateCache(mounted(3))
-    before = cache.health(1.0)
+    cache = ServoStateCache([1, 2, 3], 4095.0, [70.0] * 3, 0.0)
+    before = cache.health(1.0, np.zeros(3))
     cache.set_one(name, 1, value)
-    after = cache.health(2.0)
+    after = cache.health(2.0, np.zeros(3))
 
     assert getattr(before, shown)[1] != value
     assert getattr(after, shown)[1] == value
@@ -28,8 +28,8 @@ def test_a_change_is_seen_in_the_next_health_and_not_in_the_one_before(name, sho
 
 
 def test_what_is_handed_out_cannot_be_written():
-    cache = ServoStateCache(mounted(3))
-    handed_out = cache.health(0.0)
+    cache = ServoStateCache([1, 2, 3], 4095.0, [70.0] * 3, 0.0)
+    handed_out = cache.health(0.0, np.zeros(3))
 
     for array in (handed_out.torque_on, handed_out.hardware_errors, handed_out.temperature_degc):
         with pytest.raises(ValueError, match="read-only"):

@@ -12,8 +12,8 @@ import pytest
 
 from firmware_bridge.dynamixel.control_table import baud_rates
 from firmware_bridge.dynamixel.wire.sdk_line import SdkTransport
-from firmware_bridge.dynamixel.wire.serial_transport import SameAdapter, adapter_serial, open_port
 from firmware_bridge.errors import PortError
+from firmware_bridge.serial_servos.serial_transport import SameAdapter, adapter_serial, open_port
 
 #: asm-generic/ioctls.h of Linux: is the terminal exclusive; all of its settings, rates as numbers.
 TIOCGEXCL, TCGETS2 = 0x80045440, 0x802C542A
@@ -132,7 +132,7 @@ def test_the_serial_number_of_an_adapter_is_read_where_linux_has_it(tmp_path):
 def test_another_adapter_at_the_old_port_is_not_opened(port, monkeypatch):
     """The adapters' numbers are of the wire; no test machine has two."""
     present = ["FT4THUXY"]
-    module = "firmware_bridge.dynamixel.wire.serial_transport.adapter_serial"
+    module = "firmware_bridge.serial_servos.serial_transport.adapter_serial"
     monkeypatch.setattr(module, lambda _port: present[0])
     opener = SameAdapter(port, 57_600)
     opener().close()

@@ -1,0 +1,134 @@
+"""Place, load, warmth and trouble of every Feetech servo, read in place from its answers."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from firmware_bridge.bus import Array, HardwareError
+from firmware_bridge.feetech.codec import EMPTY_SIZE, Status
+from firmware_bridge.feetech.control_table import STATE
+from firmware_bridge.feetech.mounting import MountedServo, ServoIdentity
+from firmware_bridge.serial_servos.state_cache import ROOM_DEGC, ServoStateCache, read_only
+
+#: What each bit of register `status` means here; too much current is too much load.
+_MEANINGS: Final = {
+    0x01: HardwareError.INPUT_VOLTAGE,
+    0x02: HardwareError.ENCODER,
+    0x04: HardwareError.OVERHEATING,
+    0x08: HardwareError.OVERLOAD,
+    0x20: HardwareError.OVERLOAD,
+}
+#: Bit 4 of what a servo answers with says that torque is on, in some firmware.
+_STATUS_BITS: Final = sum(_MEANINGS)
+_HARDWARE: Final = np.array(
+    [sum({error for bit, error in _MEANINGS.items() if bit & bits}) for bits in range(256)],
+    dtype=np.uint8,
+)
+
+
+def hardware_errors(status: int) -> int:
+    """Bits of `HardwareError` for a value of register `status`."""
+    return int(_HARDWARE[status & _STATUS_BITS])
+
+
+class PresentState:
+    """Takes what servos answer into their `cache`. Trouble is kept until they are restarted."""
+
+    def __init__(self, servos: Sequence[MountedServo]) -> None:
+        n, dialect = len(servos), servos[0].model.dialect
+        ids = [servo.joint.servo_id for servo in servos]
+        hottest = [servo.model.hottest_degc for servo in servos]
+        self.cache = ServoStateCache(ids, dialect.n_positions - 1.0, hottest, return_delay_s=0.0)
+        # The newest answers of all, as they come; numbers are read in place.
+        self._step = dialect.state_size + EMPTY_SIZE
+        self._frame = bytearray(n * self._step)
+        number = "<u2" if dialect.byte_order == "little" else ">u2"
+        fields = {"position": (0, number), "load": (4, number)}
+        fields |= {"voltage": (6, "u1"), "temperature": (7, "u1"), "status": (9, "u1")}
+        if dialect.current_unit_ma is not None:
+            fields["current"] = (dialect.registers["present_current"].address - STATE, number)
+        block = np.dtype(
+            {
+                "names": list(fields),
+                "offsets": [at + EMPTY_SIZE - 1 for at, _ in fields.values()],
+                "formats": [kind for _, kind in fields.values()],
+                "itemsize": self._step,
+            }
+        )
+        values = np.frombuffer(self._frame, dtype=block)
+        self._positions, self._loads = values["position"], values["load"]
+        self._conditions = {name: values[name] for name in ("voltage", "temperature", "status")}
+        self._current_unit_ma = dialect.current_unit_ma
+        self._currents = values["current"] if self._current_unit_ma is not None else None
+        self._signed = dialect.registers["present_position"].sign is not None
+        high_byte = EMPTY_SIZE - (0 if dialect.byte_order == "little" else 1)
+        self._high_bytes = slice(high_byte, None, self._step)
+        self._seen = b""
+        self._all_heard = False
+
+    @property
+    def current_ma(self) -> Array:
+        """Of every servo; NaN where the dialect does not tell it."""
+        if self._currents is None or self._current_unit_ma is None:
+            return np.full(len(self.cache.ids), np.nan)
+        return np.asarray((self._currents & 0x7FFF) * self._current_unit_ma, np.float64)
+
+    def take_identity(self, index: int, found: ServoIdentity, now_s: float) -> None:
+        """Its own limits and return delay, as its EEPROM says."""
+        self.cache.take_identity(index, found, found.eeprom["max_temperature"], now_s)
+        self._seen = b""
+
+    def take_state(self, found: bytes | list[Status], now_s: float) -> Array:
+        """The bytes from `STATE` on, as a `Group` gives them; how old each servo's part is."""
+        cache = self.cache
+        if isinstance(found, bytes):
+            self._frame[:] = found
+            cache.heard_s.fill(now_s)
+            self._all_heard = True
+            ages_s = cache.no_age_s
+        else:
+            for status in found:
+                n = cache.index[status.servo_id]
+                at = n * self._step + EMPTY_SIZE - 1
+                self._frame[at : at + len(status.data)] = status.data
+                cache.heard_s[n] = now_s
+            ages_s = cache.ages([status.servo_id for status in found], now_s)
+            cache.count_silent(ages_s)
+        pulses: Array = self._places()
+        self.cache.effort = np.asarray((self._loads & 0x3FF) * 1e-3, np.float64)
+        self._take_conditions()
+        if not self._all_heard:
+            ever = np.isfinite(cache.pulses)
+            ever[np.flatnonzero(ages_s == 0.0)] = True
+            self._all_heard = bool(ever.all())
+            self.cache.voltage_v = np.where(ever, cache.voltage_v, np.nan)
+            self.cache.temperature_degc = np.where(ever, cache.temperature_degc, np.nan)
+            self.cache.room_degc = np.where(ever, cache.room_degc, ROOM_DEGC)
+            pulses = np.where(ever, pulses, np.nan)
+        self.cache.pulses = pulses
+        return ages_s
+
+    def _places(self) -> Array:
+        places: Array = self._positions.astype(np.float64)
+        if self._signed and max(self._frame[self._high_bytes]) & 0x80:
+            return np.where(places >= 0x8000, 0x8000 - places, places)
+        return places
+
+    def _take_conditions(self) -> None:
+        """Volts, warmth and trouble, which hardly ever change from tick to tick."""
+        of, cache = self._conditions, self.cache
+        seen = b"".join([values.tobytes() for values in of.values()])
+        if seen == self._seen and self._all_heard:
+            return
+        self._seen = seen
+        self.cache.voltage_v = of["voltage"] * 0.1
+        self.cache.temperature_degc = of["temperature"].astype(np.float64)
+        self.cache.room_degc = cache.hottest - cache.temperature_degc
+        now = _HARDWARE[of["status"] & _STATUS_BITS]
+        self.cache.hardware = read_only(cache.hardware | now)
+
+    def forget_trouble(self, index: int) -> None:
+        """It has been restarted: what it reports from now on counts."""
+        self.cache.set_one("hardware", index, 0)
+        self._seen = b""

@@ -1,0 +1,230 @@
+"""A half-duplex line to servos: who may speak when, how long an answer is waited for, echoes."""
+
+from collections.abc import Callable, Iterable
+from typing import Final, Protocol, TypeVar
+
+from firmware_bridge.transport import Transport
+
+#: A start bit, eight data bits, a stop bit.
+BITS_PER_BYTE: Final = 10
+#: Before anything is known: an FTDI adapter left at its 16 ms latency timer, and a little more.
+_UNKNOWN_S: Final = 0.018
+#: A computer that does other things wakes up this late once in a hundred times; measured on a
+#: loaded two-core machine over a pseudo-terminal.
+_LEAST_S: Final = 0.004
+_MOST_S: Final = 0.025
+#: Once part of a reply is here we are awake, and only adapter and wire can hold back the rest. On
+#: the same loaded machine 2 ms lost samples and 4 ms took longer.
+_LEAST_REST_S: Final = 0.0035
+_RISE, _FALL = 0.5, 0.05
+_MARGIN_S: Final = 0.001
+
+
+class LearntLatency:
+    """Follows the largest recent delays: up by half a step at once, down slowly."""
+
+    def __init__(self) -> None:
+        self._high_s = _UNKNOWN_S
+        #: How long to wait for a reply after its computed time on the wire.
+        self.slack_s = min(max(_UNKNOWN_S + _MARGIN_S, _LEAST_S), _MOST_S)
+
+    @property
+    def rest_slack_s(self) -> float:
+        """The same for the rest of a reply of which part has come."""
+        return min(max(self._high_s + _MARGIN_S, _LEAST_REST_S), _MOST_S)
+
+    def learn(self, delay_s: float) -> None:
+        """A reply came `delay_s` after its computed time."""
+        share = _RISE if delay_s > self._high_s else _FALL
+        self._high_s += share * (min(delay_s, _MOST_S) - self._high_s)
+        self.slack_s = min(max(self._high_s + _MARGIN_S, _LEAST_S), _MOST_S)
+
+
+#: How long after we gave up waiting an answer may still arrive. Ours: computers that are busy hold
+#: bytes back for up to 190 ms (measured over a pseudo-terminal), adapters for 16.
+LATE_S: Final = 0.25
+#: In place of an id: whoever there is.
+ANYBODY: Final = -1
+
+
+class PendingAnswers:
+    """Whose answer of how many bytes may still come, and until when.
+
+    A status packet says who answers and how many bytes it holds, not which question it answers. So
+    a question whose answer would look like a pending one must be asked in another length.
+    any: whether there may be something; `expire` makes it exact.
+    """
+
+    def __init__(self) -> None:
+        self.any = False
+        self._until_s: dict[tuple[int, int], float] = {}
+        self._n: dict[tuple[int, int], int] = {}
+        self._requests: dict[tuple[int, int], bytes] = {}
+
+    @property
+    def until_s(self) -> float:
+        """When the last of them can no longer come; minus infinity when none is pending."""
+        return max(self._until_s.values(), default=float("-inf"))
+
+    def note(self, servo_id: int, size: int, request: bytes, now_s: float) -> None:
+        """We waited in vain for `size` bytes in answer to `request`; b"" = to several requests."""
+        key = (servo_id, size)
+        if self._requests.setdefault(key, request) != request:
+            self._requests[key] = b""
+        self._until_s[key] = now_s + LATE_S
+        self._n[key] = self._n.get(key, 0) + 1
+        self.any = True
+
+    def note_arrived(self, servo_id: int, size: int) -> None:
+        """An answer of `size` bytes arrived too late for its question."""
+        key = (servo_id, size)
+        if key in self._n:
+            self._n[key] -= 1
+            if not self._n[key]:
+                self._forget(key)
+
+    def expire(self, now_s: float) -> bool:
+        """Forget what can no longer come; whether anything is left."""
+        for key in [each for each, until_s in self._until_s.items() if until_s <= now_s]:
+            self._forget(key)
+        return self.any
+
+    def looks_like(self, servo_id: int, size: int, request: bytes) -> bool:
+        """Whether an answer to `request` could be taken for one to some other request.
+
+        For what has the same answer whenever it is asked: pings, and writes of the same bytes.
+        """
+        return self._requests.get((servo_id, size), request) != request
+
+    def free_size(self, ids: Iterable[int], size: int, step: int = 1) -> int:
+        """The least of size, size + step, ... that no pending answer of `ids` has."""
+        asked = {*ids, ANYBODY}
+        taken = {pending for servo_id, pending in self._until_s if servo_id in asked}
+        while size in taken:
+            size += step
+        return size
+
+    def _forget(self, key: tuple[int, int]) -> None:
+        del self._until_s[key], self._requests[key], self._n[key]
+        self.any = bool(self._until_s)
+
+
+_Answer = TypeVar("_Answer")
+_Taken_co = TypeVar("_Taken_co", covariant=True)
+
+
+class Take(Protocol[_Taken_co]):
+    """Makes something of a stream; None while it wants more."""
+
+    def __call__(self, stream: bytes, *, last: bool) -> _Taken_co | None:
+        """Take what can be taken; last: no more will come."""
+
+
+class HalfDuplex:
+    """What the lines of all protocols do alike; each adds its own questions and answers.
+
+    Not thread-safe: one owner. Every method raises PortError when the port fails; a servo that
+    does not answer is no error but a missing status. Nothing is sent before the computed end of the
+    last transaction.
+    echoes: the adapter gives back what is sent, which is found out by itself and swallowed.
+    extra_wait_s: how long beyond its time an answer is waited for; for commands outside the loop.
+    heard_noise: something came last time, but not what was asked.
+    """
+
+    def __init__(self, transport: Transport, return_delay_s: float, extra_wait_s: float) -> None:
+        """return_delay_s: the slowest servo's; it lengthens deadlines, not the wire."""
+        self.transport = transport
+        self.return_delay_s = return_delay_s
+        self.byte_s = BITS_PER_BYTE / transport.baud_rate
+        self.latency = LearntLatency()
+        self.extra_wait_s = extra_wait_s
+        self.echoes = False
+        self.heard_noise = False
+        self._clock = transport.clock
+        self._heard = b""  # in answer to the last question
+        self._quiet_s = 0.0  # from here on no reply is on the wire any more
+        self._sent_s = 0.0  # here our own last byte is
+        self._pending = PendingAnswers()
+
+    @property
+    def baud_rate(self) -> int:
+        """Bits a second on the wire."""
+        return self.transport.baud_rate
+
+    @baud_rate.setter
+    def baud_rate(self, baud_rate: int) -> None:
+        self.transport.baud_rate = baud_rate
+        self.byte_s = BITS_PER_BYTE / baud_rate
+
+    def tell(self, request: bytes) -> None:
+        """Send what nobody answers."""
+        self._send(request)
+
+    def _send(self, request: bytes) -> float:
+        """When the last byte will be on the wire; our own bytes queue up and need no waiting."""
+        now_s = self._clock.now()
+        if now_s < self._quiet_s:
+            self._clock.sleep_until(self._quiet_s)
+            now_s = self._clock.now()
+        self.transport.write(request)
+        begin_s = now_s if now_s > self._sent_s else self._sent_s
+        self._sent_s = begin_s + len(request) * self.byte_s
+        return self._sent_s
+
+    def _transact(
+        self,
+        request: bytes,
+        reply_size: int,
+        take: "Take[_Answer]",
+        is_over: Callable[[bytes], bool] = lambda _: False,
+        *,
+        n_turns: int = 1,
+        extra_wait_s: float = 0.0,
+    ) -> _Answer | None:
+        """Send, then read until `take` is content or the time of the reply is over."""
+        transport, clock = self.transport, self._clock
+        if self.extra_wait_s > extra_wait_s:
+            extra_wait_s = self.extra_wait_s
+        transport.discard_input()
+        due_s = self._send(request) + reply_size * self.byte_s
+        wire_end_s = due_s + n_turns * self.return_delay_s
+        deadline_s = wire_end_s + self.latency.slack_s + extra_wait_s
+        clock.sleep_until(due_s)
+        heard = transport.read(deadline_s)
+        while True:
+            if len(heard) == reply_size and not self.echoes and not heard.startswith(request):
+                stream, ended = heard, False
+            else:
+                stream = self._without_echo(heard, request)
+                ended = is_over(stream)
+            if ended or len(stream) >= reply_size:
+                taken = take(stream, last=ended)
+                if taken is not None:
+                    self._heard = stream
+                    self._quiet_s = clock.now()
+                    if not extra_wait_s:
+                        self.latency.learn(self._quiet_s - due_s)
+                    self.heard_noise = False
+                    return taken
+            if stream and not extra_wait_s:
+                rest_s = max(wire_end_s, clock.now()) + self.latency.rest_slack_s
+                deadline_s = min(deadline_s, rest_s)
+            more = transport.read(deadline_s)
+            if not more:
+                self._heard = stream
+                self._quiet_s = max(wire_end_s, clock.now())
+                taken = take(stream, last=True)
+                self.heard_noise = bool(stream) and not taken
+                return taken
+            heard += more
+
+    def _without_echo(self, heard: bytes, request: bytes) -> bytes:
+        """What came after our own bytes, if the adapter gives those back.
+
+        What came before them cannot answer this request, since the line carries one at a time.
+        """
+        at = heard.find(request)
+        if at < 0:
+            return heard
+        self.echoes = True
+        return heard[at + len(request) :]

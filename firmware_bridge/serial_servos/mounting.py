@@ -1,0 +1,150 @@
+"""Servos in their places in the face: degrees to pulses, and whether the right ones answer."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final, Generic, Protocol, TypeVar
+
+import numpy as np
+
+from firmware_bridge.bus import Array
+from firmware_bridge.bus_kinds import other_kind_at
+from firmware_bridge.errors import ServoError
+from firmware_bridge.joints import Joint, named
+from firmware_bridge.transport import Transport
+
+#: What mends a servo that differs from the YAML.
+SETUP: Final = "run `lipservo setup-servos`"
+_SILENT: Final = "does not answer; check its power, cable and baud rate"
+_DOCTOR: Final = "`lipservo doctor` shows every difference between the servos and the YAML"
+
+
+class PositionServo(Protocol):
+    """What a servo model must tell to be mounted.
+
+    center_pulse, pulses_per_deg: of the position registers. current_unit_ma: of the register of
+    the current; None: the model does not measure it.
+    """
+
+    @property
+    def name(self) -> str:
+        """As the YAML has it."""
+
+    @property
+    def center_pulse(self) -> int:
+        """Where the servo angle is 0."""
+
+    @property
+    def pulses_per_deg(self) -> float:
+        """Of the position registers."""
+
+    @property
+    def current_unit_ma(self) -> float | None:
+        """Of the register of the current; None: it is not measured."""
+
+
+Model = TypeVar("Model", bound=PositionServo, covariant=True)
+Identity = TypeVar("Identity")
+
+
+@dataclass(frozen=True)
+class MountedServo(Generic[Model]):
+    """One servo and the joint it drives. servo angle = sign x (joint angle + zero_offset_deg).
+
+    max_current_ma: it never pulls harder; None: as hard as it can.
+    Raises ValueError for a current limit on a model that does not measure current.
+    """
+
+    joint: Joint
+    model: Model
+    sign: int = 1
+    zero_offset_deg: float = 0.0
+    max_current_ma: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.max_current_ma is not None and self.model.current_unit_ma is None:
+            raise ValueError(
+                f"joint {self.joint.name!r}: an {self.model.name} does not measure current, "
+                "so max_current_ma cannot be kept"
+            )
+
+    @property
+    def current_cap(self) -> int | None:
+        """The most that the register of the current may be, in its unit; None: no cap."""
+        unit_ma = self.model.current_unit_ma
+        if self.max_current_ma is None or unit_ma is None:
+            return None
+        return max(1, int(self.max_current_ma / unit_ma))
+
+    def pulse(self, joint_deg: float) -> int:
+        """The position register's value for a joint angle."""
+        servo_deg = self.sign * (joint_deg + self.zero_offset_deg)
+        return round(self.model.center_pulse + servo_deg * self.model.pulses_per_deg)
+
+    def pulse_range(self) -> tuple[int, int]:
+        """The joint's soft limits in pulses, the smaller first."""
+        ends = self.pulse(self.joint.min_deg), self.pulse(self.joint.max_deg)
+        return min(ends), max(ends)
+
+
+class Mounting:
+    """All servos of a face at once. Arrays are (n_servos,)."""
+
+    def __init__(self, servos: Sequence[MountedServo[PositionServo]]) -> None:
+        self._scale = np.array([servo.sign * servo.model.pulses_per_deg for servo in servos])
+        offset = np.array([servo.zero_offset_deg for servo in servos])
+        center = np.array([servo.model.center_pulse for servo in servos])
+        self._zero = center + offset * self._scale
+
+    def pulses(self, joint_deg: Array) -> Array:
+        """Whole pulses, as floats: what is not finite stays so."""
+        pulses: Array = np.rint(self._zero + joint_deg * self._scale)
+        return pulses
+
+    def joint_deg(self, pulses: Array) -> Array:
+        """Joint degrees; NaN stays NaN."""
+        joint_deg: Array = (pulses - self._zero) / self._scale
+        return joint_deg
+
+    def obstacle(self, index: int, place: int, low: float, high: float) -> str:
+        """Why one servo cannot hold at `place`; empty: it is within low .. high, in pulses."""
+        if low <= place <= high:
+            return ""
+        here_deg, *ends_deg = (
+            float((each - self._zero[index]) / self._scale[index]) for each in (place, low, high)
+        )
+        return (
+            f"stands at {here_deg:.1f} deg, outside its own range; move it into "
+            f"{min(ends_deg):.1f}..{max(ends_deg):.1f} deg by hand"
+        )
+
+
+def checked_identities(
+    kind: str,
+    transport: Transport | None,
+    servos: Sequence[MountedServo[Model]],
+    found: Sequence[Identity | None],
+    mismatches: Callable[[MountedServo[Model], Identity], list[str]],
+    *,
+    strict: bool,
+) -> list[Identity | None]:
+    """What servos reported of themselves, if the face can be driven; None: one that is silent.
+
+    Not strict: servos that do not answer are left for later, unless all or a critical one.
+    Raises ServoError with every mismatch in one text, and where all are silent with the kind of
+    bus that answers in place of `kind`; transport: None: that is not looked for.
+    """
+    silent = [servo for servo, each in zip(servos, found, strict=True) if each is None]
+    if len(silent) == len(servos) and transport is not None:
+        other = other_kind_at(transport, kind)
+        if other:
+            raise ServoError(other)
+    bearable = not strict and len(silent) < len(servos)
+    bearable = bearable and not any(servo.joint.critical for servo in silent)
+    lines = []
+    for servo, each in zip(servos, found, strict=True):
+        silence = [] if bearable else [_SILENT]
+        wrong = silence if each is None else mismatches(servo, each)
+        lines += [f"{named(servo.joint)} {why}" for why in wrong]
+    if lines:
+        raise ServoError("\n".join([*lines, _DOCTOR]))
+    return list(found)

@@ -1,0 +1,251 @@
+"""Servos of one chain found, compared with what they should hold, and set up one after another.
+
+`ChainSetup` is the order of all that; what a protocol does its own way are functions in it.
+"""
+
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Final
+
+from firmware_bridge.bus_kinds import Wiring
+from firmware_bridge.errors import ServoError
+from firmware_bridge.serial_servos.mounting import MountedServo
+from firmware_bridge.serial_servos.serial_transport import open_port
+
+#: An answer that comes this late is still waited for, outside the loop: setting up, examining.
+UNHURRIED_S: Final = 0.06
+#: What changes how a servo is spoken to is written last, in this order.
+_LAST: Final = {"id": 1, "baud_rate": 2}
+_LOW, _HIGH = "min_position_limit", "max_position_limit"
+
+#: Servos by id: the rate at which each answered, and its model number as the protocol has it; more
+#: than one where several did.
+Found = Mapping[int, Sequence[tuple[int, Any]]]
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One register that does not hold what it should."""
+
+    name: str
+    found: int
+    wanted: int
+
+    def __str__(self) -> str:
+        return f"{self.name} is {self.found}, should be {self.wanted}"
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What one servo, found at an id and a rate, lacks to be the joint's."""
+
+    servo: MountedServo[Any]
+    servo_id: int
+    baud_rate: int
+    changes: tuple[Difference, ...]
+
+
+def differences(found: Mapping[str, int], wanted: Mapping[str, int]) -> list[Difference]:
+    """What must be written, in the order of `wanted`."""
+    return [
+        Difference(name, found[name], value)
+        for name, value in wanted.items()
+        if found[name] != value
+    ]
+
+
+def chain_is_complete(servos: Sequence[MountedServo[Any]], found: Found) -> bool:
+    """Whether every servo answers at its own id, so that nobody needs to be unplugged."""
+    return all(servo.joint.servo_id in found for servo in servos)
+
+
+@dataclass(frozen=True, slots=True)
+class ChainSetup:
+    """How the servos of one protocol are found and set up. Lines are of the protocol's own class.
+
+    The only place that writes EEPROM: torque off, only differences, all of it read back.
+
+    Attributes
+    ----------
+    make_line
+        A line at an open port, with `extra_wait_s`.
+    mounted_servos
+        Every servo of a face in its place.
+    rates, factory_rate, slowest_rate
+        Worth trying, the likely ones first; of a new servo; tried only while nobody answers.
+    rate_of
+        Baud rate by the code that register `baud_rate` holds.
+    answers
+        Everybody at the rate of the line, {id: model number}.
+    shares_id
+        Whether several servos seem to answer to an id.
+    model_name
+        Of a model number, for people.
+    lacking
+        What the servo that answers at an id lacks to be the joint's at a baud rate.
+    unlock, lock
+        Before and after registers are written: torque off, and what else it takes.
+    write, read
+        One register of the servo of a model at an id. Both raise ServoError.
+
+    """
+
+    make_line: Callable[..., Any]
+    mounted_servos: Callable[[Wiring], Sequence[MountedServo[Any]]]
+    rates: Sequence[int]
+    factory_rate: int
+    slowest_rate: int | None
+    rate_of: Callable[[], Mapping[int, int]]
+    answers: Callable[[Any], Mapping[int, Any]]
+    shares_id: Callable[[Any, int], bool]
+    model_name: Callable[[Any], str]
+    lacking: Callable[[Any, MountedServo[Any], int, int], Sequence[Difference]]
+    unlock: Callable[[Any, int, Any], None]
+    write: Callable[[Any, int, Any, str, int], None]
+    read: Callable[[Any, int, Any, str], int]
+    lock: Callable[[Any, int, Any], object]
+
+    @contextmanager
+    def unhurried_line(self, port: str, baud_rate: int) -> Iterator[Any]:
+        """An open port that is waited for longer than a loop could. Raises PortError."""
+        transport = open_port(port, baud_rate)
+        try:
+            yield self.make_line(transport, extra_wait_s=UNHURRIED_S)
+        finally:
+            transport.close()
+
+    def servos_by_joint(self, wiring: Wiring) -> dict[str, MountedServo[Any]]:
+        """Every servo of a face in its place, by the name of its joint."""
+        return {servo.joint.name: servo for servo in self.mounted_servos(wiring)}
+
+    def scan(
+        self, line: Any, rates: Iterable[int] | None = None
+    ) -> Iterator[tuple[int, Mapping[int, Any]]]:
+        """Every rate in turn with the servos found at it. Stop when content."""
+        for rate in dict.fromkeys(self.rates if rates is None else rates):
+            line.baud_rate = rate
+            yield rate, self.answers(line)
+
+    def find_servos(self, line: Any, ids: Sequence[int], baud_rate: int) -> Found:
+        """Who answers at the face's rate and the factory's; at others while one of `ids` lacks."""
+        found: dict[int, list[tuple[int, Any]]] = {}
+        rates = list(dict.fromkeys([baud_rate, self.factory_rate, *self.rates]))
+        while rates and not (found and rates[0] == self.slowest_rate):
+            line.baud_rate = rate = rates.pop(0)
+            for servo_id, number in self.answers(line).items():
+                found.setdefault(servo_id, []).append((rate, number))
+            if set(ids) <= set(found) and self.factory_rate not in rates:
+                break
+        return found
+
+    def plan_chain(
+        self, line: Any, servos: Sequence[MountedServo[Any]], found: Found, baud_rate: int
+    ) -> list[Plan]:
+        """A plan for every servo in its place. Raises ServoError, a line for each that is not."""
+        lines = []
+        for servo in servos:
+            servo_id, name = servo.joint.servo_id, servo.joint.name
+            answers = found[servo_id]
+            line.baud_rate = answers[0][0]
+            if len(answers) > 1:
+                rates = " and at ".join(f"{rate:,}" for rate, _ in answers)
+                lines.append(f"{name}: id {servo_id} answers at {rates} baud: {_alone(name)}")
+            elif self.shares_id(line, servo_id):
+                lines.append(f"{name}: two servos answer to id {servo_id}: {_alone(name)}")
+            else:
+                lines += self._other_model(servo, answers[0][1])
+        if lines:
+            raise ServoError("\n".join(lines))
+        ids = [servo.joint.servo_id for servo in servos]
+        return [
+            self._plan(line, servo, servo_id, found[servo_id][0][0], baud_rate)
+            for servo, servo_id in zip(servos, ids, strict=True)
+        ]
+
+    def plan_alone(self, line: Any, servo: MountedServo[Any], found: Found, baud_rate: int) -> Plan:
+        """A plan for the one servo there is, at any id. Raises ServoError unless it is one."""
+        name, own_id = servo.joint.name, servo.joint.servo_id
+        answers = [(servo_id, *each) for servo_id, all_of_it in found.items() for each in all_of_it]
+        if not answers:
+            raise ServoError("no servo answers at any rate; check its power and cable")
+        if len(answers) > 1:
+            missing = "" if own_id in found else f"{name} (id {own_id}) does not answer; "
+            raise ServoError(
+                f"{missing}{len(answers)} servos answer (ids {sorted(each[0] for each in answers)})"
+                f"; connect one at a time: {_alone(name)}"
+            )
+        ((servo_id, rate, number),) = answers
+        line.baud_rate = rate
+        for each in dict.fromkeys((own_id, servo_id)):
+            if self.shares_id(line, each):
+                raise ServoError(f"two servos answer to id {each}: {_alone(name)}")
+        other = self._other_model(servo, number)
+        if other:
+            raise ServoError(other[0])
+        return self._plan(line, servo, servo_id, rate, baud_rate)
+
+    def set_up(
+        self, line: Any, servo_id: int, model: Any, changes: Sequence[Difference]
+    ) -> Generator[Difference, None, None]:
+        """Write `changes` to the servo at `servo_id`, and yield each once the servo holds it.
+
+        Torque goes off first and stays off. Of both position limits the one comes first that keeps
+        them in order: servos refuse a lower limit above the upper one. The id and then the baud
+        rate come last, and the line follows to the new rate. Whoever stops between two leaves
+        nothing half-written. Raises ServoError when the servo refuses or does not keep a value.
+        """
+        if not changes:
+            return
+        self.unlock(line, servo_id, model)
+        try:
+            for change in sorted(
+                _limits_in_order(changes), key=lambda each: _LAST.get(each.name, 0)
+            ):
+                self.write(line, servo_id, model, change.name, change.wanted)
+                if change.name == "id":
+                    servo_id = change.wanted
+                elif change.name == "baud_rate":
+                    line.baud_rate = self.rate_of()[change.wanted]
+                kept = self.read(line, servo_id, model, change.name)
+                if kept != change.wanted:
+                    raise ServoError(
+                        f"servo id {servo_id}: {change.name} stays at {kept} although "
+                        f"{change.wanted} was written"
+                    )
+                yield change
+        finally:
+            self.lock(line, servo_id, model)
+
+    def _plan(
+        self, line: Any, servo: MountedServo[Any], servo_id: int, rate: int, baud_rate: int
+    ) -> Plan:
+        line.baud_rate = rate
+        return Plan(servo, servo_id, rate, tuple(self.lacking(line, servo, servo_id, baud_rate)))
+
+    def _other_model(self, servo: MountedServo[Any], number: Any) -> list[str]:
+        it_is, wanted = self.model_name(number), servo.model.name
+        if it_is == wanted:
+            return []
+        return [
+            f"the servo found for {servo.joint.name!r} is {it_is}, the YAML says {wanted}; "
+            "connect the right one, or correct the YAML"
+        ]
+
+
+def _limits_in_order(changes: Sequence[Difference]) -> list[Difference]:
+    """The same, the lower limit before the upper one where the range moves down.
+
+    Upwards the upper limit makes way, downwards the lower one.
+    """
+    by_name = {change.name: change for change in changes}
+    low, high = by_name.get(_LOW), by_name.get(_HIGH)
+    if low is None or high is None:
+        return list(changes)
+    first, second = (low, high) if high.wanted < low.found else (high, low)
+    others = [change for change in changes if change not in (low, high)]
+    return [*others, first, second]
+
+
+def _alone(name: str) -> str:
+    return f"connect the servo of {name!r} alone and run `lipservo setup-servos {name}`"

@@ -1,0 +1,118 @@
+"""What the servos of one chain have reported so far, servo by servo."""
+
+from collections.abc import Mapping, Sequence
+from typing import Final, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_bridge.bus import Array, Health
+
+_Kind = TypeVar("_Kind", bound=np.generic)
+
+
+class ServoIdentity(Protocol):
+    """What a servo reported of itself. eeprom: register values by name."""
+
+    @property
+    def eeprom(self) -> Mapping[str, int]:
+        """With `min_position_limit` and `max_position_limit`."""
+
+    @property
+    def return_delay_s(self) -> float:
+        """How long it waits before it answers."""
+
+
+#: Until a servo has been asked: as if freshly switched on in a warm room, 25 degC under 70.
+ROOM_DEGC: Final = 45.0
+
+
+class ServoStateCache:
+    """The last report of every servo. Every array is (n_servos,), in the face's order.
+
+    pulses, goals: position registers, NaN = never heard; effort: share of the stall torque;
+    low, high: the servo's own limits in pulses; heard_s: when it answered last;
+    enabled: torque was switched on by us and not confirmed off since. What `health` and feedback
+    hand out they hand out without a copy, in every tick: these arrays are replaced, by `set_one`
+    for one, and never written into.
+    """
+
+    def __init__(
+        self,
+        ids: Sequence[int],
+        highest_pulse: float,
+        hottest_degc: Sequence[float],
+        return_delay_s: float,
+    ) -> None:
+        """Of servos whose EEPROM has not been read yet; hottest_degc: of their models."""
+        n = len(ids)
+        self.ids = tuple(ids)
+        self.index = {servo_id: k for k, servo_id in enumerate(ids)}
+        self.low = np.zeros(n)
+        self.high = np.full(n, highest_pulse)
+        self.return_delay_s = np.full(n, return_delay_s)
+        self.hottest = np.array(hottest_degc)
+        self.pulses: Array = np.full(n, np.nan)
+        self.goals: Array = np.full(n, np.nan)
+        self.effort: Array = np.zeros(n)
+        self.no_errors = read_only(np.zeros(n, dtype=np.uint8))
+        self.no_age_s = read_only(np.zeros(n))
+        self.errors = self.no_errors
+        self.heard_s = np.full(n, -np.inf)
+        self.torque = read_only(np.zeros(n, dtype=np.bool_))
+        self.enabled = np.zeros(n, dtype=np.bool_)
+        self.tripped = read_only(np.zeros(n, dtype=np.bool_))
+        self.hardware = self.no_errors
+        self.temperature_degc: Array = read_only(np.full(n, np.nan))
+        self.room_degc: Array = read_only(np.full(n, ROOM_DEGC))
+        self.voltage_v: Array = read_only(np.full(n, np.nan))
+        self.unanswered = read_only(np.zeros(n, dtype=np.int64))
+
+    def set_one(self, name: str, index: int, value: float) -> None:
+        """Replace the array of this name where a servo's value in it has changed."""
+        array = getattr(self, name)
+        if array.item(index) != value:
+            array = array.copy()
+            array[index] = value
+            setattr(self, name, read_only(array))
+
+    def take_identity(
+        self, index: int, found: ServoIdentity, hottest_degc: float, now_s: float
+    ) -> None:
+        """A servo's own limits and return delay, as its EEPROM says now."""
+        self.low[index] = found.eeprom["min_position_limit"]
+        self.high[index] = found.eeprom["max_position_limit"]
+        self.hottest[index] = hottest_degc
+        self.return_delay_s[index] = found.return_delay_s
+        self.heard_s[index] = now_s
+
+    def ages(self, answered: Sequence[int], now_s: float) -> Array:
+        """How old each servo's part of a reading is; 0 for the ids that just answered."""
+        ages = np.maximum(now_s - self.heard_s, 1e-9)
+        ages[[self.index[each] for each in answered]] = 0.0
+        return ages
+
+    def count_silent(self, ages_s: Array) -> None:
+        """Who did not answer a question to all."""
+        self.unanswered = read_only(self.unanswered + (ages_s > 0.0))
+
+    def health(self, now_s: float, current_ma: Array) -> Health:
+        """For others to keep."""
+        return Health(
+            silent_s=now_s - self.heard_s,
+            torque_on=self.torque,
+            watchdog_tripped=self.tripped,
+            hardware_errors=self.hardware,
+            temperature_degc=self.temperature_degc,
+            room_degc=self.room_degc,
+            voltage_v=self.voltage_v,
+            effort=self.effort,
+            current_ma=current_ma,
+            n_unanswered=self.unanswered,
+        )
+
+
+def read_only(array: NDArray[_Kind]) -> NDArray[_Kind]:
+    """The same array, which nobody may write into any more."""
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,148 @@
+"""Processor time of a tick of Feetech servos, beside a loop by hand with pyserial."""
+
+import statistics
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Final
+
+import numpy as np
+import serial
+
+from firmware_bridge.bus import ServoBus
+from firmware_bridge.bus_kinds import Wiring
+from firmware_bridge.clock import MonotonicClock
+from firmware_bridge.feetech.control_table import servo_models
+from firmware_bridge.feetech.kind import FEETECH
+from firmware_bridge.feetech.settings import FeetechServo, FeetechSettings
+from firmware_bridge.joints import Joint
+from firmware_bridge.loop.bridge import Bridge
+from firmware_bridge.loop.report import BridgeSettings
+from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
+from lipservo.runtime.servos.sim_process import simulated_port
+from lipservo_lab.bench.bus.pulse_tick_figures import N_SERVOS, Call, calls_us, moving_deg, timed
+
+_RATE_HZ: Final = 50.0
+_BAUD_RATE: Final = 1_000_000
+_MODEL: Final = "STS3215"
+_SYNC_READ, _SYNC_WRITE, _EVERYBODY = 0x82, 0x83, 0xFE
+#: Until all have torque, and their full speed.
+_SETTLES_TICKS: Final = 150
+_TRIES: Final = 50
+
+
+def feetech_tick_ratios() -> dict[str, float]:
+    """CPU of a tick of sixteen STS3215 over that of a loop by hand: medians of every call.
+
+    By hand: each angle clamped and made a position, one sync write, one sync read of all places,
+    each answer checked, as in the examples of the maker. `cpu_goals_feetech_*`: our bus in its
+    place, which reads load, voltage, heat and errors as well. `cpu_tick_feetech_ratio`: all of
+    `Bridge.tick`. Thread CPU time; servos are simulated behind a pseudo-terminal, in a process of
+    their own, with the time of their wire.
+    """
+    simulated = ["--kind", "feetech", "--servos", str(N_SERVOS), "--model", _MODEL]
+    with ExitStack() as stack:
+        ports = [stack.enter_context(simulated_port(simulated)) for _ in range(3)]
+        calls = {
+            "bus": stack.enter_context(_bus_tick(_wiring(ports[0]))),
+            "by hand": stack.enter_context(_by_hand(ports[1])),
+            "whole": stack.enter_context(_whole_tick(_wiring(ports[2]))),
+        }
+        middle = {name: statistics.median(each) for name, each in calls_us(calls).items()}
+    return {
+        "cpu_goals_feetech_us": middle["bus"],
+        "cpu_goals_feetech_by_hand_us": middle["by hand"],
+        "cpu_goals_feetech_ratio": middle["bus"] / middle["by hand"],
+        "cpu_tick_feetech_ratio": middle["whole"] / middle["by hand"],
+    }
+
+
+def _wiring(port: str) -> Wiring:
+    joints = [Joint(f"joint_{n}", n, -40.0, 40.0, 260.0) for n in range(1, N_SERVOS + 1)]
+    servos = [
+        FeetechServo(
+            id=joint.servo_id,
+            model=_MODEL,
+            positive="opens",
+            min_deg=joint.min_deg,
+            max_deg=joint.max_deg,
+            max_speed_deg_s=joint.max_speed_deg_s,
+        )
+        for joint in joints
+    ]
+    settings = FeetechSettings(port=port, baud_rate=_BAUD_RATE)
+    return Wiring(settings, tuple(joints), tuple(servos), _RATE_HZ)
+
+
+@contextmanager
+def _bus_tick(wiring: Wiring) -> Iterator[Call]:
+    """What a tick has the bus do."""
+    bus: ServoBus
+    with FEETECH.open(wiring, MonotonicClock()) as bus:
+        bus.read()
+        # On a busy computer the simulator may answer too late.
+        assert all(
+            any(not bus.enable_torque(index) for _ in range(_TRIES)) for index in range(N_SERVOS)
+        )
+
+        def work(goals_deg: np.ndarray) -> None:
+            bus.write_positions(goals_deg)
+            bus.feedback()
+            bus.look_after()
+
+        for n in range(_SETTLES_TICKS):
+            work(moving_deg(n))
+        yield lambda n: timed(work, moving_deg(n))
+
+
+@contextmanager
+def _whole_tick(wiring: Wiring) -> Iterator[Call]:
+    """All of it."""
+    clock, channel = MonotonicClock(), MemoryTargetChannel()
+    with FEETECH.open(wiring, clock) as bus:
+        bridge = Bridge(bus, wiring.joints, channel, BridgeSettings(_RATE_HZ))
+        bridge.start()
+
+        def tick(n: int) -> int:
+            time_s = clock.now()
+            channel.publish(ServoTargets(time_s, moving_deg(n)))
+            return timed(bridge.tick, time_s)
+
+        for n in range(_SETTLES_TICKS):
+            tick(n)
+        assert not bridge.troubles
+        yield tick
+
+
+@contextmanager
+def _by_hand(name: str) -> Iterator[Call]:
+    dialect = servo_models()[_MODEL].dialect
+    goal = dialect.registers["goal_position"].address
+    place = dialect.registers["present_position"].address
+    ids = range(1, N_SERVOS + 1)
+    ask = _packet(_SYNC_READ, [place, 2, *ids])
+    torque = dialect.registers["torque_enable"].address
+    with serial.Serial(name, _BAUD_RATE, timeout=0.05) as port:
+        port.write(_packet(_SYNC_WRITE, [torque, 1, *(each for n in ids for each in (n, 1))]))
+
+        def work(goals_deg: list[float]) -> list[int]:
+            data = [goal, 2]
+            for n, deg in zip(ids, goals_deg, strict=True):
+                value = round(dialect.center + min(max(deg, -40.0), 40.0) * 4096 / 360)
+                data += [n, value & 0xFF, value >> 8]
+            port.write(_packet(_SYNC_WRITE, data))
+            port.write(ask)
+            answer = port.read(8 * N_SERVOS)
+            places = []
+            for at in range(0, len(answer), 8):
+                status = answer[at : at + 8]
+                if status[:2] == b"\xff\xff" and ~sum(status[2:7]) & 0xFF == status[-1]:
+                    places.append(status[5] | status[6] << 8)
+            return places
+
+        assert len(work([0.0] * N_SERVOS)) == N_SERVOS
+        yield lambda n: timed(work, moving_deg(n).tolist())
+
+
+def _packet(instruction: int, parameters: list[int]) -> bytes:
+    body = [_EVERYBODY, len(parameters) + 2, instruction, *parameters]
+    return bytes([0xFF, 0xFF, *body, ~sum(body) & 0xFF])

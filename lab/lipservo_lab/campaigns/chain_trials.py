@@ -1,0 +1,240 @@
+"""Servos on a line in trouble: an auditor on the wire and at the shafts, and what they claim."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, get_args
+
+import numpy as np
+
+from firmware_bridge.bus import ServoBus
+from firmware_bridge.clock import ManualClock
+from firmware_bridge.dynamixel.bus import DynamixelBus
+from firmware_bridge.dynamixel.control_table import servo_models as dynamixel_models
+from firmware_bridge.feetech.bus import FeetechBus
+from firmware_bridge.feetech.control_table import servo_models as feetech_models
+from firmware_bridge.feetech.simulator import ChainFault
+from firmware_bridge.feetech.simulator import chain_for as feetech_chain
+from firmware_bridge.joints import Joint
+from firmware_bridge.loop.bridge import Bridge
+from firmware_bridge.serial_servos.mounting import MountedServo
+from firmware_bridge.simulator.chain import chain_for as dynamixel_chain
+from firmware_bridge.simulator.faults import KINDS, ON_INSTRUCTIONS, ON_REPLIES, Fault
+from firmware_bridge.simulator.ports import MemoryTransport
+from firmware_bridge.stopping import StopReport
+from lipservo_lab.campaigns.auditor import Auditor, FeetechWire
+from lipservo_lab.campaigns.fault_campaign import (
+    FAULT_FROM_S,
+    FAULT_UNTIL_S,
+    MAX_SPEED_DEG_S,
+    Case,
+    Trials,
+)
+
+BAUD_RATE: Final = 1_000_000
+_PROBABILITIES: Final = (0.01, 0.1, 0.5)
+#: A place is compared so soon after it was read; servos go on meanwhile.
+_JUST_NOW_S, _PLACE_DEG = 0.005, 3.0
+_MUST_NOT: Final = (
+    "goals_outside_limits",
+    "steps_above_clamp",
+    "motion_too_fast",
+    "moved_outside",
+    "moved_frozen",
+    "armed_wrongly",
+    "undone",
+    "contention",
+    "torque_unknown",
+    "torque_left_on",
+)
+
+
+def face(n_servos: int, model: Any = None) -> list[MountedServo[Any]]:
+    """Servos as in `face_sim`, every other one mounted the other way round."""
+    model = model or dynamixel_models()["XL330-M288"]
+    return [
+        MountedServo(
+            Joint(f"joint_{k}", k, -30.0, 40.0, MAX_SPEED_DEG_S), model, 1 if k % 2 else -1
+        )
+        for k in range(1, n_servos + 1)
+    ]
+
+
+@dataclass
+class ChainStage:
+    """See `fault_campaign.Stage`.
+
+    holds: whether a servo's torque is on. is_reachable: whether anybody can know of it: it still
+    has its own id and rate. n_collisions: of the wire so far. n_untrue: places and words that were
+    reported and are not so.
+    """
+
+    case: Case
+    servos: Sequence[MountedServo[Any]]
+    chain: Any
+    bus: ServoBus
+    clock: ManualClock
+    auditor: Auditor
+    holds: Callable[[Any], bool]
+    is_reachable: Callable[[Any, float], bool]
+    n_collisions: Callable[[], int]
+    n_unknown: int = 0
+    n_untrue: int = 0
+
+    @property
+    def joints(self) -> Sequence[Joint]:
+        """In the order of the servos."""
+        return [servo.joint for servo in self.servos]
+
+    def look(self, bridge: Bridge) -> None:
+        """Places that were read just now are compared with the shafts."""
+        feedback = bridge.feedback
+        if feedback is None or self.clock.now() - feedback.time_s > _JUST_NOW_S:
+            return
+        shafts = self.chain.motors.position
+        off_deg = np.abs(
+            [
+                (each.pulse(deg) - place) / each.model.pulses_per_deg
+                for each, deg, place in zip(
+                    self.servos, np.nan_to_num(feedback.positions_deg), shafts, strict=True
+                )
+            ]
+        )
+        self.n_untrue += int((off_deg[feedback.age_s == 0.0] > _PLACE_DEG).sum())
+
+    def look_at_last(self) -> None:
+        """Whether torque is as the bus believes."""
+        if self.chain.plugged:
+            believed = self.bus.look_after().torque_on
+            for servo, belief in zip(self.chain.servos, believed, strict=True):
+                reachable = self.is_reachable(servo, self.clock.now())
+                self.n_unknown += reachable and self.holds(servo) != belief
+
+    def counts(self, report: StopReport | None) -> Mapping[str, int]:
+        """Of auditor, wire, and servos that can be reached and hold at the end."""
+        auditor, chain = self.auditor, self.chain
+        stiff = sum(self.holds(s) for s in chain.servos if self.is_reachable(s, float("inf")))
+        confirmed = () if report is None else report.confirmed
+        holding = {j.name for j, s in zip(self.joints, chain.servos, strict=True) if self.holds(s)}
+        return {
+            "goals_outside_limits": auditor.goals_outside,
+            "steps_above_clamp": auditor.steps_too_long,
+            "motion_too_fast": auditor.too_fast,
+            "moved_outside": auditor.moved_outside,
+            "moved_frozen": auditor.moved_frozen,
+            "armed_wrongly": auditor.armed_wrongly,
+            "undone": auditor.armed_late,
+            "contention": self.n_collisions(),
+            "torque_unknown": int(self.n_unknown),
+            "torque_left_on": int(stiff) if chain.plugged else 0,
+            "claims": self.n_untrue + len(holding & set(confirmed)),
+        }
+
+
+def dynamixel_faults(case: Case) -> list[Fault]:
+    """Packets: 1, 10, 50 % of them. Servos: one once, one again and again, all at once."""
+    kind, hard = case.kind, case.intensity
+    amount = {
+        "late_reply": (0.0005, 0.003, 0.010)[hard],
+        "error_reply": 1.0,
+        "id_change": 200.0,
+        "pushed": (5.0, 20.0, 60.0)[hard],
+        "encoder_fault": (0.0, 10.0, 90.0)[hard],
+        "load": (0.3, 0.6, 0.9)[hard],
+        "jam": 0.9,
+        "limits_drift": 2100.0,
+    }.get(kind, 0.0)
+    if kind in ON_REPLIES | ON_INSTRUCTIONS:
+        share = _PROBABILITIES[hard]
+        return [
+            Fault(
+                kind,
+                probability=share,
+                from_s=FAULT_FROM_S,
+                until_s=FAULT_UNTIL_S,
+                amount=amount,
+            )
+        ]
+    servos = () if hard == 2 or kind == "unplug" else (case.n_servos // 2,)
+    often = 0.5 if hard == 1 else 0.0
+    lasts_s = 0.3 if hard == 1 else FAULT_UNTIL_S - FAULT_FROM_S
+    return [
+        Fault(
+            kind,
+            servos=servos,
+            at_s=() if often else (FAULT_FROM_S,),
+            from_s=FAULT_FROM_S,
+            until_s=FAULT_UNTIL_S,
+            every_s=often,
+            lasts_s=lasts_s,
+            amount=amount,
+        )
+    ]
+
+
+def _dynamixels(case: Case) -> ChainStage:
+    servos, clock = face(case.n_servos), ManualClock()
+    chain = dynamixel_chain(servos, BAUD_RATE, faults=dynamixel_faults(case), seed=1)
+    auditor = Auditor(servos, 1.0 / case.rate_hz)
+    auditor.watch(chain)
+    bus = DynamixelBus(
+        servos,
+        lambda: MemoryTransport(chain, clock, BAUD_RATE, tap=auditor.see),
+        watchdog_s=max(0.1, 3.0 / case.rate_hz),
+        strict=case.strict,
+    )
+
+    def is_reachable(servo: Any, now_s: float) -> bool:
+        own_id = servos[servo.index].joint.servo_id
+        hears = servo.deaf_until_s <= now_s and servo.deaf_until_s < float("inf")
+        return bool(servo.servo_id == own_id and servo.baud_rate == BAUD_RATE and hears)
+
+    return ChainStage(
+        case,
+        servos,
+        chain,
+        bus,
+        clock,
+        auditor,
+        holds=lambda servo: servo.torque_on,
+        is_reachable=is_reachable,
+        n_collisions=lambda: chain.counts.contention,
+    )
+
+
+def _feetechs(case: Case) -> ChainStage:
+    """STS3215, whose steps are those of the simulated shafts."""
+    servos, clock = face(case.n_servos, feetech_models()["STS3215"]), ManualClock()
+    one = None if case.intensity == 2 or case.kind == "unplug" else case.n_servos // 2
+    faults = [
+        ChainFault.model_validate({"kind": case.kind, "at_s": at_s, "lasts_s": for_s, "servo": one})
+        for at_s, for_s in case.times_s()
+    ]
+    chain = feetech_chain(servos, BAUD_RATE, faults=faults)
+    auditor = Auditor(servos, 1.0 / case.rate_hz, FeetechWire())
+    auditor.watch(chain)
+    bus = FeetechBus(
+        servos,
+        lambda: MemoryTransport(chain, clock, BAUD_RATE, tap=auditor.see),
+        strict=case.strict,
+    )
+    return ChainStage(
+        case,
+        servos,
+        chain,
+        bus,
+        clock,
+        auditor,
+        holds=lambda servo: servo["torque_enable"] == 1,
+        is_reachable=lambda servo, now_s: servo.silent_until_s <= now_s,
+        n_collisions=lambda: chain.n_spoken_over,
+    )
+
+
+DYNAMIXEL: Final = Trials(KINDS, (5, 10, 20), (30.0, 100.0), _MUST_NOT, _dynamixels)
+FEETECH: Final = Trials(
+    get_args(ChainFault.model_fields["kind"].annotation),
+    (1, 5, 10),
+    (30.0, 50.0),
+    (*_MUST_NOT, "claims"),
+    _feetechs,
+)

@@ -1,0 +1,218 @@
+"""Hobby servos in trouble, judged by the pulses alone.
+
+Their simulators have `FAULTS`, `read_faults` and `watched_servos`.
+"""
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from firmware_bridge.bus_kinds import Wiring, bus_kind
+from firmware_bridge.joints import Joint
+from firmware_bridge.loop.bridge import Bridge
+from firmware_bridge.pulse_servos import PulseServo
+from firmware_bridge.stopping import StopLevel, StopReport
+from lipservo_lab.campaigns.fault_campaign import MAX_SPEED_DEG_S, Case, Trials
+
+#: What stands under `bus:` besides the kind.
+_SETTINGS: Final[Mapping[str, Mapping[str, Any]]] = {
+    # Without a CRC a damaged byte is another order, within the range set in the Maestro.
+    "maestro": {"model": "mini18", "crc": True},
+    "pca9685": {},
+}
+_US_PER_DEG: Final = 10.0
+#: A count of a PCA9685 at 50 Hz is 4.9 us, and goals are rounded to one.
+_ROUNDING_US: Final = 5.0
+#: A pulse comes every 20 ms: what is missing for longer has ended.
+_ENDED_S: Final = 0.1
+#: What was on its way when a person froze the face has arrived by then.
+_BRAKES_S: Final = 0.1
+#: The last pulse of a board may be under way when it is told to end.
+_LAST_PULSE_S: Final = 0.045
+
+
+def wiring_of(case: Case) -> Wiring:
+    """Joints of hobby servos, every other one turned round."""
+    joints = tuple(
+        Joint(f"joint_{n}", n, -30.0, 40.0, MAX_SPEED_DEG_S, address_key="channel")
+        for n in range(case.n_servos)
+    )
+    servos = tuple(
+        PulseServo(
+            channel=joint.servo_id,
+            positive="opens",
+            min_deg=joint.min_deg,
+            max_deg=joint.max_deg,
+            max_speed_deg_s=joint.max_speed_deg_s,
+            us_per_deg=_US_PER_DEG if n % 2 else -_US_PER_DEG,
+        )
+        for n, joint in enumerate(joints)
+    )
+    settings = bus_kind(case.bus).settings.model_validate(_SETTINGS[case.bus])
+    return Wiring(settings, joints, servos, case.rate_hz)
+
+
+class PulseAuditor:
+    """Looks at what goes to each servo; all counts are of pulses of one servo.
+
+    goals_outside: outside the range of the joint, or where no servo is. steps_too_long: farther
+    from the one before than top speed allows. armed_wrongly: the first after a pause elsewhere than
+    the last, by more than it was under way in two periods.
+    armed_late: the first after a pause, after a person's stop. moved_frozen: other than the one
+    before, later than a tenth of a second after a person froze the face.
+    """
+
+    def __init__(self, wiring: Wiring) -> None:
+        self._last_us = {each.channel: each.neutral_us for each in wiring.servos}
+        self._last_s = dict.fromkeys(self._last_us, -math.inf)
+        self._off_s = dict.fromkeys(self._last_us, -math.inf)
+        ends = [
+            sorted(each.neutral_us + each.us_per_deg * deg for deg in (each.min_deg, each.max_deg))
+            for each in wiring.servos
+        ]
+        self._range = dict(zip(self._last_us, ends, strict=True))
+        period_s = max(1.0 / wiring.rate_hz, 0.02)
+        self._period_s, self._top_us_s = period_s, MAX_SPEED_DEG_S * _US_PER_DEG
+        self._stopped_s = math.inf
+        self._is_frozen = False
+        self.goals_outside = self.steps_too_long = self.armed_wrongly = 0
+        self.armed_late = self.moved_frozen = 0
+
+    def note_stop(self, time_s: float, level: StopLevel) -> None:
+        """A person stopped the face then; a frozen one must not move until it is let go."""
+        self._stopped_s = time_s
+        self._is_frozen = level is StopLevel.FREEZE
+
+    def let_go(self) -> None:
+        """A frozen face is let go now, and may move."""
+        self._is_frozen = False
+
+    def see(self, time_s: float, channel: int, pulse_us: float, *, comes_again: bool) -> None:
+        """One pulse, 0: none. comes_again: every pulse is seen, and not only what changes."""
+        if channel not in self._range:
+            self.goals_outside += pulse_us > 0.0
+            return
+        before_us, before_s = self._last_us[channel], self._last_s[channel]
+        if pulse_us == 0.0:
+            self._off_s[channel] = min(self._off_s[channel], time_s)
+            return
+        off_s = before_s if comes_again else self._off_s[channel]
+        self._last_us[channel], self._last_s[channel] = pulse_us, time_s
+        self._off_s[channel] = math.inf
+        low_us, high_us = self._range[channel]
+        self.goals_outside += not low_us - _ROUNDING_US <= pulse_us <= high_us + _ROUNDING_US
+        step_us = abs(pulse_us - before_us)
+        if time_s - off_s > _ENDED_S:
+            # The last order before a break of the supply may have been cut short.
+            reach_us = 2.0 * self._top_us_s * self._period_s
+            self.armed_wrongly += step_us > reach_us + _ROUNDING_US
+            self.armed_late += time_s > self._stopped_s + _LAST_PULSE_S
+            return
+        # The step of a message that was lost is made with the next one; at a Maestro, which goes to
+        # a target at its own speed, that of the message before may not have been finished.
+        n_periods = 3.0 if off_s < math.inf and not comes_again else 1.0
+        reach_us = self._top_us_s * n_periods * self._period_s
+        self.steps_too_long += step_us > reach_us + _ROUNDING_US
+        is_late = time_s > self._stopped_s + _BRAKES_S
+        self.moved_frozen += self._is_frozen and is_late and step_us > _ROUNDING_US
+
+    def last_s(self) -> float:
+        """When the last pulse of any servo began."""
+        return max(self._last_s.values())
+
+    def n_on(self) -> int:
+        """Servos whose last change was no end, where only changes are seen."""
+        return sum(
+            off_s == math.inf and self._last_s[channel] > -math.inf
+            for channel, off_s in self._off_s.items()
+        )
+
+
+class PulseStage:
+    """See `fault_campaign.Stage`."""
+
+    def __init__(self, case: Case) -> None:
+        wiring, simulator = wiring_of(case), bus_kind(case.bus).simulator()
+        self.joints: Sequence[Joint] = wiring.joints
+        self.auditor = PulseAuditor(wiring)
+        see, self._is_board = _seeing(self.auditor, case.bus)
+        rows = [{"kind": case.kind, "at_s": at, "lasts_s": lasts} for at, lasts in case.times_s()]
+        faults = simulator.read_faults(json.dumps({"faults": rows}))
+        self._watched = simulator.watched_servos(wiring, faults, see)
+        self.bus, self.clock = self._watched.bus, self._watched.clock
+        self._claims = 0
+
+    def look(self, bridge: Bridge) -> None:
+        """Numbers in feedback and health that nobody measured."""
+        feedback = bridge.feedback
+        places = 0 if feedback is None else int(np.isfinite(feedback.positions_deg).sum())
+        unknown = ("temperature_degc", "load", "voltage_v", "current_ma")
+        self._claims += places + sum(
+            record[name] is not None for record in bridge.health_records() for name in unknown
+        )
+
+    def look_at_last(self) -> None:
+        """Nobody can know more."""
+
+    def counts(self, report: StopReport | None) -> Mapping[str, int]:
+        """Of the pulses, a second after the end as well.
+
+        claims: places, loads, heats, voltages or words of torque that no hobby servo can know.
+        pulses_left_on: channels that go on at the end though they can be told not to.
+        """
+        ended_s, is_reachable = self.clock.now(), self._watched.is_reachable()
+        self.clock.advance(1.0)
+        self._watched.shafts_deg()
+        auditor = self.auditor
+        goes_on = auditor.last_s() > ended_s + _LAST_PULSE_S if self._is_board else auditor.n_on()
+        return {
+            "goals_outside_limits": auditor.goals_outside,
+            "steps_above_clamp": auditor.steps_too_long,
+            "armed_wrongly": auditor.armed_wrongly,
+            "undone": auditor.armed_late,
+            "moved_frozen": auditor.moved_frozen,
+            "claims": self._claims + _n_words(report),
+            "pulses_left_on": int(goes_on) if is_reachable else 0,
+        }
+
+
+def _seeing(auditor: PulseAuditor, bus: str) -> tuple[Callable[[Any], None], bool]:
+    """What the simulator of a bus calls, and whether it does so for every pulse."""
+    if bus == "maestro":
+        return lambda p: auditor.see(p.time_s, p.channel, p.pulse_us, comes_again=False), False
+
+    def see(pulse: Any) -> None:
+        if not pulse.is_cut:  # what the supply cut short is no order of anybody
+            auditor.see(pulse.start_s, pulse.channel, pulse.width_us, comes_again=True)
+
+    return see, True
+
+
+def _n_words(report: StopReport | None) -> int:
+    """Words of a report that only a servo could say."""
+    if report is None:
+        return 0
+    text = f"{report.text()} {report.line()}"
+    return len(report.confirmed) + ("limp" in text) + ("confirmed by" in text)
+
+
+_MUST_NOT: Final = (
+    "goals_outside_limits",
+    "steps_above_clamp",
+    "armed_wrongly",
+    "undone",
+    "moved_frozen",
+    "claims",
+    "pulses_left_on",
+)
+
+
+def _trials(bus: str) -> Trials:
+    faults = bus_kind(bus).simulator().FAULTS
+    return Trials(faults, (1, 5, 16), (30.0, 50.0), _MUST_NOT, PulseStage)
+
+
+MAESTRO, PCA9685 = _trials("maestro"), _trials("pca9685")
