@@ -15,7 +15,7 @@ from lipsync.arrays import Array, Indices
 
 #: Speaker's gaps up to the first are closed, up to so much more blended from pressed to open, so
 #: that angles do not jump; and corrected whole up to there, then less and less.
-CLOSED_GAP_MM, BLEND_MM, _CORRECTED_MM = 1.0, 0.8, 4.0
+CLOSED_GAP_MM, BLEND_MM, _CORRECTED_MM = 1.0, 0.8, 2.6
 _ROUNDS = 2
 
 

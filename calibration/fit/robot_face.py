@@ -384,7 +384,7 @@ def _free_of_contact(
         contact = (
             poses_in_contact(free_gaps_mm, closed_mm)
             if touching is None
-            else (free_gaps_mm < closed_mm).any(axis=1)
+            else np.asarray((free_gaps_mm < closed_mm).any(axis=1))
         )
         if contact.sum() < _LEAST_IN_CONTACT:
             return None

@@ -170,7 +170,7 @@ _LEARN_SHARE = 0.8
 _CLOSURE_COUNTS = 6.0
 #: What a degree costs against a millimetre where the lips are made to meet: joints that show little
 #: stay tame.
-_TURN_MM_PER_DEG = 0.03
+_TURN_MM_PER_DEG = 0.1
 
 
 def choose_map(retargeting: Retargeting, from_rest: Array) -> RunTimeMap:

@@ -36,7 +36,7 @@ from lipsync.markers import MARKERS_47
 N_POSES = 60
 N_FRAMES = 400
 _GOOD_GRADE = (0.8, 1.3)
-#: The share of robots that `force_over_needed` is of; a force over what suffices that is little.
+#: The share of robots that `force_over_needed` is of, and how often what suffices is little force.
 _MOST, _ENOUGH_FORCE = 0.9, 4.0
 
 
