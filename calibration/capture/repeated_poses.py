@@ -99,10 +99,10 @@ class ChangedPoses:
 
     did_mm: how far each joint took the face along its own way when it was alone, early; does_mm:
     the same late; lost_error_mm: what noise makes of the difference; turned_deg: by turning so far.
-    slid_mm: how far all poses alike are off along that way; alike: the cosine between the two,
-    without the noise. common_mm: (n_markers, 3), what all are off by; noise_mm: of each difference.
-    n: so many poses were repeated; first, last: before the first and after the last of which
-    nothing happened, counted from 1.
+    slid_mm: how far all poses alike are off along that way, and what noise makes of it in
+    slid_error_mm; alike: the cosine between the two, without the noise. common_mm: (n_markers, 3),
+    what all are off by; noise_mm: of each difference. n: so many poses were repeated; first, last:
+    before the first and after the last of which nothing happened, counted from 1.
     """
 
     did_mm: Array
@@ -110,6 +110,7 @@ class ChangedPoses:
     lost_error_mm: Array
     turned_deg: Array
     slid_mm: Array
+    slid_error_mm: Array
     alike: Array
     common_mm: Array
     noise_mm: float
@@ -163,11 +164,16 @@ def changed_poses(capture: Capture, lines: StraightLines) -> ChangedPoses | None
     looks = np.array([1.0 / len(rows) + 1.0 / len(neutral) for rows in alone])
     slid_mm = np.sum(ways * common_mm, axis=(1, 2))
     error_mm2 = common_mm.size * (1.25 * noise_mm) ** 2 / n
+    # A pose whose markers are all off together, as where they are counted from a noisy nose.
+    along_mm = np.einsum("smk,nmk->sn", ways, off_mm)
+    spread_mm = np.median(np.abs(along_mm - np.median(along_mm, axis=1)[:, None]), axis=1)
+    along_noise_mm = np.maximum(noise_mm, 1.4826 * spread_mm)
     size_mm = math.sqrt(max(float(np.sum(common_mm**2)) - error_mm2, error_mm2 / n))
     return ChangedPoses(
         did_mm=np.maximum(did_mm, 1e-6),
         does_mm=does_mm,
-        lost_error_mm=noise_mm * np.sqrt(looks),
+        lost_error_mm=along_noise_mm * np.sqrt(looks),
+        slid_error_mm=1.25 * along_noise_mm / math.sqrt(n),
         turned_deg=turned_deg,
         slid_mm=slid_mm,
         alike=np.abs(slid_mm) / size_mm,
@@ -203,7 +209,7 @@ def bears_out(changed: ChangedPoses, fault: JointFault) -> bool:
 def face_change(changed: ChangedPoses) -> FaceChange | None:
     """The one thing that changed and explains most of it, beyond doubt; None where nothing did."""
     where = changed.first, changed.last
-    slip_errors = np.abs(changed.slid_mm) / changed.common_error_mm
+    slip_errors = np.abs(changed.slid_mm) / changed.slid_error_mm
     lost_mm = changed.did_mm - changed.does_mm
     lost_errors = lost_mm / changed.lost_error_mm
     found = []
