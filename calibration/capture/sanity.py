@@ -237,9 +237,10 @@ def _judged_joints(
         fault = joint_fault(capture, lines)
     else:
         fault = face_change(changed)
-        suspected = joint_fault(capture, lines, SUSPECTED) if fault is None else None
+        suspected = joint_fault(capture, lines, SUSPECTED)
         if suspected is not None and bears_out(changed, suspected):
-            fault = suspected
+            # It knows at which pose, and a joint that stands still from one that slipped.
+            fault = suspected if fault is None or fault.joint == suspected.joint else fault
     if fault is not None:
         told = fault.told(capture.servo_names)
         (found.certain if fault.joint >= 0 else found.doubtful).append(told)
