@@ -162,9 +162,7 @@ def test_a_horn_that_slips_among_the_poses_of_speech_is_named():
         return goal_deg
 
     capture = procedure.capture(MARKERS_47.names, move, robot.measure)
-    with pytest.raises(
-        CalibrationError, match=r"'corners' slipped on its shaft by about 1[456] deg"
-    ):
+    with pytest.raises(CalibrationError, match=r"'corners' slipped on its shaft"):
         check_capture(capture, SMALL, SERVOS.positive)
 
 
