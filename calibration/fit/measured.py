@@ -219,7 +219,7 @@ TOUCH_CURRENT_MA = 294.0
 
 #: Where lips were seen to stop each other, closures go so far past contact: about twice what the
 #: learnt gap of closed lips is wrong by (docs/decisions/0064).
-_CONTACT_PRESS_MM = 0.5
+_CONTACT_PRESS_MM = 0.6
 #: What noise gives a kink of three ladders at the most, in square standard errors.
 _HINT = 15.0
 #: A joint that is so near to its limit stands at it.
