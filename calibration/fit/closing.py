@@ -93,7 +93,7 @@ def pair_slopes(markers_of: _MarkersOf, base_deg: Array, pairs: Sequence[tuple[i
 _SLOPE_SD = 0.25
 #: A kink of all ladders together must explain so much, in square standard errors, and leave so
 #: little of the slope, by two standard errors; noise alone explains 5 a ladder.
-_SURE, _STALLED = 30.0, 0.7
+_SURE, _STALLED = 22.0, 0.7
 #: A ladder of fewer steps tells nothing; in so many first ones lips are open.
 _FEWEST, _OPEN_STEPS = 5, 3
 #: Dots that are so far past each other belong to lips that meet.

@@ -220,7 +220,9 @@ TOUCH_CURRENT_MA = 294.0
 
 #: Where lips were seen to stop each other, closures go so far past contact: about twice what the
 #: learnt gap of closed lips is wrong by (docs/decisions/0064).
-_CONTACT_PRESS_MM = 0.5
+_CONTACT_PRESS_MM = 0.6
+#: What noise gives a kink of three ladders at the most, in square standard errors.
+_HINT = 15.0
 #: A joint that is so near to its limit stands at it.
 _AT_LIMIT_DEG = 0.5
 #: One narrow reading may be noise.
@@ -389,6 +391,8 @@ def closing_of(face: RobotFace, mouth: RobotMouth, capture: Capture) -> Closing 
         return Closing(CONTACT)
     if face.ladders.passed:
         return Closing(PASSED)
+    if face.ladders.kink.explained > _HINT:
+        return None  # something stalls there, and nobody can say what
     pose_deg, gaps_mm = nearest_gaps(face, capture)
     by_deg = pair_slopes(mouth.markers_of, pose_deg, face.gaps[:1])[0]
     low, high = mouth.limits_deg

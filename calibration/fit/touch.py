@@ -20,10 +20,12 @@ from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array, Indices
 
 #: Shapes, and openings of their ladders beyond contact as the map believes it to be.
-_N_SHAPES, _LEVELS_MM = 3, np.linspace(2.0, -1.4, 14)
+_N_SHAPES, _LEVELS_MM = 3, np.linspace(2.0, -2.2, 15)
 _ROUNDS = 4
 #: Contact may have moved by so much; farther, and the face must be measured anew.
 _MOST_OFF_MM, _STEP_MM = 1.2, 0.05
+#: That there is contact is known; where it is must explain so much, in square standard errors.
+_SURE_AGAIN = 15.0
 #: A rise of the current must explain so much more than a straight line (an F value).
 _SURE_RISE = 8.0
 
@@ -64,9 +66,9 @@ def touched_by_markers(calibration: Calibration, seen: Capture) -> tuple[Calibra
     closes = [_closes_mm(calibration, seen, rows) for rows in apertures.rows]
     # Contact is believed to be at 0; a ladder for the kink begins there.
     kink = find_kink([x - x[0] for x in closes], apertures.mm, noise_mm)
-    if not kink.is_contact:
+    if kink.explained < _SURE_AGAIN:
         raise CalibrationError(
-            "the lips were not seen to stop each other within 1.4 mm of where they did; measure "
+            "the lips were not seen to stop each other within 2 mm of where they did; measure "
             "the face anew with `lipservo calibrate measure`"
         )
     offs = np.arange(-_MOST_OFF_MM, _MOST_OFF_MM + 1e-9, _STEP_MM)
