@@ -24,6 +24,7 @@ _SLIPPED_DEG, _LOST_SHARE, _ALL_LOST = 5.0, 0.45, 0.8
 #: So many standard errors of noise, whatever else: for a slip, which all poses show, and for what a
 #: joint does alone, where healthy robots come to 2.3. And of a marker that nothing explains.
 _SURE_ERRORS, _SURE_LOST_ERRORS, _SURE_MM = 6.0, 3.5, 1.5
+_KNOWN_ERRORS = 3.0
 #: What a joint does must be alike what changed by so much, to be blamed for it.
 _ALIKE = 0.7
 #: Another joint this near to 0 does not move; two goals this near are the same.
@@ -221,7 +222,9 @@ def face_change(changed: ChangedPoses) -> FaceChange | None:
             found.append((lost_mm[joint], fault))
         # A joint that stands still somewhere is off in all poses, too; a horn that slipped moves.
         moves = not stops or lost < _ALL_LOST
-        alike = changed.alike[joint] > _ALIKE
+        # Nor is a joint blamed that alone took the face no farther than noise does.
+        is_known = changed.did_mm[joint] > _KNOWN_ERRORS * changed.lost_error_mm[joint]
+        alike = is_known and changed.alike[joint] > _ALIKE
         if moves and alike and abs(slip_deg) > _SLIPPED_DEG and slips > _SURE_ERRORS:
             fault = FaceChange("slipped", joint, float(slip_deg), slips, *where)
             found.append((abs(changed.slid_mm[joint]) * math.sqrt(changed.n), fault))
