@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.grade import Grade, HoldOutErrors, LearntLips, VisemeReach
-from lipsync.arrays import Array, Indices
+from calibration.closure import Closure, pairs
+from calibration.grade import Closing, Grade, HoldOutErrors, LearntLips, VisemeReach
+from lipsync.arrays import Array
 from lipsync.errors import UserError
 
 _SAME_DEG = 1e-9
@@ -122,7 +122,8 @@ class Calibration:
     (n_servos,) that a person made with the fingers, by name. rules: of the face's YAML, never of
     the file; kept by every pose. centres: (n_centres, n_components), c_k, or none; centre_weights:
     (n_servos, n_centres). grade: None where nothing was measured after the fit. learnt_lips: None
-    where no lips were captured.
+    where no lips were captured; closure: None where it is not known what the lips of this robot do;
+    closing: None where nobody saw whether they meet.
     """
 
     servo_names: tuple[str, ...]
@@ -147,6 +148,8 @@ class Calibration:
     centre_weights: Array = field(default_factory=lambda: np.zeros((0, 0)))
     grade: Grade | None = None
     learnt_lips: LearntLips | None = None
+    closure: Closure | None = None
+    closing: Closing | None = None
 
     def positions_deg(self, coefficients: Array) -> Array:
         """(n_components,) -> (n_servos,) joint degrees, in the order of `servo_names`."""
@@ -163,15 +166,11 @@ class Calibration:
             apart = x[:, None] - self.centres
             free_deg = free_deg + np.sqrt((apart * apart).sum(axis=2)) @ self.centre_weights.T
         kept_deg: Array = np.minimum(np.maximum(free_deg, self.min_deg), self.max_deg)
+        if self.closure is not None:
+            kept_deg = self.closure.corrected_deg(x, kept_deg, self.min_deg, self.max_deg)
         if not self.rules:
             return kept_deg
         return np.array([keep_rules(self.rules, pose_deg) for pose_deg in kept_deg])
-
-
-@lru_cache
-def pairs(n_components: int) -> tuple[Indices, Indices]:
-    """I and j of every product x_i x_j with i <= j, row by row."""
-    return np.triu_indices(n_components)
 
 
 def linear_calibration_parts(n_servos: int, n_components: int) -> tuple[Array, Array, Array]:

@@ -10,11 +10,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.closure import CLOSED_GAP_MM
 from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
 
-#: The human's lips count as closed at this gap, as in training.
-CLOSED_GAP_MM = 1.0
 #: Openings of the speaker that a mouth which closes too soon loses, in millimetres.
 SMALL_GAPS_MM = (2.0, 4.0)
 
@@ -143,6 +142,39 @@ class LearntLips:
         What poses left out are off by beyond the tracker's noise, in three axes.
         """
         return math.sqrt(3.0 * max(self.left_out_rms_mm**2 - self.noise_mm**2, 0.0))
+
+
+#: What says whether lips meet: they stop each other, their dots pass one another, or joints stand
+#: at their limits and nothing of both was seen.
+CONTACT, PASSED, LIMITS = "contact", "passed", "limits"
+
+
+@dataclass(frozen=True, slots=True)
+class Closing:
+    """Whether lips meet, by evidence: one of the three words above.
+
+    Where they do not: apart_mm, how far they stay apart at most, for dots may lie beside the lips'
+    edges; joint, of those at a limit the one that closes them most, and missing_deg, how much
+    farther it would have to go. Empty and 0 where they do.
+    """
+
+    evidence: str
+    apart_mm: float = 0.0
+    joint: str = ""
+    missing_deg: float = 0.0
+
+    @property
+    def closes(self) -> bool:
+        """Whether lips were seen to meet."""
+        return self.evidence != LIMITS
+
+    @property
+    def told(self) -> str:
+        """In words, where they do not."""
+        return (
+            f"does not close: lips stay up to {self.apart_mm:.1f} mm apart, {self.joint} is at its "
+            f"limit and up to {self.missing_deg:.1f} deg are missing"
+        )
 
 
 @dataclass(frozen=True, slots=True)

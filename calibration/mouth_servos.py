@@ -1,7 +1,8 @@
 """The servos of one mouth as its face YAML describes them: what every fit needs to know of them."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -47,6 +48,14 @@ class MouthServos:
     def names(self) -> tuple[str, ...]:
         """One a joint."""
         return tuple(joint.name for joint in self.joints)
+
+    def holding(self, still: Collection[int]) -> "MouthServos":
+        """The same with these joints, by number, held at 0."""
+        held = tuple(
+            JointRange(joint.name, 0.0, 0.0) if number in still else joint
+            for number, joint in enumerate(self.joints)
+        )
+        return replace(self, joints=held)
 
     @property
     def limits_deg(self) -> tuple[Array, Array]:

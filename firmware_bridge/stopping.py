@@ -43,6 +43,8 @@ class ExitStatus(IntEnum):
     UNCONFIRMED = 3
     #: Starting again would not help.
     CRITICAL_SERVO_FAILED = 4
+    #: A person stopped it, and all servos confirmed, before its work was done: nothing was written.
+    STOPPED_EARLY = 5
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ Loads SciPy; the live path never does.
 import json
 import os
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from scipy.stats import qmc
 
 from calibration.calibration import CalibrationError, CouplingRule, keep_rules
 from calibration.mouth_servos import JointRange
-from lipsync.arrays import Array
+from lipsync.arrays import Array, Indices
 from lipsync.output_file import write_whole
 
 #: The last step to a pose; more than twice the backlash of a printed gear train.
@@ -26,8 +26,9 @@ LEAD_IN_DEG = 3.0
 #: How far along its range a single-joint sweep goes: far enough to be seen above the tracker's
 #: noise, not so far that a limit set a little wrong does harm.
 _SWEEP_SHARE = 0.6
-#: Poses a joint takes in the sweeps (the same angle from below and from above).
-_POSES_PER_SWEEP = 2
+#: Poses a joint takes in the sweeps (the same angle from below and from above), and where every
+#: pose is dear.
+_POSES_PER_SWEEP, _FEWEST_PER_SWEEP = 2, 1
 _NEUTRAL_POSES = 2
 #: Neutral is taken again in the middle and at the end where so many poses are left for the rest.
 _LEAST_CUBE = 16
@@ -38,21 +39,28 @@ class PosePlan:
     """Poses in their order, all within the limits.
 
     goals_deg: (n, n_servos); from_below: (n, n_servos), 1 or -1: the side that the last step comes
-    from; start_deg: (n, n_servos), where that step begins.
+    from; start_deg: (n, n_servos), where that step begins. ladders: (n,), of poses that close the
+    lips step by step from which ladder they are, from 1; 0 for all others; empty for none at all.
     """
 
     servo_names: tuple[str, ...]
     goals_deg: Array
     from_below: Array
     start_deg: Array
+    ladders: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __len__(self) -> int:
         return len(self.goals_deg)
 
 
-def least_poses(n_servos: int) -> int:
+def least_poses(n_servos: int, per_sweep: int = _FEWEST_PER_SWEEP) -> int:
     """The fewest poses that a face of so many servos is learnt from: its sweeps, and as many."""
-    return _NEUTRAL_POSES + 2 * _POSES_PER_SWEEP * n_servos
+    return _NEUTRAL_POSES + 2 * per_sweep * n_servos
+
+
+def usual_poses(n_servos: int) -> int:
+    """The fewest with every joint seen alone from both sides; what is more may lie in speech."""
+    return least_poses(n_servos, _POSES_PER_SWEEP)
 
 
 def plan_poses(
@@ -64,7 +72,8 @@ def plan_poses(
 ) -> PosePlan:
     """Neutral, every joint alone from both sides, then a Latin hypercube within the limits.
 
-    Neutral comes again in the middle of the hypercube and at its end.
+    Of few poses each joint is alone in one, from below. Neutral comes again in the middle of the
+    hypercube and at its end.
     rules: what the joints must not do together; a pose that breaks one is scaled towards neutral.
     Raises CalibrationError for fewer poses than `least_poses`.
     """
@@ -74,7 +83,8 @@ def plan_poses(
             f"{n_poses} poses are too few for {len(joints)} servos; ask for {least} or more"
         )
     low, high = _inside(joints)
-    single, single_side = _sweeps(low, high)
+    few = n_poses < usual_poses(len(joints))
+    single, single_side = _sweeps(low, high, _FEWEST_PER_SWEEP if few else _POSES_PER_SWEEP)
     n_cube = n_poses - len(single)
     rng = np.random.default_rng(seed)
     cube = qmc.LatinHypercube(len(joints), rng=rng).random(n_cube)
@@ -84,7 +94,7 @@ def plan_poses(
         # The same pose again: what drifted, slipped or was moved meanwhile shows.
         for repeat in (len(single) + n_cube // 2, len(goals_deg) - 1):
             goals_deg[repeat], side[repeat] = 0.0, 1.0
-    return _reached_from(joints, goals_deg, side, rules)
+    return reached_from(joints, goals_deg, side, rules)
 
 
 def plan_around(
@@ -101,7 +111,7 @@ def plan_around(
     side = np.ones_like(goals_deg)
     if seed is not None:
         side = np.random.default_rng([seed, 1]).choice([-1.0, 1.0], goals_deg.shape)
-    return _reached_from(joints, goals_deg, side, rules)
+    return reached_from(joints, goals_deg, side, rules)
 
 
 def ends_alone(joints: Sequence[JointRange], joint: int) -> Array:
@@ -111,6 +121,18 @@ def ends_alone(joints: Sequence[JointRange], joint: int) -> Array:
     return ends_deg
 
 
+def plan_rows(plan: PosePlan, rows: Sequence[int]) -> PosePlan:
+    """Some poses of a plan."""
+    chosen = list(rows)
+    return replace(
+        plan,
+        goals_deg=plan.goals_deg[chosen],
+        from_below=plan.from_below[chosen],
+        start_deg=plan.start_deg[chosen],
+        ladders=ladders_of(plan)[chosen],
+    )
+
+
 def joined(first: PosePlan, second: PosePlan) -> PosePlan:
     """One plan after the other."""
     return PosePlan(
@@ -118,10 +140,11 @@ def joined(first: PosePlan, second: PosePlan) -> PosePlan:
         np.concatenate([first.goals_deg, second.goals_deg]),
         np.concatenate([first.from_below, second.from_below]),
         np.concatenate([first.start_deg, second.start_deg]),
+        np.concatenate([ladders_of(first), ladders_of(second)]),
     )
 
 
-def _reached_from(
+def reached_from(
     joints: Sequence[JointRange], goals_deg: Array, side: Array, rules: Sequence[CouplingRule]
 ) -> PosePlan:
     """Within limits and rules, each with the beginning of its last step."""
@@ -140,18 +163,17 @@ def _inside(joints: Sequence[JointRange]) -> tuple[Array, Array]:
     return np.minimum(low + room, 0.0), np.maximum(high - room, 0.0)
 
 
-def _sweeps(low: Array, high: Array) -> tuple[Array, Array]:
+def _sweeps(low: Array, high: Array, per_sweep: int) -> tuple[Array, Array]:
     """Goals and sides of the neutral poses and of every joint alone, at its wider end."""
     n_servos = len(low)
     wider = np.where(high >= -low, high, low)
-    goals = np.zeros((_NEUTRAL_POSES + _POSES_PER_SWEEP * n_servos, n_servos))
+    goals = np.zeros((_NEUTRAL_POSES + per_sweep * n_servos, n_servos))
     side = np.ones_like(goals)
     side[1] = -1.0
     for joint in range(n_servos):
-        rows = slice(_NEUTRAL_POSES + _POSES_PER_SWEEP * joint, None)
-        up, down = range(*rows.indices(len(goals)))[:_POSES_PER_SWEEP]
-        goals[[up, down], joint] = _SWEEP_SHARE * wider[joint]
-        side[down, joint] = -1.0
+        up = _NEUTRAL_POSES + per_sweep * joint
+        goals[up : up + per_sweep, joint] = _SWEEP_SHARE * wider[joint]
+        side[up + 1 : up + per_sweep, joint] = -1.0
     return goals, side
 
 
@@ -174,7 +196,8 @@ class Capture:
 
     goals_deg, from_below: (n, n_servos); markers_mm: (n, n_markers, 3), NaN where lost. stalled: a
     line for each pose that was left out because a joint did not get there, or for those that were
-    not recorded. n_planned: poses of the plan, those left out among them.
+    not recorded. n_planned: poses of the plan, those left out among them. rows: of the plan, which
+    of its poses these are, where they were captured pose by pose. ladders: as in the plan.
     """
 
     servo_names: tuple[str, ...]
@@ -184,9 +207,29 @@ class Capture:
     markers_mm: Array
     stalled: tuple[str, ...] = ()
     n_planned: int = 0
+    rows: tuple[int, ...] = ()
+    ladders: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __len__(self) -> int:
         return len(self.goals_deg)
+
+
+def ladders_of(poses: PosePlan | Capture) -> Indices:
+    """(n,): of which ladder each pose is, 0: of none."""
+    return poses.ladders if len(poses.ladders) else np.zeros(len(poses), dtype=np.int64)
+
+
+def outside_ladders(capture: Capture) -> Capture:
+    """The poses in which lips are not closed step by step."""
+    free = ladders_of(capture) == 0
+    return replace(
+        capture,
+        goals_deg=capture.goals_deg[free],
+        from_below=capture.from_below[free],
+        markers_mm=capture.markers_mm[free],
+        rows=tuple(np.array(capture.rows)[free].tolist()) if capture.rows else (),
+        ladders=ladders_of(capture)[free],
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,20 +296,24 @@ def take_poses(
     try:
         for index in range(len(plan)):
             if index not in done and index not in left_out:
-                on.move(plan.start_deg[index])
-                reached_deg = on.move(plan.goals_deg[index])
-                on.arrived(index, reached_deg)
-                # As exact as they are kept: a capture that goes on from a file is the same.
-                seen_mm, stands_deg = np.round(on.measure(), 4), np.round(reached_deg, 4)
-                poses.append(CapturedPose(index, stands_deg, seen_mm))
+                poses.append(take_pose(plan, index, on))
                 if keep is not None:
-                    _append(keep, poses[-1], plan, marker_names)
+                    keep_pose(keep, poses[-1], plan, marker_names)
                 if index in pressing and on.strained() is not None:
                     left_out = set(pressing)
             on.progress(len(poses))
     finally:
         on.move(np.zeros(len(plan.servo_names)))
     return poses
+
+
+def take_pose(plan: PosePlan, index: int, on: Robot) -> CapturedPose:
+    """Go to a pose of the plan, from its side, and measure it."""
+    on.move(plan.start_deg[index])
+    reached_deg = on.move(plan.goals_deg[index])
+    on.arrived(index, reached_deg)
+    # As exact as they are kept: a capture that goes on from a file is the same.
+    return CapturedPose(index, np.round(reached_deg, 4), np.round(on.measure(), 4))
 
 
 def gather(plan: PosePlan, marker_names: tuple[str, ...], poses: list[CapturedPose]) -> Capture:
@@ -292,10 +339,12 @@ def gather(plan: PosePlan, marker_names: tuple[str, ...], poses: list[CapturedPo
         markers_mm=np.array([pose.markers_mm for pose in good]).reshape(-1, len(marker_names), 3),
         stalled=tuple(stalled),
         n_planned=len(plan),
+        rows=tuple(rows),
+        ladders=ladders_of(plan)[rows],
     )
 
 
-#: How `_append` begins a line; what begins otherwise is no pose cut short.
+#: How `keep_pose` begins a line; what begins otherwise is no pose cut short.
 _LINE_HEAD = '{"pose": '
 
 
@@ -304,12 +353,13 @@ def read_kept(
 ) -> list[CapturedPose]:
     """The poses in a kept file; a last line that a power cut left unfinished is dropped.
 
-    goes_on: the plan will be continued, and poses beyond it are left for later.
+    goes_on: the plan will be continued; the first pose beyond it, and all that was written after,
+    are left for later: what follows was planned without them.
     Raises CalibrationError for a file of another plan or a damaged one.
     """
     if not keep.exists():
         return []
-    poses = []
+    poses: dict[int, CapturedPose] = {}
     try:
         lines = keep.read_text(encoding="utf-8").split("\n")
     except (OSError, UnicodeDecodeError) as error:
@@ -317,8 +367,10 @@ def read_kept(
     for number, line in enumerate(lines[:-1]):
         try:
             content = json.loads(line)
-            if not (goes_on and int(str(content["pose"])) >= len(plan)):
-                poses.append(_kept_pose(content, plan, marker_names))
+            if goes_on and int(str(content["pose"])) >= len(plan):
+                break
+            pose = _kept_pose(content, plan, marker_names)
+            poses[pose.index] = pose
         except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
             raise CalibrationError(
                 f"{keep}, line {number + 1}: not a pose of this face and plan; "
@@ -331,7 +383,7 @@ def read_kept(
                 "name another file or remove this one"
             )
         write_whole(keep, "".join(line + "\n" for line in lines[:-1]))
-    return poses
+    return list(poses.values())
 
 
 def _kept_pose(
@@ -349,7 +401,11 @@ def _kept_pose(
     return CapturedPose(index, np.array(line["reached_deg"], dtype=np.float64), points)
 
 
-def _append(keep: Path, pose: CapturedPose, plan: PosePlan, marker_names: tuple[str, ...]) -> None:
+def keep_pose(
+    keep: Path, pose: CapturedPose, plan: PosePlan, marker_names: tuple[str, ...]
+) -> None:
+    """Add a line to the kept poses; the last line of a pose counts. Raises CalibrationError."""
+
     def plain(points: Array) -> list[list[float | None]]:
         return [[float(f"{v:.4f}") if np.isfinite(v) else None for v in p] for p in points]
 

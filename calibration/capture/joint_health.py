@@ -32,8 +32,9 @@ _BY_CHANCE = 0.033
 MOST_LOOKS = 3
 #: A second look is taken up to here: dead joints come as far because the others are not straight.
 _DOUBT = 20.0
-#: Each end so many times in a second look; so many are needed to judge by.
-_TIMES, _LEAST_TIMES = 6, 4
+#: Each end so many times in a second look; so many are needed to judge by: more than there are of
+#: the poses that are taken again, which do not go to the end.
+_TIMES, _LEAST_TIMES = 6, 5
 #: Another joint this near to 0 does not move; so much of its range is at its end.
 _STILL_DEG, _END_SHARE, _LEAST_RANGE_DEG = 0.1, 0.05, 1.0
 
@@ -118,7 +119,9 @@ def _ends_alone(capture: Capture, joint: int) -> tuple[NDArray[np.int64], NDArra
 
 
 #: F values: by how much a suspicion explains more than noise would (1), and than another's.
-_SURE, _AHEAD = 5.0, 1.5
+#: Healthy robots come to 2.6 over poses that fill the range, and with those of speech, which lie
+#: elsewhere, to 5: so a suspicion needs poses that were taken twice to bear it out, and less of F.
+SURE, SUSPECTED, _AHEAD = 5.0, 3.0, 1.5
 #: A shift is a joint's own where it goes along with what the joint does, and with no other.
 _ALIKE, _UNLIKE = 0.8, 0.15
 _FIRST, _LAST = 6, 5
@@ -150,8 +153,11 @@ class JointFault:
         )
 
 
-def joint_fault(capture: Capture, lines: StraightLines) -> JointFault | None:
-    """The one thing that went wrong, if one explains the capture so much better than none."""
+def joint_fault(capture: Capture, lines: StraightLines, sure: float = SURE) -> JointFault | None:
+    """The one thing that went wrong, if one explains the capture so much better than none.
+
+    sure: the F value from which it does.
+    """
     n = len(capture)
     low, high = capture.goals_deg.min(axis=0), capture.goals_deg.max(axis=0)
     x = 2 * (capture.goals_deg - low) / np.maximum(high - low, 1e-6) - 1
@@ -165,7 +171,7 @@ def joint_fault(capture: Capture, lines: StraightLines) -> JointFault | None:
         return None
     healthy = _left(base, y)
     # A joint that stands still is somewhere else, too: so a stop is asked for first.
-    stops, shifts = _stops(base, x, y, healthy), _shifts(base, x, y, healthy)
+    stops, shifts = _stops(base, x, y, healthy, sure), _shifts(base, x, y, healthy, sure)
     if stops and (not shifts or stops[0][0] > _STOP_SHARE * shifts[0][0]):
         return stops[0][1]
     return shifts[0][1] if shifts else None
@@ -177,7 +183,9 @@ def _left(inputs: Array, y: Array) -> float:
     return float((y**2).sum() - ((basis.T @ y) ** 2).sum())
 
 
-def _stops(base: Array, x: Array, y: Array, healthy: float) -> list[tuple[float, JointFault]]:
+def _stops(
+    base: Array, x: Array, y: Array, healthy: float, sure: float
+) -> list[tuple[float, JointFault]]:
     """The joint that best counts as standing still from some pose on."""
     n, n_servos = x.shape
     freedom = n - base.shape[1]
@@ -193,12 +201,14 @@ def _stops(base: Array, x: Array, y: Array, healthy: float) -> list[tuple[float,
     best.sort(reverse=True)
     (gain, k), joint = best[0]
     second = best[1][0][0] if len(best) > 1 else 0.0
-    if gain > _SURE and gain > _AHEAD * max(second, 0.0):
+    if gain > sure and gain > _AHEAD * max(second, 0.0):
         return [(gain, JointFault("stopped", joint, k + 1))]
     return []
 
 
-def _shifts(base: Array, x: Array, y: Array, healthy: float) -> list[tuple[float, JointFault]]:
+def _shifts(
+    base: Array, x: Array, y: Array, healthy: float, sure: float
+) -> list[tuple[float, JointFault]]:
     """Everything shifted from some pose on: by whom, if it is what one joint does."""
     n, n_servos = x.shape
     tries = []
@@ -207,7 +217,7 @@ def _shifts(base: Array, x: Array, y: Array, healthy: float) -> list[tuple[float
         left = _left(inputs, y)
         tries.append(((healthy - left) / (left / (n - inputs.shape[1])), k))
     gain, k = max(tries)
-    if gain <= _SURE:
+    if gain <= sure:
         return []
     fit = np.linalg.lstsq(np.hstack([base, np.arange(n)[:, None] >= k]), y, rcond=None)[0]
     shift, does = fit[-1], fit[1 : 1 + n_servos]

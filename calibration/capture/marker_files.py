@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from calibration.calibration import CalibrationError
-from calibration.capture.capture import LEAD_IN_DEG, Capture, PosePlan
+from calibration.capture.capture import LEAD_IN_DEG, Capture, PosePlan, ladders_of
 from calibration.capture.dots import is_dots_folder, read_dots_folder
-from lipsync.arrays import Array
+from lipsync.arrays import Array, Indices
 from lipsync.errors import check_extra, shown
 from lipsync.output_file import write_whole
 
@@ -89,6 +89,7 @@ def _axes_matrix(axes: str) -> Array:
 
 _AXES = ("x_mm", "y_mm", "z_mm")
 _COLUMNS = ("pose", "marker", *_AXES)
+_LADDER = "ladder"
 #: A hundred metres: no tracker is so far from its zero.
 _FARTHEST_MM = 1e5
 #: Poses without markers are named up to so many.
@@ -100,9 +101,12 @@ def write_plan(plan: PosePlan, path: Path) -> None:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     degrees = [f"{name}_deg" for name in plan.servo_names]
-    writer.writerow(["pose", *degrees, *(f"{name}_from" for name in plan.servo_names)])
-    for pose, (goals, sides) in enumerate(zip(plan.goals_deg, plan.from_below, strict=True)):
-        writer.writerow([pose + 1, *(f"{g:.2f}" for g in goals), *(f"{s:.0f}" for s in sides)])
+    sides = [f"{name}_from" for name in plan.servo_names]
+    writer.writerow(["pose", *degrees, *sides, _LADDER])
+    rows = zip(plan.goals_deg, plan.from_below, ladders_of(plan).tolist(), strict=True)
+    for pose, (goals, from_, ladder) in enumerate(rows):
+        numbers = (*(f"{g:.2f}" for g in goals), *(f"{s:.0f}" for s in from_))
+        writer.writerow([pose + 1, *numbers, ladder])
     write_whole(path, text.getvalue())
 
 
@@ -113,9 +117,9 @@ def read_plan(path: Path, servo_names: tuple[str, ...]) -> PosePlan:
 
 def read_numbered_plan(path: Path, servo_names: tuple[str, ...]) -> tuple[list[int], PosePlan]:
     """The same with the number of each pose, as its line has it."""
-    numbers, goals_deg, from_below = _read_plan(path, servo_names)
+    numbers, goals_deg, from_below, ladders = _read_plan(path, servo_names)
     start_deg = goals_deg - LEAD_IN_DEG * from_below
-    return numbers, PosePlan(servo_names, goals_deg, from_below, start_deg)
+    return numbers, PosePlan(servo_names, goals_deg, from_below, start_deg, ladders)
 
 
 def read_capture(
@@ -144,7 +148,7 @@ def read_recorded(
     read: Callable[[], list[tuple[int, str, Array]]] | None = None,
 ) -> tuple[list[int], Capture]:
     """The same with the row of the plan, counted from 0, that each pose of the capture is."""
-    poses, goals_deg, from_below = _read_plan(plan_path, servo_names)
+    poses, goals_deg, from_below, ladders = _read_plan(plan_path, servo_names)
     readings = read_readings(markers_path, axes) if read is None else read()
     if not readings:
         raise CalibrationError(f"{markers_path}: holds no readings")
@@ -165,7 +169,13 @@ def read_recorded(
     rows = [poses.index(pose) for pose in used]
     left_out = _left_out([pose for pose in poses if pose not in recorded], len(poses))
     return rows, Capture(
-        servo_names, names, goals_deg[rows], from_below[rows], markers_mm, left_out
+        servo_names,
+        names,
+        goals_deg[rows],
+        from_below[rows],
+        markers_mm,
+        left_out,
+        ladders=ladders[rows],
     )
 
 
@@ -184,7 +194,7 @@ def median_place(places_mm: list[Array]) -> Array:
     return np.asarray(np.median(whole, axis=0)) if whole else np.full(3, np.nan)
 
 
-def _read_plan(path: Path, servo_names: tuple[str, ...]) -> tuple[list[int], Array, Array]:
+def _read_plan(path: Path, servo_names: tuple[str, ...]) -> tuple[list[int], Array, Array, Indices]:
     rows = list(csv_rows(path, ("pose", *(f"{name}_deg" for name in servo_names))))
     poses = [_whole(row["pose"], place) for place, row in rows]
     goals = [[number_in(row[f"{n}_deg"], place) for n in servo_names] for place, row in rows]
@@ -197,7 +207,13 @@ def _read_plan(path: Path, servo_names: tuple[str, ...]) -> tuple[list[int], Arr
         if not set(own) <= {1.0, -1.0}:
             raise CalibrationError(f"{place}: a side is 1, from below, or -1, from above")
     shape = (len(poses), len(servo_names))
-    return poses, np.array(goals).reshape(shape), np.array(sides).reshape(shape)
+    ladders = [_whole(row.get(_LADDER, 0), place) for place, row in rows]
+    return (
+        poses,
+        np.array(goals).reshape(shape),
+        np.array(sides).reshape(shape),
+        np.array(ladders, dtype=np.int64),
+    )
 
 
 def read_readings(path: Path, axes: str = "x y z") -> list[tuple[int, str, Array]]:

@@ -6,21 +6,38 @@ there. Axes are compared with the speaker's closed mouth by every exchange and t
 robot is another face, but its nose is above its chin and its left is not its right.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import combinations, permutations, product
 
 import numpy as np
 
 from calibration.calibration import CalibrationError
-from calibration.capture.capture import Capture
-from calibration.capture.joint_health import WEAK, alive, is_dead, joint_fault, moved_alone_mm
+from calibration.capture.capture import Capture, outside_ladders
+from calibration.capture.joint_health import (
+    SUSPECTED,
+    WEAK,
+    JointFault,
+    alive,
+    is_dead,
+    joint_fault,
+    moved_alone_mm,
+)
+from calibration.capture.repeated_poses import FaceChange, bears_out, changed_poses, face_change
 from calibration.capture.straight_lines import (
     StraightLines,
     in_head_frame,
     straight_lines,
     without_far_points,
 )
+from calibration.capture.swaps import (
+    exchanged,
+    refuse_swaps,
+    swapped_everywhere,
+    swapped_in_poses,
+    told_swaps,
+)
+from calibration.joint_motion import Channel, joint_motion
 from lipsync.arrays import Array
 from lipsync.face.model import FaceModel
 from lipsync.markers import MARKERS_47
@@ -90,6 +107,12 @@ def frame_faults(
     )
 
 
+def is_flat(capture: Capture) -> bool:
+    """Whether no marker ever moves forward or back: nothing measured depth."""
+    depths_mm = capture.markers_mm[..., 2]
+    return bool((np.nanmax(depths_mm, axis=0) - np.nanmin(depths_mm, axis=0) < _FLAT_MM).all())
+
+
 def check_frame(
     marker_names: tuple[str, ...], usual_mm: Array, model: FaceModel, *, accept: bool
 ) -> tuple[str, ...]:
@@ -112,29 +135,14 @@ _REVERSED_SHARE, _REVERSED_ERRORS = 0.5, 5.0
 _MOVED_MOST = 5
 #: A marker seen in fewer poses than this share of them is not worth keeping.
 _LEAST_SEEN = 0.5
-#: Swapped names must explain this part of what a pose leaves unexplained, and at least so much:
-#: two markers 3 mm apart that change places are 3 mm off each, six times the noise.
-_SWAP_SHARE, _SWAP_MM = 0.6, 3.0
-
-_INNER_LIPS = (
-    ("inner_lip_13", "inner_lip_14"),
-    ("inner_lip_82", "inner_lip_87"),
-    ("inner_lip_312", "inner_lip_317"),
-)
-#: Inner and outer lips part together; so much the other way is an exchange.
-_OPPOSED = -0.5
 #: A joint that is moved less than this was not moved.
 _LEAST_RANGE_DEG = 0.5
 #: Two dots that touch are farther apart than this, by their own noise alone.
 _SAME_DOT_MM = 0.05
 
 #: Which way the lips go for the words that face YAMLs use: markers, axis, sign.
-_UPPER, _LOWER = ("outer_lip_0", "inner_lip_13"), ("outer_lip_17", "inner_lip_14")
+_LOWER = ("outer_lip_17", "inner_lip_14")
 _RIGHT, _LEFT = "outer_lip_61", "outer_lip_291"
-
-
-#: Two names, and where they were exchanged.
-_Swap = tuple[str, str, str]
 
 
 def least_poses_to_fit(n_servos: int) -> int:
@@ -144,10 +152,14 @@ def least_poses_to_fit(n_servos: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class CheckedCapture:
-    """A capture with wrong readings left out, and what there is to say about it."""
+    """A capture with wrong readings left out, and what there is to say about it.
+
+    still: joints that move nothing which is seen, accepted as they are.
+    """
 
     capture: Capture
     warnings: tuple[str, ...]
+    still: tuple[int, ...] = ()
 
 
 def check_capture(
@@ -173,14 +185,26 @@ def check_capture(
     _check_doubles(capture)
     usual_mm = np.nanmedian(capture.markers_mm, axis=0)
     sizes = check_frame(capture.marker_names, usual_mm, model, accept=accept)
-    everywhere = _swapped_everywhere(capture, model) or _swapped_lips(capture)
+    everywhere = swapped_everywhere(capture, model)
     lines = straight_lines(capture)
     capture, moved = in_head_frame(capture, lines)
     lines = straight_lines(capture) if moved else lines
-    _refuse_swaps([*everywhere, *_swapped_in_poses(capture, lines.expected_mm)])
+    swaps = swapped_in_poses(capture, lines.expected_mm)
+    refuse_swaps([*everywhere, *(() if accept else swaps)])
+    renamed: tuple[str, ...] = ()
+    if swaps:
+        capture = replace(capture, markers_mm=exchanged(capture, swaps))
+        lines = straight_lines(capture)
+        renamed = (f"markers {told_swaps(swaps)}: exchanged there",)
     capture, far = without_far_points(capture, lines)
-    joints = _judged_joints(capture, lines, positive, accept=accept)
-    return CheckedCapture(capture, (*stalled, *lost, *sizes, *moved, *far, *joints))
+    # Lips that press each other are no fault of a joint.
+    judged = outside_ladders(capture)
+    joints = _judged_joints(judged, straight_lines(judged), positive)
+    if joints.certain and not accept:
+        raise CalibrationError(f"{joints.certain[0]}. If it is as it should be, add --accept")
+    said = (*joints.certain, *joints.doubtful)
+    warnings = (*stalled, *lost, *sizes, *moved, *renamed, *far, *said)
+    return CheckedCapture(capture, warnings, tuple(joints.still))
 
 
 def _check_range(capture: Capture) -> None:
@@ -193,35 +217,58 @@ def _check_range(capture: Capture) -> None:
         )
 
 
+@dataclass(slots=True)
+class _JointFindings:
+    """What is said of joints: what is certain is refused unless accepted. still: the dead ones."""
+
+    certain: list[str] = field(default_factory=list)
+    doubtful: list[str] = field(default_factory=list)
+    still: list[int] = field(default_factory=list)
+
+
 def _judged_joints(
-    capture: Capture, lines: StraightLines, positive: Sequence[str], *, accept: bool
-) -> tuple[str, ...]:
-    """What is said of joints; the first that is certain is refused unless accepted."""
-    certain: list[str] = []
-    doubtful: list[str] = []
-    fault = joint_fault(capture, lines)
+    capture: Capture, lines: StraightLines, positive: Sequence[str]
+) -> _JointFindings:
+    """Poses that were taken twice know best what happened on the way, and bear out the rest."""
+    found = _JointFindings()
+    changed = changed_poses(capture, lines)
+    fault: JointFault | FaceChange | None
+    if changed is None:
+        fault = joint_fault(capture, lines)
+    else:
+        fault = face_change(changed)
+        suspected = joint_fault(capture, lines, SUSPECTED)
+        if suspected is not None and bears_out(changed, suspected):
+            # It knows at which pose, and a joint that stands still from one that slipped.
+            fault = suspected if fault is None or fault.joint == suspected.joint else fault
     if fault is not None:
-        (certain if fault.joint >= 0 else doubtful).append(fault.told(capture.servo_names))
+        told = fault.told(capture.servo_names)
+        (found.certain if fault.joint >= 0 else found.doubtful).append(told)
+    n_servos = len(capture.servo_names)
+    found.still += [joint for joint in range(n_servos) if is_dead(capture, lines, joint)]
     # Where something happened on the way, what joints seem to do is not what they do.
     judged = capture.servo_names if fault is None else ()
     for joint, name in enumerate(judged):
-        if is_dead(capture, lines, joint):
-            certain.append(
-                f"servo {name!r} moves no marker by more than chance; "
-                "check its horn, its linkage and its limits"
+        word = positive[joint] if positive else ""
+        if joint in found.still and positive and not word:
+            found.doubtful.append(
+                f"servo {name!r} moves the lips forward, which is not seen here: it stays at 0"
             )
-        elif positive and _is_reversed(capture, lines, joint, positive[joint]):
-            certain.append(
-                f"servo {name!r} is reversed: a positive angle should {_bare(positive[joint])}, "
+        elif joint in found.still:
+            found.certain.append(
+                f"servo {name!r} moves no marker by more than chance, so speech would not move it; "
+                "check its horn, its linkage and its limits, or give it `part: other`"
+            )
+        elif word and _is_reversed(capture, lines, joint, _usual_word(name, word)):
+            found.certain.append(
+                f"servo {name!r} is reversed: a positive angle should {_bare(word)}, "
                 "and does the opposite; change its `sign` in the face YAML"
             )
         elif alive(lines, joint) < WEAK:
-            doubtful.append(
+            found.doubtful.append(
                 f"servo {name!r} is weak or dead: it moves the markers little above chance"
             )
-    if certain and not accept:
-        raise CalibrationError(f"{certain[0]}. If it is as it should be, add --accept")
-    return (*certain, *doubtful)
+    return found
 
 
 def _is_reversed(capture: Capture, lines: StraightLines, joint: int, word: str) -> bool:
@@ -302,96 +349,25 @@ def _wanted_direction(names: tuple[str, ...], slope_mm: Array, word: str) -> Arr
     return wanted
 
 
+#: What a joint does in a channel's forward direction, and in its backward one.
+_WORDS: Mapping[Channel, tuple[str, str]] = {
+    "jaw": ("opens", "closes"),
+    "upper_lip": ("raises", "lowers"),
+    "lower_lip": ("lowers", "raises"),
+    "corner_out": ("widens", "narrows"),
+    "corner_up": ("raises", "lowers"),
+    "protrusion": ("protrudes", "retracts"),
+}
+
+
+def _usual_word(name: str, word: str) -> str:
+    """For a jaw that drops: opens. Words that say what moves by themselves stay."""
+    if any(word in pair for pair in _WORDS.values()):
+        return word
+    motion = joint_motion(name, word)
+    return word if motion is None else _WORDS[motion.channel][0 if motion.sign > 0 else 1]
+
+
 def _bare(word: str) -> str:
     """`opens` -> `open`."""
     return word[:-1] if word.endswith("s") else word
-
-
-def _swapped_everywhere(capture: Capture, model: FaceModel) -> list[_Swap]:
-    """Two names exchanged throughout: the robot's neutral looks more like a face the other way.
-
-    Compared with the speaker's rest after moving and scaling one onto the other, axis by axis.
-    """
-    human_mm = model.markers_mm(model.rest[None])[0]
-    known = [i for i, name in enumerate(capture.marker_names) if name in MARKERS_47.names]
-    human_mm = human_mm[[MARKERS_47.names.index(capture.marker_names[i]) for i in known]]
-    robot_mm = np.nanmedian(capture.markers_mm, axis=0)[known]
-
-    def like(points_mm: Array) -> Array:
-        """Standardised in each axis."""
-        centred = points_mm - np.median(points_mm, axis=0)
-        return np.asarray(centred / np.maximum(np.median(np.abs(centred), axis=0), 1e-6))
-
-    apart = like(robot_mm) - like(human_mm)
-    size_mm = np.median(np.abs(robot_mm - np.median(robot_mm, axis=0)), axis=0)
-    names = [capture.marker_names[i] for i in known]
-    return _swaps(names, apart * size_mm, robot_mm, "in every pose")
-
-
-def _swapped_lips(capture: Capture) -> list[_Swap]:
-    """Inner lips that come nearer, upper below lower, the farther the outer ones part."""
-    found: list[_Swap] = []
-    if _UPPER[0] not in capture.marker_names or _LOWER[0] not in capture.marker_names:
-        return found
-    at = [capture.marker_names.index(name) for name in (_UPPER[0], _LOWER[0])]
-    outer_mm = capture.markers_mm[:, at[0], 1] - capture.markers_mm[:, at[1], 1]
-    for upper, lower in _INNER_LIPS:
-        if upper in capture.marker_names and lower in capture.marker_names:
-            at = [capture.marker_names.index(name) for name in (upper, lower)]
-            heights_mm = capture.markers_mm[:, at[0], 1] - capture.markers_mm[:, at[1], 1]
-            known = np.isfinite(heights_mm) & np.isfinite(outer_mm)
-            if known.sum() > 2 and np.corrcoef(heights_mm[known], outer_mm[known])[0, 1] < _OPPOSED:
-                found.append((upper, lower, "in every pose"))
-    return found
-
-
-def _swapped_in_poses(capture: Capture, expected_mm: Array) -> list[_Swap]:
-    names, found = capture.marker_names, []
-    for pose, (seen_mm, wanted_mm) in enumerate(zip(capture.markers_mm, expected_mm, strict=True)):
-        filled_mm = np.where(np.isfinite(seen_mm), seen_mm, wanted_mm)
-        where = f"in pose {pose + 1}"
-        found += _swaps(names, filled_mm - wanted_mm, filled_mm, where, near_mm=_SWAP_MM)
-    return found
-
-
-def _swaps(
-    names: Sequence[str],
-    off_mm: Array,
-    points_mm: Array,
-    where: str,
-    *,
-    near_mm: float = np.inf,
-) -> list[_Swap]:
-    """Pairs of markers that changed places, the clearest first; a marker is in one at most.
-
-    off_mm: (n, 3), how far each point is from where its name belongs; near_mm: how near it must
-    come to where the other's belongs.
-    """
-    sizes_mm = np.linalg.norm(off_mm, axis=1)
-    pairs = []
-    for a, b in combinations(np.flatnonzero(sizes_mm > _SWAP_MM).tolist(), 2):
-        as_named = sizes_mm[a] ** 2 + sizes_mm[b] ** 2
-        change_mm = points_mm[b] - points_mm[a]
-        a_mm = np.linalg.norm(off_mm[a] + change_mm)
-        b_mm = np.linalg.norm(off_mm[b] - change_mm)
-        swapped = a_mm**2 + b_mm**2
-        # Two wild readings in one pose are no exchange: each must come near the other's place.
-        both = a_mm < 0.6 * sizes_mm[b] and b_mm < 0.6 * sizes_mm[a] and max(a_mm, b_mm) < near_mm
-        if both and swapped < (1.0 - _SWAP_SHARE) * as_named:
-            pairs.append((swapped / as_named, a, b))
-    found: list[_Swap] = []
-    used: set[int] = set()
-    for _, a, b in sorted(pairs):
-        if not used & {a, b}:
-            used |= {a, b}
-            found.append((names[a], names[b], where))
-    return found
-
-
-def _refuse_swaps(swaps: Sequence[_Swap]) -> None:
-    """All of them in one line."""
-    if swaps:
-        told = "; ".join(f"{a!r} and {b!r} have changed places {where}" for a, b, where in swaps)
-        raise CalibrationError(
-            f"markers {told}; name them the other way round in the tracker and capture again"
-        )

@@ -18,15 +18,24 @@ from calibration.calibration import (
     ServoMemory,
     Touch,
     linear_calibration_parts,
-    pairs,
 )
+from calibration.closure import Closure, pairs
 from calibration.files.calibration_text import (
     CALIBRATION_VERSION,
     SAFE_LOADER,
     calibration_text,
     check_checksum,
 )
-from calibration.grade import Grade, HoldOutErrors, LearntLips, VisemeReach
+from calibration.grade import (
+    CONTACT,
+    LIMITS,
+    PASSED,
+    Closing,
+    Grade,
+    HoldOutErrors,
+    LearntLips,
+    VisemeReach,
+)
 from lipsync.arrays import Array
 from lipsync.errors import shown
 from lipsync.output_file import write_whole
@@ -227,6 +236,59 @@ def _parse(file: Place) -> Calibration:
         grade=parse_grade(file),
         learnt_lips=parse_learnt_lips(file),
         hand_poses=_parse_hand_poses(file, names),
+        closure=_parse_closure(file, len(names), len(rest)),
+        closing=_parse_closing(file),
+    )
+
+
+def _parse_closure(file: Place, n_servos: int, n_components: int) -> Closure | None:
+    if not file.has("closure"):
+        return None
+    closure = file.at("closure")
+
+    def rows(key: str, n: int) -> Array:
+        return np.array([row.numbers(n) for row in closure.at(key).places()])
+
+    gaps_mm = closure.at("gaps_mm").numbers()
+    parsed = Closure(
+        speaker_mm=rows("speaker_mm", n_components),
+        speaker_rest_mm=closure.at("speaker_rest_mm").numbers(3),
+        opens_mm=rows("opens_mm", n_components),
+        at_deg=closure.at("at_deg").numbers(n_servos),
+        gaps_mm=gaps_mm,
+        slopes=rows("slopes", n_servos),
+        bends=rows("bends", len(pairs(n_servos)[0])),
+        turns_deg=rows("turns_deg", len(gaps_mm)),
+        press_mm=closure.at("press_mm").number(),
+    )
+    counts = {
+        "speaker_mm": 3,
+        "opens_mm": len(gaps_mm),
+        "slopes": len(gaps_mm),
+        "bends": len(gaps_mm),
+        "turns_deg": n_servos,
+    }
+    for key, n in counts.items():
+        if len(getattr(parsed, key)) != n:
+            raise CalibrationError(f"closure.{key}: needs {n} lists")
+    return parsed
+
+
+def _parse_closing(file: Place) -> Closing | None:
+    if not file.has("closing"):
+        return None
+    closing = file.at("closing")
+    evidence = closing.at("evidence").text()
+    if evidence not in (CONTACT, PASSED, LIMITS):
+        known = ", ".join((CONTACT, PASSED, LIMITS))
+        raise CalibrationError(f"{closing.path}.evidence is {shown(evidence)}, expected {known}")
+    if evidence != LIMITS:
+        return Closing(evidence)
+    return Closing(
+        evidence,
+        closing.at("apart_mm").number(),
+        closing.at("joint").text(),
+        closing.at("missing_deg").number(),
     )
 
 

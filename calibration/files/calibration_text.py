@@ -14,7 +14,8 @@ import numpy as np
 import yaml
 
 from calibration.calibration import Calibration, CalibrationError, Following, Touch
-from calibration.grade import Grade, HoldOutErrors, LearntLips, VisemeReach
+from calibration.closure import Closure
+from calibration.grade import Closing, Grade, HoldOutErrors, LearntLips, VisemeReach
 from lipsync.arrays import Array
 from lipsync.phonemes import VISEME_CLASSES
 
@@ -64,7 +65,8 @@ _HEADER = """\
 # rest_deg + weights . x + quadratic_weights . (x_i x_j, i <= j, row by row), kept between min_deg
 # and max_deg. Where the file has centres, centre_weights . |x - centre| are added before that.
 # The coefficients are the principal components of the model named below, in millimetres; rest is
-# the closed mouth. hold_out tells how far off the map is on motion left out of the fit.
+# the closed mouth. Where lips are near, closure corrects it so that they meet.
+# hold_out tells how far off the map is on motion left out of the fit.
 # Made for one model and one face: change either, and lipservo asks for a new calibration.
 """
 _HOLD_OUT_NOTES = {
@@ -104,6 +106,8 @@ def calibration_text(calibration: Calibration) -> str:
     lines += _touch_lines(calibration.touch, calibration.servo_names)
     lines += _hold_out_lines(calibration.errors)
     lines += learnt_lips_lines(calibration.learnt_lips)
+    lines += _closing_lines(calibration.closing)
+    lines += _closure_lines(calibration.closure)
     lines += grade_lines(calibration.grade)
     lines += coverage_lines(calibration.coverage)
     lines += _trim_lines(calibration)
@@ -157,6 +161,33 @@ def _touch_lines(touch: Touch | None, servo_names: tuple[str, ...]) -> list[str]
         f"  current_cap_ma: {_exact(touch.current_cap_ma)}",
         f"  positions_deg: {{{', '.join(f'{name}: {_four(deg)}' for name, deg in degrees)}}}",
     ]
+
+
+def _closing_lines(closing: Closing | None) -> list[str]:
+    if closing is None:
+        return []
+    if closing.closes:
+        return [f"closing: {{evidence: {closing.evidence}}}"]
+    return [
+        f"closing: {{evidence: {closing.evidence}, apart_mm: {_four(closing.apart_mm)}, "
+        f'joint: "{closing.joint}", missing_deg: {_four(closing.missing_deg)}}}'
+    ]
+
+
+def _closure_lines(closure: Closure | None) -> list[str]:
+    """Arrays of two dimensions are written row by row, numbers as they are."""
+    if closure is None:
+        return []
+    lines = ["closure:  # how far the lips are apart, by the joints, so that they meet"]
+    for field in fields(closure):
+        value = getattr(closure, field.name)
+        if isinstance(value, float):
+            lines.append(f"  {field.name}: {_six(value)}")
+            continue
+        shown = [_list(row, _six) for row in value] if value.ndim == 2 else None
+        lines.append(f"  {field.name}: " + (_list(value, _six) if shown is None else ""))
+        lines += [f"  - {row}" for row in shown or ()]
+    return lines
 
 
 def _hold_out_lines(errors: HoldOutErrors) -> list[str]:

@@ -7,15 +7,18 @@ Loads scikit-learn; the live path never does.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from calibration.calibration import Calibration, CalibrationError, Following, Origin, Touch
-from calibration.capture.capture import Capture
+from calibration.capture.capture import Capture, outside_ladders
 from calibration.capture.sanity import check_capture
+from calibration.capture.straight_lines import straight_lines
+from calibration.closure import CLOSED_GAP_MM
+from calibration.fit.closing import pair_slopes
 from calibration.fit.retargeting import (
     LEAST_OPENING_MM,
     PRESS_MM,
@@ -30,7 +33,10 @@ from calibration.fit.retargeting import (
 from calibration.fit.robot_face import RobotFace, fit_robot_face
 from calibration.fit.run_time_map import RunTimeMap, choose_map
 from calibration.grade import (
-    CLOSED_GAP_MM,
+    CONTACT,
+    LIMITS,
+    PASSED,
+    Closing,
     HoldOutErrors,
     LearntLips,
     VisemeReach,
@@ -50,11 +56,15 @@ _FRAMES_PER_CLASS = 30
 
 @dataclass(frozen=True, slots=True)
 class ShapeErrors:
-    """What shapes are measured with: the speaker, the mouth as learnt, what is aimed for."""
+    """What shapes are measured with: the speaker, the mouth as learnt, what is aimed for.
+
+    stay_apart_mm: how far lips stay apart that are as closed as they can be.
+    """
 
     model: FaceWithAnimPhos
     mouth: RobotMouth
     retargeting: Retargeting
+    stay_apart_mm: float = 0.0
 
     def reached(self, from_rest: Array) -> NDArray[np.bool_]:
         """(n, n_components) -> (n,): whether the best pose has the opening and width asked for."""
@@ -95,8 +105,7 @@ def _errors(on: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors:
     from_rest = held_out - on.model.rest
     best_deg = on.retargeting.poses_deg(from_rest)
     targets_mm = on.mouth.seen_mm(best_deg)
-    free_deg = run.free_deg(from_rest)
-    poses_deg = on.mouth.kept_deg(free_deg)
+    poses_deg = run.poses_deg(from_rest, on.mouth)
     robot_mm = on.mouth.seen_mm(poses_deg)
     human_gap_mm = on.model.lip_gaps_mm(on.model.markers_mm(held_out))
     gap_mm = _opening_mm(on, robot_mm)
@@ -110,8 +119,8 @@ def _errors(on: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors:
         gap_rms_mm=_rms(gap_mm - _opening_mm(on, targets_mm)),
         gap_correlation=float(np.corrcoef(human_gap_mm, gap_mm)[0, 1]) if moves else 0.0,
         n_closures=int(closed.sum()),
-        closed_gap_mm=gaps.closed_mm or 0.0,
-        clipped_share=float((free_deg != poses_deg).any(axis=1).mean()),
+        closed_gap_mm=on.stay_apart_mm + (gaps.closed_mm or 0.0),
+        clipped_share=float(_at_limit(poses_deg, on.mouth).mean()),
         joint_rms_deg=tuple(_rms(column) for column in (poses_deg - best_deg).T),
         each_marker_rms_mm=each_marker_rms_mm(on.mouth.names.marker_names, robot_mm - targets_mm),
         gap_slope=gaps.slope,
@@ -129,13 +138,12 @@ def _coverage(on: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
     from_rest = on.model.animphos.samples[np.concatenate(list(rows.values())), 2] - on.model.rest
     reached = on.reached(from_rest)
     targets_mm = on.retargeting.targets_mm(from_rest)
-    free_deg = run.free_deg(from_rest)
-    poses_deg = on.mouth.kept_deg(free_deg)
+    poses_deg = run.poses_deg(from_rest, on.mouth)
     off_mm = on.apart_mm(poses_deg, targets_mm)
     asked_mm = on.retargeting.asked_open_mm(from_rest)[:, 0]
     made_mm = _opening_mm(on, on.mouth.seen_mm(poses_deg))
     human_mm = on.model.lip_gaps_mm(on.model.markers_mm(from_rest + on.model.rest))
-    at_limit = (free_deg != poses_deg).any(axis=1)
+    at_limit = _at_limit(poses_deg, on.mouth)
     reach: dict[str, VisemeReach] = {}
     begin = 0
     for viseme, chosen in rows.items():
@@ -145,12 +153,18 @@ def _coverage(on: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
             reachable=float(reached[own].mean()),
             off_mm=_rms(off_mm[own]),
             gap_slope=gaps.slope,
-            closed_gap_mm=gaps.closed_mm,
+            closed_gap_mm=None if gaps.closed_mm is None else on.stay_apart_mm + gaps.closed_mm,
             small_gaps_kept=gaps.small_kept,
             at_limit=float(at_limit[own].mean()),
         )
         begin = own.stop
     return reach
+
+
+def _at_limit(poses_deg: Array, mouth: RobotMouth) -> NDArray[np.bool_]:
+    """(n,): whether a joint stands at a limit."""
+    low, high = mouth.limits_deg
+    return np.asarray(((poses_deg <= low) | (poses_deg >= high)).any(axis=1))
 
 
 def _rows_of(model: FaceWithAnimPhos, viseme: tuple[str, ...]) -> NDArray[np.int64]:
@@ -204,9 +218,13 @@ MAX_FITTED, MAX_HELD_OUT = 240, 160
 #: (https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#specifications). Soft lips need less.
 TOUCH_CURRENT_MA = 294.0
 
-#: Where lips were seen to stop each other, closures go so far past contact: a few times what the
-#: learnt gap of closed lips is wrong by.
-_CONTACT_PRESS_MM = 0.4
+#: Where lips were seen to stop each other, closures go so far past contact: about twice what the
+#: learnt gap of closed lips is wrong by (docs/decisions/0064).
+_CONTACT_PRESS_MM = 0.6
+#: What noise gives a kink of three ladders at the most, in square standard errors.
+_HINT = 15.0
+#: A joint that is so near to its limit stands at it.
+_AT_LIMIT_DEG = 0.5
 #: One narrow reading may be noise.
 _NARROWEST = 0.05
 
@@ -257,10 +275,16 @@ def _fit(
     warnings = (*checked.warnings, *loose_joint(face.servo_names, face.backlash_deg))
     limits = servos.limits_deg
     fit, held_out = split_frames(model, seed)
-    mouth = mouth_of(face, names, servos)
-    chosen = choose_map(retargeting_of(model, mouth, face, capture), fit - model.rest)
-    retargeting, run = chosen.retargeting, chosen.run
-    errors, coverage = measure_shapes(ShapeErrors(model, mouth, retargeting), run, held_out)
+    mouth = replace(
+        mouth_of(face, names, servos.holding(checked.still)),
+        doubt_mm_per_deg=_doubt_mm_per_deg(outside_ladders(capture), names),
+    )
+    retargeting = retargeting_of(model, mouth, face, capture)
+    run = choose_map(retargeting, fit - model.rest).without(checked.still)
+    closing = closing_of(face, mouth, capture)
+    apart_mm = 0.0 if closing is None else closing.apart_mm
+    on = ShapeErrors(model, mouth, retargeting, apart_mm)
+    errors, coverage = measure_shapes(on, run, held_out)
     calibration = Calibration(
         servo_names=capture.servo_names,
         weights=run.weights,
@@ -280,6 +304,8 @@ def _fit(
         rules=servos.rules,
         centres=run.centres,
         centre_weights=run.centre_weights,
+        closure=run.closure,
+        closing=closing,
         learnt_lips=LearntLips(
             left_out_rms_mm=face.left_out_rms_mm,
             noise_mm=face.noise_mm,
@@ -288,6 +314,17 @@ def _fit(
         ),
     )
     return MeasuredFit(calibration, face, retargeting, names, held_out, warnings)
+
+
+def _doubt_mm_per_deg(capture: Capture, names: Correspondence) -> Array:
+    """(n_servos,): what chance gives the slope of each joint, in weighted millimetres a degree.
+
+    Turning a joint by a degree is as likely to harm by so much as to help by what it is known to
+    do: a weak joint goes as far as its millimetres pay for.
+    """
+    chance_mm = straight_lines(capture).chance_mm
+    range_deg = np.maximum(np.ptp(capture.goals_deg, axis=0), 1e-6)
+    return np.asarray(chance_mm / range_deg * names.shape_features.of_noise(len(names.human)))
 
 
 def split_frames(model: FaceWithAnimPhos, seed: int) -> tuple[Array, Array]:
@@ -326,10 +363,46 @@ def retargeting_of(
         raise no_opening(mouth, parts_mm)
     if face.contact is not None:
         return fit_retargeting(model, frames, mouth, face.contact.closed_mm, _CONTACT_PRESS_MM)
+    if face.ladders is not None and not face.ladders.meet:
+        # As near as they come is as closed as they are, and there is nothing to press.
+        return fit_retargeting(model, frames, mouth, nearest_gaps(face, capture)[1], 0.0)
     # Dots cannot pass each other, so lips touch at 0 at the latest; dots that never came so near
     # lie beside the edges, and the narrowest that was seen is the best guess.
     narrowest_mm = np.nanquantile(heights_mm, _NARROWEST, axis=0)
     return fit_retargeting(model, frames, mouth, np.maximum(narrowest_mm, 0.0), PRESS_MM)
+
+
+def nearest_gaps(face: RobotFace, capture: Capture) -> tuple[Array, Array]:
+    """The pose (n_servos,) in which a ladder brought the lips nearest, and the gaps (n_gaps,)."""
+    assert face.ladders is not None
+    rows = [own[-1] for own in face.ladders.rows]
+    ends_deg = capture.goals_deg[rows]
+    horns_deg = ends_deg - capture.from_below[rows] * face.backlash_deg / 2
+    heights_mm = gap_heights_mm(face.free_mm(horns_deg), face.gaps)
+    nearest = int(heights_mm[:, 0].argmin())
+    return ends_deg[nearest], heights_mm[nearest]
+
+
+def closing_of(face: RobotFace, mouth: RobotMouth, capture: Capture) -> Closing | None:
+    """What ladders showed; None where there were none, or they ended before any limit."""
+    if face.ladders is None:
+        return None
+    if face.ladders.kink.is_contact:
+        return Closing(CONTACT)
+    if face.ladders.passed:
+        return Closing(PASSED)
+    if face.ladders.kink.explained > _HINT:
+        return None  # something stalls there, and nobody can say what
+    pose_deg, gaps_mm = nearest_gaps(face, capture)
+    by_deg = pair_slopes(mouth.markers_of, pose_deg, face.gaps[:1])[0]
+    low, high = mouth.limits_deg
+    ends = np.where(by_deg > 0.0, pose_deg - low, high - pose_deg) < _AT_LIMIT_DEG
+    if not ends.any():
+        return None
+    joint = int(np.where(ends, np.abs(by_deg), 0.0).argmax())
+    apart_mm = max(float(gaps_mm[0]), 0.0)
+    missing_deg = apart_mm / max(abs(float(by_deg[joint])), 1e-3)
+    return Closing(LIMITS, apart_mm, face.servo_names[joint], missing_deg)
 
 
 def _touch_deg(retargeting: Retargeting) -> Array:

@@ -27,9 +27,10 @@ from calibration.calibration import Calibration, CalibrationError
 from calibration.capture.capture import Capture, PosePlan, plan_around
 from calibration.capture.marker_files import csv_rows, number_in, read_plan
 from calibration.capture.straight_lines import on_head
+from calibration.closure import CLOSED_GAP_MM
 from calibration.fit.measured import MeasuredFit
 from calibration.fit.retargeting import correspond, gap_heights_mm
-from calibration.grade import CLOSED_GAP_MM, Grade, gap_figures, is_small
+from calibration.grade import Grade, gap_figures, is_small
 from calibration.mouth_servos import MouthServos
 from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits, FaceWithAnimPhos
 from lipsync.arrays import Array
@@ -123,11 +124,12 @@ def graded(
     target_mm = gap_heights_mm(targets_mm, of.gaps).mean(axis=1) - poses.own_gap_mm
     gaps = gap_figures(poses.asked_open_mm[rows], open_mm, human_mm, shares)
     closed = (human_mm <= CLOSED_GAP_MM) & np.isfinite(open_mm)
+    apart_mm = 0.0 if calibration.closing is None else calibration.closing.apart_mm
     grade = Grade(
         n_poses=len(seen),
         lip_rms_mm=_root(each_mm2, shares),
         gap_rms_mm=_root((open_mm - target_mm) ** 2, shares),
-        closed_gap_mm=float(np.mean(open_mm[closed])) if closed.any() else 0.0,
+        closed_gap_mm=apart_mm + (float(np.mean(open_mm[closed])) if closed.any() else 0.0),
         gap_slope=0.0 if gaps.slope is None else gaps.slope,
         small_gaps_kept=gaps.small_kept,
     )
@@ -145,7 +147,7 @@ def graded(
 
 def too_bad(calibration: Calibration) -> str | None:
     """Why a grade is too bad to be used, or None; by the estimate where nothing was measured."""
-    grade, errors = calibration.grade, calibration.errors
+    grade, errors, closing = calibration.grade, calibration.errors, calibration.closing
     if grade is not None:
         lips_mm, slope, closed_mm = grade.lip_rms_mm, grade.gap_slope, grade.closed_gap_mm
         how = ""
@@ -158,6 +160,8 @@ def too_bad(calibration: Calibration) -> str | None:
         return f"the lips are {lips_mm:.1f} mm from where they should be{how}"
     if slope < _WORST_SLOPE:
         return f"only {max(slope, 0.0):.0%} of an opening is made{how}"
+    if closed_mm > _TOUCH_MM and closing is not None and not closing.closes:
+        return f"the mouth {closing.told}"
     if closed_mm > _TOUCH_MM:
         return f"closed lips stay {closed_mm:.1f} mm apart{how}"
     return None

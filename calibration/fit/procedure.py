@@ -2,12 +2,14 @@
 
 Two thirds and more of the poses fill the range of every joint. What they teach says roughly which
 poses speech will use; the rest are taken there, closed lips above all, so that the face is known
-best where it is looked at most. Loads scikit-learn; the live path never does.
+best where it is looked at most. At the end the first poses are taken again: what slipped, tore or
+was moved meanwhile shows. Loads scikit-learn; the live path never does.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from sklearn.cluster import KMeans
@@ -25,18 +27,30 @@ from calibration.capture.capture import (
     Robot,
     gather,
     joined,
-    least_poses,
     plan_around,
     plan_poses,
+    plan_rows,
+    reached_from,
     read_kept,
     take_poses,
+    usual_poses,
 )
 from calibration.capture.joint_health import MOST_LOOKS, doubtful_joints, second_look
-from calibration.capture.sanity import check_capture
+from calibration.capture.repeated_poses import first_part
+from calibration.capture.sanity import CheckedCapture, check_capture, check_frame
+from calibration.capture.swaps import put_right
+from calibration.fit.closing import (
+    FIRST_STEPS,
+    MORE_STEPS,
+    MOST_STEPS,
+    Ladder,
+    plan_ladders,
+    see_ladders,
+)
 from calibration.fit.measured import MeasuredFit, mouth_of, retargeting_of, split_frames
 from calibration.fit.measured_grade import graded, graded_poses
 from calibration.fit.retargeting import Retargeting, correspond, gap_heights_mm, widest_pose_deg
-from calibration.fit.robot_face import fit_robot_face
+from calibration.fit.robot_face import RobotFace, fit_robot_face
 from calibration.mouth_servos import JointRange, MouthServos
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array
@@ -50,6 +64,23 @@ _SPEECH_SHARE, _CLOSED_SHARE = 0.27, 0.375
 _ABOUT_CLOSED_MM, _FROM_NEUTRAL_MM = (0.8, -1.2), (0.3, -2.8)
 #: So many of the speaker's frames say well enough where speech is.
 _FRAMES = 400
+
+
+class _Take(Protocol):
+    """Takes what is missing of a plan; goes_on: it will be continued."""
+
+    def __call__(
+        self, plan: PosePlan, pressing: Sequence[int] = (), *, goes_on: bool
+    ) -> Capture: ...
+
+
+@dataclass(frozen=True, slots=True)
+class _Learnt:
+    """What a first capture teaches. from_rest: (n, n_components), some of the speaker's frames."""
+
+    face: RobotFace
+    retargeting: Retargeting
+    from_rest: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +102,7 @@ class Procedure:
     @property
     def n_of_speech(self) -> int:
         """Poses that are kept for where speech will be."""
-        spare = self.n_poses - least_poses(len(self.joints))
+        spare = self.n_poses - usual_poses(len(self.joints))
         return max(0, min(round(_SPEECH_SHARE * self.n_poses), spare))
 
     def range_plan(self) -> PosePlan:
@@ -80,23 +111,19 @@ class Procedure:
         return plan_poses(self.joints, n_poses, rules=self.rules, seed=self.seed)
 
     def whole_range_plan(self) -> PosePlan:
-        """All poses in the range: for who moves a robot by hand and comes back once."""
-        return plan_poses(self.joints, self.n_poses, rules=self.rules, seed=self.seed)
+        """All poses in the range, the first ones again at the end: for files."""
+        plan = plan_poses(self.joints, self.n_poses, rules=self.rules, seed=self.seed)
+        return joined(plan, first_part(plan)) if self.n_of_speech else plan
 
-    def speech_plan(self, capture: Capture, n_poses: int) -> PosePlan:
+    def speech_plan(self, checked: CheckedCapture, n_poses: int) -> PosePlan:
         """Poses where speech will be, by what a first capture teaches; whole degrees."""
         with threadpool_limits(limits=1):  # as `fit_measured`
-            return self._speech_plan(capture, n_poses)
+            return self._speech_plan(checked.capture, checked.still, n_poses)
 
-    def _speech_plan(self, capture: Capture, n_poses: int) -> PosePlan:
-        names = correspond(capture.marker_names)
-        face = fit_robot_face(capture, names.shape_features)
-        servos = MouthServos(tuple(self.joints), rules=tuple(self.rules))
-        mouth = mouth_of(face, names, servos)
-        frames = split_frames(self.model, self.seed)[0]
-        frames = frames[:: max(1, len(frames) // _FRAMES)]
-        from_rest = frames - self.model.rest
-        retargeting = retargeting_of(self.model, mouth, face, capture)
+    def _speech_plan(self, capture: Capture, still: Sequence[int], n_poses: int) -> PosePlan:
+        learnt = self._learnt(capture, still)
+        retargeting, from_rest = learnt.retargeting, learnt.from_rest
+        mouth, face = retargeting.mouth, learnt.face
         closed = retargeting.closing(from_rest) >= 1.0
         n_closed = self._n_closed(n_poses) if closed.any() else 0
         usual = np.median(from_rest[closed], axis=0)[None] if n_closed else from_rest[:1]
@@ -113,6 +140,16 @@ class Procedure:
             ]
         )
         return plan_around(np.rint(goals_deg), self.joints, rules=self.rules, seed=self.seed)
+
+    def _learnt(self, capture: Capture, still: Sequence[int]) -> "_Learnt":
+        names = correspond(capture.marker_names)
+        face = fit_robot_face(capture, names.shape_features)
+        servos = MouthServos(tuple(self.joints), rules=tuple(self.rules)).holding(still)
+        mouth = mouth_of(face, names, servos)
+        frames = split_frames(self.model, self.seed)[0]
+        frames = frames[:: max(1, len(frames) // _FRAMES)]
+        retargeting = retargeting_of(self.model, mouth, face, capture)
+        return _Learnt(face, retargeting, frames - self.model.rest)
 
     def _n_closed(self, n_poses: int) -> int:
         """How many of the poses of speech close the lips step by step; they come first."""
@@ -132,8 +169,10 @@ class Procedure:
     ) -> Capture:
         """Both parts, one after the other; arguments as of `capture_poses` and `Robot`.
 
-        A joint that may be dead is looked at again in between, in poses beyond `n_poses`; told
-        hears which. Lips are closed no farther once a servo is strained.
+        Axes and size are judged by the first pose. Beyond `n_poses` a joint that may be dead is
+        looked at again in between, and the first part of the plan at the end; a pose in which the
+        tracker exchanged two names is taken again. told hears of each. Lips are closed no farther
+        once a servo is strained.
         """
         on = Robot(move, measure, arrived, progress, strained)
         poses: list[CapturedPose] = []
@@ -141,9 +180,12 @@ class Procedure:
         def take(plan: PosePlan, pressing: Sequence[int] = (), *, goes_on: bool) -> Capture:
             kept = poses if keep is None else read_kept(keep, plan, marker_names, goes_on=goes_on)
             poses[:] = take_poses(plan, marker_names, on, kept, keep, pressing)
+            poses[:] = put_right(plan, marker_names, on, poses, keep, told)
             return gather(plan, marker_names, poses)
 
         plan = self.range_plan()
+        take(plan_rows(plan, [0]), goes_on=True)
+        check_frame(marker_names, poses[0].markers_mm, self.model, accept=self.accept)
         captured = take(plan, goes_on=True)
         doubtful = doubtful_joints(captured)
         for _ in range(MOST_LOOKS):
@@ -159,8 +201,38 @@ class Procedure:
             return captured
         checked = check_capture(captured, self.model, self.positive, accept=self.accept)
         pressing = range(len(plan), len(plan) + self._n_closed(self.n_of_speech))
-        plan = joined(plan, self.speech_plan(checked.capture, self.n_of_speech))
-        return take(plan, pressing, goes_on=False)
+        plan = joined(plan, self.speech_plan(checked, self.n_of_speech))
+        captured = take(plan, pressing, goes_on=True)
+        plan = self._with_ladders(plan, captured, checked.still, take)
+        return take(joined(plan, first_part(self.range_plan())), goes_on=False)
+
+    def _with_ladders(
+        self, plan: PosePlan, captured: Capture, still: Sequence[int], take: "_Take"
+    ) -> PosePlan:
+        """Lips closed step by step, until they are seen to meet or joints are at their limits."""
+        with threadpool_limits(limits=1):
+            learnt = self._learnt(captured, still)
+            closed = learnt.retargeting.closing(learnt.from_rest) >= 1.0
+            if not closed.any():
+                return plan
+            ladders = plan_ladders(learnt.retargeting, learnt.from_rest[closed], MOST_STEPS)
+        n_before, done = len(plan), 0
+        for until in range(FIRST_STEPS, MOST_STEPS + 1, MORE_STEPS):
+            for number, ladder in enumerate(ladders):
+                if len(ladder.goals_deg) > done:
+                    plan = joined(plan, self._steps(ladder, number + 1, slice(done, until)))
+            captured = take(plan, range(n_before, len(plan)), goes_on=True)
+            done = until
+            seen = see_ladders(captured, learnt.face.free_mm, learnt.face.noise_mm)
+            if seen is None or seen.meet or all(len(each.goals_deg) <= done for each in ladders):
+                break
+        return plan
+
+    def _steps(self, ladder: Ladder, number: int, which: slice) -> PosePlan:
+        goals_deg = ladder.goals_deg[which]
+        sides = np.tile(ladder.from_below, (len(goals_deg), 1))
+        plan = reached_from(self.joints, goals_deg, sides, self.rules)
+        return replace(plan, ladders=np.full(len(goals_deg), number, dtype=np.int64))
 
 
 def take_grade(
@@ -170,6 +242,7 @@ def take_grade(
     asked = graded_poses(fit, servos)
     plan = asked.plan
     poses = take_poses(plan, marker_names, on, [], None)
+    poses = put_right(plan, marker_names, on, poses, expected_mm=asked.targets_mm)
     seen = gather(plan, marker_names, poses)
     stood = [
         p.index for p in poses if np.abs(p.reached_deg - plan.goals_deg[p.index]).max() <= STALL_DEG

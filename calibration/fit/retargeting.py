@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.calibration import CalibrationError, CouplingRule, keep_rules
-from calibration.grade import CLOSED_GAP_MM
+from calibration.closure import BLEND_MM, CLOSED_GAP_MM
 from lipsync.arrays import Array
 from lipsync.face.model import FaceModel
 from lipsync.markers import MARKERS_47
@@ -58,6 +58,12 @@ class ShapeFeatures:
         parts = (weight * markers_mm, _GAP_WEIGHT * gaps_mm)
         return np.concatenate([part.reshape(len(markers_mm), -1) for part in parts], axis=1)
 
+    def of_noise(self, n_markers: int) -> float:
+        """How long the features are, rms, of markers that are noise of 1 mm in each axis."""
+        n_lips, n_gaps = len(self.lips), len(self.gaps)
+        skin = (n_markers - n_lips) * _SKIN_WEIGHT**2
+        return float(np.sqrt(3 * (n_lips * _LIP_WEIGHT**2 + skin + 2 * n_gaps * _GAP_WEIGHT**2)))
+
     def gaps_mm(self, markers_mm: Array) -> Array:
         """(n, n_markers, 3) -> (n, n_gaps, 3): upper minus lower."""
         upper, lower = ([pair[i] for pair in self.gaps] for i in (0, 1))
@@ -77,21 +83,25 @@ def nearest_poses_deg(
     limits_deg: tuple[Array, Array],
     *,
     rules: Sequence[CouplingRule] = (),
+    doubt_mm_per_deg: Array | None = None,
     steady_mm_per_deg: float = 0.0,
 ) -> Array:
     """Features (n, n_features) of shapes -> (n, n_servos) within the limits, keeping the rules.
 
-    Gauss-Newton from neutral. steady_mm_per_deg: what a degree of difference to the neighbouring
-    frames costs, where the n frames follow one another.
+    Gauss-Newton from neutral. doubt_mm_per_deg: (n_servos,), what a degree of each may do that is
+    not known, and therefore costs; None: all is known. steady_mm_per_deg: what a degree of
+    difference to the neighbouring frames costs, where the n frames follow one another.
     """
     n_servos = len(limits_deg[0])
     angles_deg = np.zeros((len(wanted), n_servos))
+    doubt = np.zeros(n_servos) if doubt_mm_per_deg is None else doubt_mm_per_deg
+    price = np.diag(NEUTRAL_WEIGHT_MM_PER_DEG**2 + doubt**2)
     for _ in range(_ROUNDS):
         reached = shape_features.of(markers_of(angles_deg))
         slopes = shape_slopes(markers_of, shape_features, angles_deg, reached)
         missing = wanted - reached + np.einsum("nks,ns->nk", slopes, angles_deg)
         cost = np.einsum("nks,nkt->nst", slopes, slopes)
-        cost += NEUTRAL_WEIGHT_MM_PER_DEG**2 * np.eye(n_servos)
+        cost += price
         pull = np.einsum("nks,nk->ns", slopes, missing)
         for rule in rules:
             broken = (angles_deg @ rule.weights > rule.at_most_deg) * _RULE_WEIGHT_MM_PER_DEG**2
@@ -183,6 +193,7 @@ class RobotMouth:
     """A face as far as it is known, what is looked at in it, and what its joints may do.
 
     stopped_of: the markers where lips stop each other, which markers_of lets overlap.
+    doubt_mm_per_deg: (n_servos,), as for `nearest_poses_deg`.
     """
 
     markers_of: MarkersOf
@@ -190,6 +201,7 @@ class RobotMouth:
     limits_deg: tuple[Array, Array]
     rules: tuple[CouplingRule, ...] = ()
     stopped_of: MarkersOf | None = None
+    doubt_mm_per_deg: Array | None = None
 
     def seen_mm(self, poses_deg: Array) -> Array:
         """(n, n_servos) -> (n, n_markers, 3), where a tracker would see them."""
@@ -203,7 +215,12 @@ class RobotMouth:
         """Features (n, n_features) of shapes -> (n, n_servos), the poses that come nearest."""
         shape_features = self.names.shape_features
         return nearest_poses_deg(
-            self.markers_of, wanted, shape_features, self.limits_deg, rules=self.rules
+            self.markers_of,
+            wanted,
+            shape_features,
+            self.limits_deg,
+            rules=self.rules,
+            doubt_mm_per_deg=self.doubt_mm_per_deg,
         )
 
     def kept_deg(self, free_deg: Array) -> Array:
@@ -216,9 +233,6 @@ class RobotMouth:
 
 #: Where nobody saw lips stop each other they are asked to go so far past the closed gap.
 PRESS_MM = 1.2
-#: Speaker's gaps up to so much more than closed are blended from pressed to open, so that angles
-#: do not jump.
-_BLEND_MM = 0.8
 #: The speaker's range that is matched; more is rare and would make everything else small.
 _RANGE_QUANTILE = 0.98
 #: A robot may exaggerate its speaker by this factor, not more: a jaw that can drop by 30 degrees
@@ -274,7 +288,7 @@ class Retargeting:
     def closing(self, from_rest: Array) -> Array:
         """(n,): 1 where the speaker's lips are closed, 0 where they are open."""
         gaps_mm = self.model.lip_gaps_mm(self.model.markers_mm(from_rest + self.model.rest))
-        return np.asarray(np.clip(1.0 - (gaps_mm - CLOSED_GAP_MM) / _BLEND_MM, 0.0, 1.0))
+        return np.asarray(np.clip(1.0 - (gaps_mm - CLOSED_GAP_MM) / BLEND_MM, 0.0, 1.0))
 
     def asked_open_mm(self, from_rest: Array) -> Array:
         """(n, n_components) -> (n, n_gaps): the openings wanted beyond the robot's closed gap."""

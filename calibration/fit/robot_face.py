@@ -21,6 +21,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer
 
 from calibration.capture.capture import Capture
+from calibration.fit.closing import SeenLadders, begins, see_ladders
 from calibration.fit.retargeting import ShapeFeatures, gap_heights_mm
 from calibration.fit.skin_process import (
     Hyperparameters,
@@ -37,6 +38,8 @@ _SURE_MM, _LEAST_POSES = 0.4, 3
 #: Touching must explain the gaps of those poses this much better than going on does.
 _BETTER = 0.6
 _MOST_SOFT = 0.5
+#: Lips that overlap by so much touch and are not pressed flat.
+_TOUCHES_MM = (0.1, 2.5)
 #: What touching does is nearly the same everywhere; a millimetre squared of doubt.
 _RIDGE_MM2 = 2.0
 
@@ -95,6 +98,16 @@ def closed_gaps_mm(
         falls = -np.sum((o - o.mean()) * (g - g.mean())) / (np.sum((o - o.mean()) ** 2) + 1.0)
         begins[gap] = np.median(g + np.clip(falls, 0.0, _MOST_SOFT) * o)
     return begins
+
+
+def touching_gaps_mm(seen_gaps_mm: Array, free_gaps_mm: Array, closed_mm: Array) -> Array:
+    """(n_gaps,): the mean gap where lips touch without being pressed hard, each gap for itself."""
+    overlap_mm = closed_mm - free_gaps_mm
+    lightly = (overlap_mm > _TOUCHES_MM[0]) & (overlap_mm < _TOUCHES_MM[1])
+    seen_mm = np.where(lightly, seen_gaps_mm, np.nan)
+    counts = np.isfinite(seen_mm).sum(axis=0)
+    means = np.nansum(seen_mm, axis=0) / np.maximum(counts, 1)
+    return np.where(counts >= _LEAST_POSES, means, closed_mm)
 
 
 def is_stopped(seen_gaps_mm: Array, free_gaps_mm: Array, closed_mm: Array) -> bool:
@@ -168,6 +181,7 @@ class RobotFace:
     kind: which regression cross-validation chose; left_out_rms_mm: its error on poses left out, in
     each axis, the tracker's noise included;
     noise_mm: what the fit leaves unexplained. contact: None where lips were not seen to stop.
+    ladders: what closing step by step showed; None where that was not captured.
     """
 
     servo_names: tuple[str, ...]
@@ -182,6 +196,7 @@ class RobotFace:
     noise_mm: float
     contact: LipContact | None = None
     gaps: tuple[tuple[int, int], ...] = ()
+    ladders: SeenLadders | None = None
 
     def free_mm(self, output_deg: Array) -> Array:
         """(n, n_servos), degrees in the middle of the backlash -> (n, n_markers, 3).
@@ -214,16 +229,22 @@ def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> Robo
     centre_mm = np.nanmean(capture.markers_mm, axis=0)
     seen_mm = capture.markers_mm - centre_mm
     apart_mm2 = squared_distances_mm2(capture.marker_names, centre_mm)
-    learning = _Learning(poses, apart_mm2)
+    opened = begins(capture)
+    learning = _Learning(poses, apart_mm2, opened)
     known = np.isfinite(seen_mm)
     filled = learning.filled(seen_mm, known)
+    assert learning.hyperparameters is not None
+    noise_mm = float(np.sqrt(learning.hyperparameters.noise_mm2))
     closed_mm: Array | None = None
     gaps = () if mouth is None else mouth.gaps
+    ladders = None
     if mouth is not None:
-        found = _free_of_contact(learning, seen_mm, known, filled, centre_mm, mouth)
-        if found is not None:
-            filled, known, closed_mm = found
-    assert learning.hyperparameters is not None
+        ladders = see_ladders(capture, lambda deg: centre_mm + learning.at(filled, deg), noise_mm)
+        if ladders is None or ladders.kink.is_contact:
+            touching = None if ladders is None else ladders.touching
+            found = _free_of_contact(learning, seen_mm, known, filled, centre_mm, mouth, touching)
+            if found is not None:
+                filled, known, closed_mm = found
     inputs = poses.inputs(learning.hyperparameters.backlash_deg)
     together = (learning.hyperparameters,) * 3
     learners = _learners(together, learning.by_axis(filled), apart_mm2)
@@ -238,10 +259,11 @@ def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> Robo
     contact = None
     if closed_mm is not None:
         free_mm = centre_mm + learnt.predict(inputs)
+        free_gaps_mm = gap_heights_mm(free_mm, gaps)
         contact = fit_contact(
             capture.markers_mm - free_mm,
             gap_heights_mm(capture.markers_mm, gaps),
-            gap_heights_mm(free_mm, gaps),
+            free_gaps_mm,
             closed_mm,
             gaps,
         )
@@ -258,6 +280,7 @@ def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> Robo
         noise_mm=float(np.sqrt(np.mean(missed_mm[known] ** 2))),
         contact=contact,
         gaps=gaps,
+        ladders=ladders,
     )
 
 
@@ -273,10 +296,15 @@ def _with_time(capture: Capture, middle_deg: Array, half_range_deg: Array) -> Po
 
 
 class _Learning:
-    """The process by turns with what was not seen. hyperparameters: after the first `filled`."""
+    """The process by turns with what was not seen. hyperparameters: after the first `filled`.
 
-    def __init__(self, poses: Poses, apart_mm2: Array) -> None:
+    opened: (n,), poses in which no ladder presses the lips, by which hyperparameters are found.
+    """
+
+    def __init__(self, poses: Poses, apart_mm2: Array, opened: NDArray[np.bool_]) -> None:
         self._poses = poses
+        self._free = poses.of(opened)
+        self._opened = opened
         self._apart_mm2 = apart_mm2
         self.hyperparameters: Hyperparameters | None = None
 
@@ -284,7 +312,8 @@ class _Learning:
         """(n, n_markers, 3), off the centre, where unknown as the process expects it."""
         filled = np.where(known, seen_mm, 0.0)
         for _ in range(1 if known.all() else _ROUNDS):
-            self.hyperparameters = fit_hyperparameters(self._poses, filled, self._apart_mm2)
+            free_mm = filled[self._opened]
+            self.hyperparameters = fit_hyperparameters(self._free, free_mm, self._apart_mm2)
             for _ in range(1 if known.all() else _FILLING_ROUNDS):
                 filled = np.where(known, filled, self.expected(filled))
         return filled
@@ -293,10 +322,26 @@ class _Learning:
         """For each axis, the backlash of all of them."""
         return tuple(
             fit_hyperparameters(
-                self._poses, filled[..., axis : axis + 1], self._apart_mm2, self.hyperparameters
+                self._free,
+                filled[self._opened, :, axis : axis + 1],
+                self._apart_mm2,
+                self.hyperparameters,
             )
             for axis in range(3)
         )
+
+    def at(self, filled: Array, goals_deg: Array) -> Array:
+        """(m, n_servos) of the middle of the play -> (m, n_markers, 3), warm, by open poses."""
+        assert self.hyperparameters is not None
+        of = self._poses
+        warm = np.hstack([goals_deg, np.ones((len(goals_deg), 1))])
+        process = fit_process(
+            self.hyperparameters,
+            self._free.inputs(self.hyperparameters.backlash_deg),
+            filled[self._opened],
+            self._apart_mm2,
+        )
+        return process.predict((warm - of.middle_deg) / of.half_range_deg)
 
     def expected(self, filled: Array) -> Array:
         """What the process makes of all poses."""
@@ -312,11 +357,17 @@ def _free_of_contact(
     filled: Array,
     centre_mm: Array,
     mouth: ShapeFeatures,
+    touching: NDArray[np.bool_] | None,
 ) -> tuple[Array, NDArray[np.bool_], Array] | None:
-    """What the free face is learnt from, and the closed gaps; None where nothing stops."""
+    """What the free face is learnt from, and the closed gaps; None where nothing stops.
+
+    touching: poses in which ladders showed that lips touch; None: there are no ladders.
+    """
     gaps = mouth.gaps
     seen_gaps_mm = gap_heights_mm(np.where(known, seen_mm, np.nan) + centre_mm, gaps)
-    contact = seen_gaps_mm[:, 0] < np.nanquantile(seen_gaps_mm[:, 0], _FIRST_SHARE)
+    contact = touching
+    if contact is None:
+        contact = seen_gaps_mm[:, 0] < np.nanquantile(seen_gaps_mm[:, 0], _FIRST_SHARE)
     if contact.sum() < _LEAST_IN_CONTACT:
         return None
     if not np.isfinite(seen_gaps_mm).any(axis=0).all():
@@ -330,11 +381,19 @@ def _free_of_contact(
         free_gaps_mm = gap_heights_mm(filled + centre_mm, gaps)
         expected_mm = gap_heights_mm(learning.expected(filled) + centre_mm, gaps)
         free_gaps_mm = np.where(contact[:, None], free_gaps_mm, expected_mm)
-        contact = poses_in_contact(free_gaps_mm, closed_mm)
+        contact = (
+            poses_in_contact(free_gaps_mm, closed_mm)
+            if touching is None
+            else np.asarray((free_gaps_mm < closed_mm).any(axis=1))
+        )
         if contact.sum() < _LEAST_IN_CONTACT:
             return None
-        closed_mm = closed_gaps_mm(seen_gaps_mm, free_gaps_mm, contact, closed_mm)
-    if not is_stopped(seen_gaps_mm, free_gaps_mm, closed_mm):
+        closed_mm = (
+            closed_gaps_mm(seen_gaps_mm, free_gaps_mm, contact, closed_mm)
+            if touching is None
+            else touching_gaps_mm(seen_gaps_mm, free_gaps_mm, closed_mm)
+        )
+    if touching is None and not is_stopped(seen_gaps_mm, free_gaps_mm, closed_mm):
         return None
     return filled, open_known, closed_mm
 

@@ -6,13 +6,20 @@ contact it presses where lips close.
 Loads scikit-learn; the live path never does.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from sklearn.cluster import KMeans
 
-from calibration.calibration import pairs
-from calibration.fit.retargeting import MarkersOf, Retargeting, ShapeFeatures, gap_heights_mm
+from calibration.closure import Closure, pairs
+from calibration.fit.retargeting import (
+    MarkersOf,
+    Retargeting,
+    RobotMouth,
+    ShapeFeatures,
+    gap_heights_mm,
+)
 from lipsync.arrays import Array
 
 #: Poses are noisy by a few tenths of a degree where the face hardly shows a joint; this keeps the
@@ -37,6 +44,33 @@ class RunTimeMap:
     x_range: Array
     centres: Array
     centre_weights: Array
+    closure: Closure | None = None
+
+    def poses_deg(self, from_rest: Array, mouth: RobotMouth) -> Array:
+        """(n, n_components) -> (n, n_servos), within limits and rules, as live."""
+        poses_deg = np.clip(self.free_deg(from_rest), *mouth.limits_deg)
+        if self.closure is not None:
+            x = np.clip(from_rest, *self.x_range)
+            poses_deg = self.closure.corrected_deg(x, poses_deg, *mouth.limits_deg)
+        return mouth.kept_deg(poses_deg)
+
+    def without(self, still: Sequence[int]) -> "RunTimeMap":
+        """The same with these joints, by number, at 0 whatever is said."""
+        if not still:
+            return self
+        moves = np.ones(len(self.rest_deg))
+        moves[list(still)] = 0.0
+        closure = self.closure
+        if closure is not None:
+            closure = replace(closure, turns_deg=closure.turns_deg * moves[:, None])
+        return replace(
+            self,
+            rest_deg=self.rest_deg * moves,
+            weights=self.weights * moves[:, None],
+            quadratic_weights=self.quadratic_weights * moves[:, None],
+            centre_weights=self.centre_weights * moves[:, None],
+            closure=closure,
+        )
 
     def free_deg(self, from_rest: Array) -> Array:
         """(n, n_components) -> (n, n_servos), before the limits."""
@@ -134,44 +168,71 @@ _CENTRES = 40
 _LEARN_SHARE = 0.8
 #: A frame in which the speaker closes counts as so many others: a closure that is missed shows.
 _CLOSURE_COUNTS = 6.0
-#: So many of the closures must be past contact by so much; then the map's own misses are made up
-#: for, by so much at most: more would shut small openings.
-_CLOSED_SHARE, _PAST_MM, _MOST_MORE_MM = 0.98, 0.4, 1.2
-_PRESS_ROUNDS = 3
+#: What a degree costs against a millimetre where the lips are made to meet: joints that show little
+#: stay tame.
+_TURN_MM_PER_DEG = 0.1
 
 
-@dataclass(frozen=True, slots=True)
-class ChosenMap:
-    """The map, and what it was asked for, its pressing included."""
-
-    run: RunTimeMap
-    retargeting: Retargeting
-
-
-def choose_map(retargeting: Retargeting, from_rest: Array) -> ChosenMap:
+def choose_map(retargeting: Retargeting, from_rest: Array) -> RunTimeMap:
     """from_rest: (n, n_components), speech, AnimPhos by AnimPhos.
 
     Kinds are compared on the last fifth, in gap and shape, as far as the face is learnt.
     """
-    most_mm = retargeting.press_mm + _MOST_MORE_MM
     poses_deg = retargeting.poses_deg(from_rest)
+    closure = fit_closure(retargeting, from_rest, poses_deg)
     n_learnt = round(_LEARN_SHARE * len(from_rest))
     kinds = [None, _centres(from_rest)]
     missed = []
     for centres in kinds:
         run = _fitted(retargeting, from_rest[:n_learnt], poses_deg[:n_learnt], centres)
+        run = replace(run, closure=closure)
         missed.append(_missed(retargeting, run, from_rest[n_learnt:], poses_deg[n_learnt:]))
     centres = kinds[int(np.argmin(missed))]
-    run = _fitted(retargeting, from_rest, poses_deg, centres)
-    for _ in range(_PRESS_ROUNDS):
-        closes = retargeting.closing(from_rest) >= 1.0
-        short_mm = _short_mm(retargeting, run, from_rest[closes])
-        if short_mm <= 0.0 or retargeting.press_mm >= most_mm:
-            break
-        press_mm = min(retargeting.press_mm + short_mm, most_mm)
-        retargeting = replace(retargeting, press_mm=press_mm)
-        run = _fitted(retargeting, from_rest, retargeting.poses_deg(from_rest), centres)
-    return ChosenMap(run, retargeting)
+    return replace(_fitted(retargeting, from_rest, poses_deg, centres), closure=closure)
+
+
+def fit_closure(retargeting: Retargeting, from_rest: Array, poses_deg: Array) -> Closure | None:
+    """None where the speaker never closes. The learnt face is a quadratic of its joints: exact."""
+    closes = retargeting.closing(from_rest) >= 1.0
+    if not closes.any():
+        return None
+    model, mouth = retargeting.model, retargeting.mouth
+    of = mouth.names.shape_features
+    n_components = from_rest.shape[1]
+    rest_mm = model.markers_mm(model.rest[None])
+    moved_mm = model.markers_mm(model.rest + np.eye(n_components)) - rest_mm
+    between_mm = model.layout.gap_vectors_mm(np.concatenate([rest_mm, rest_mm + moved_mm]))
+    if not model.layout.has_inner_lips:
+        between_mm = between_mm - model.lips_touching_mm
+    opens_mm = gap_heights_mm(retargeting.scale * moved_mm[:, list(mouth.names.human)], of.gaps)
+    at_deg = poses_deg[closes].mean(axis=0)
+
+    def open_mm(moved_deg: Array) -> Array:
+        return gap_heights_mm(mouth.markers_of(at_deg + moved_deg), of.gaps)
+
+    n = len(at_deg)
+    first, second = pairs(n)
+    one = np.eye(n)
+    here, more, less = open_mm(np.zeros((1, n))), open_mm(one), open_mm(-one)
+    both = open_mm(one[first] + one[second])
+    crossed = both - more[first] - more[second] + here
+    squares = (more + less) / 2 - here
+    bends = np.where((first == second)[:, None], squares[first], crossed)
+    slopes = (more - less).T / 2
+    turns_deg = slopes.T @ np.linalg.inv(
+        slopes @ slopes.T + _TURN_MM_PER_DEG**2 * np.eye(len(slopes))
+    )
+    return Closure(
+        speaker_mm=rounded((between_mm[1:] - between_mm[0]).T),
+        speaker_rest_mm=rounded(between_mm[0]),
+        opens_mm=rounded(opens_mm.T),
+        at_deg=rounded(at_deg),
+        gaps_mm=rounded(here[0] - retargeting.closed_mm),
+        slopes=rounded(slopes),
+        bends=rounded(bends.T),
+        turns_deg=rounded(turns_deg),
+        press_mm=retargeting.press_mm,
+    )
 
 
 def _centres(from_rest: Array) -> Array | None:
@@ -195,16 +256,5 @@ def _missed(retargeting: Retargeting, run: RunTimeMap, from_rest: Array, poses_d
     """Weighted square millimetres of shape and gap between the map's poses and the best."""
     mouth = retargeting.mouth
     of = mouth.names.shape_features
-    shown = of.of(mouth.seen_mm(mouth.kept_deg(run.free_deg(from_rest))))
+    shown = of.of(mouth.seen_mm(run.poses_deg(from_rest, mouth)))
     return float(np.mean((shown - of.of(mouth.seen_mm(poses_deg))) ** 2))
-
-
-def _short_mm(retargeting: Retargeting, run: RunTimeMap, from_rest: Array) -> float:
-    """By how much most closures are less past contact than they must be."""
-    if not len(from_rest):
-        return 0.0
-    mouth = retargeting.mouth
-    free_mm = mouth.markers_of(mouth.kept_deg(run.free_deg(from_rest)))
-    heights_mm = gap_heights_mm(free_mm, mouth.names.shape_features.gaps[:1])[:, 0]
-    reached_mm = float(np.quantile(heights_mm, _CLOSED_SHARE))
-    return reached_mm - (float(retargeting.closed_mm[0]) - _PAST_MM)

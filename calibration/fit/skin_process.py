@@ -12,9 +12,10 @@ Loads SciPy; the live path never does.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from lipsync.arrays import Array
@@ -25,6 +26,10 @@ _CONSTANT_MM2 = 100.0
 #: The backlashes of one robot are like one another by so much, about a common mean.
 _BACKLASH_SD_DEG = 0.4
 _FIRST_BACKLASH_DEG = 0.5
+#: Play of all joints together, and of one alone, is believed from so many standard errors on; less
+#: than a quarter of a degree, or half of one in one joint, lips do not show.
+_LEAST_DEG = 0.25
+_EVIDENT, _EVIDENT_ALONE, _MOST_BELOW_DEG, _STEP_DEG = 3.0, 4.0, 2.0, 0.05
 #: Where the search for the hyperparameters begins: reach in mm^2 of a half range, curvature per
 #: mm^2, noise in mm^2, width in mm, own part. It ends at the same place from half or twice these.
 _FIRST = (3.0, 0.02, 0.3, 14.0, 0.05)
@@ -53,6 +58,10 @@ class Poses:
         """(n, n_servos): where the horns stood, behind the backlash."""
         reached_deg = self.goals_deg - self.from_below * backlash_deg / 2
         return np.asarray((reached_deg - self.middle_deg) / self.half_range_deg)
+
+    def of(self, rows: NDArray[np.bool_]) -> "Poses":
+        """Some of them."""
+        return replace(self, goals_deg=self.goals_deg[rows], from_below=self.from_below[rows])
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,26 +134,49 @@ def fit_hyperparameters(
     begin: where the search begins, with the backlash as it is there.
     """
     n_servos = poses.goals_deg.shape[1]
+    likelihood = _NegativeLogLikelihood(poses, from_centre_mm, apart_mm2)
     first = np.concatenate(
         [
             np.full(n_servos, _FIRST_BACKLASH_DEG),
             np.log(np.concatenate([np.full(n_servos, _FIRST[0]), _FIRST[1:]])),
         ]
     )
-    bounds: list[tuple[float, float | None]] = [(0.0, None)] * n_servos
+    # Below nothing too: what noise gives a gear without play is as often less as more.
+    bounds: list[tuple[float, float | None]] = [(-_MOST_BELOW_DEG, None)] * n_servos
     if begin is not None:
         first = np.concatenate([begin.backlash_deg, begin.logarithms()])
         bounds = [(degrees, degrees) for degrees in begin.backlash_deg.tolist()]
     bounds += [(-20.0, 20.0)] * (n_servos + 4)
     found = minimize(
-        _NegativeLogLikelihood(poses, from_centre_mm, apart_mm2),
+        likelihood,
         first,
         jac=True,
         method="L-BFGS-B",
         bounds=bounds,
         options={"maxiter": _MOST_STEPS},
     )
+    if begin is not None:
+        return _unpacked(found.x, n_servos)
+    found.x[:n_servos] = _believed_deg(found.x, likelihood, n_servos)
     return _unpacked(found.x, n_servos)
+
+
+def _believed_deg(parameters: Array, likelihood: "_NegativeLogLikelihood", n_servos: int) -> Array:
+    """(n_servos,): the play for which there is evidence, in all joints or in one; else none."""
+    sharpness = np.empty(n_servos)
+    for joint in range(n_servos):
+        ends = [parameters.copy(), parameters.copy()]
+        for end, step_deg in zip(ends, (-_STEP_DEG, _STEP_DEG), strict=True):
+            end[joint] += step_deg
+        less, more = (likelihood(end)[1][joint] for end in ends)
+        sharpness[joint] = max((more - less) / (2 * _STEP_DEG), 1e-9)
+    found_deg = parameters[:n_servos]
+    known = np.maximum(sharpness - 1.0 / _BACKLASH_SD_DEG**2, 1e-9)
+    mean_deg = float((known * found_deg).sum() / known.sum())
+    if mean_deg > _LEAST_DEG and mean_deg * np.sqrt(known.sum()) > _EVIDENT:
+        return np.maximum(found_deg, 0.0)
+    alone = found_deg > np.maximum(_EVIDENT_ALONE / np.sqrt(sharpness), 2 * _LEAST_DEG)
+    return np.where(alone, np.maximum(found_deg, 0.0), 0.0)
 
 
 def fit_process(

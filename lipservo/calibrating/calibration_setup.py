@@ -9,6 +9,7 @@ from pathlib import Path
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from calibration.calibration import CalibrationError
+from calibration.capture.capture import least_poses
 from calibration.fit.procedure import Procedure
 from calibration.mouth_servos import JointRange, MouthServos
 from firmware_bridge.clock import MonotonicClock
@@ -21,6 +22,8 @@ from lipsync.animpho.units import FaceWithAnimPhos
 #: Neutral, each of ten joints alone from both sides, and as many again spread over the range and
 #: over speech: docs/benchmarks.md has the errors for this number.
 N_POSES = 60
+#: What a person has the patience to measure by hand, at five markers each.
+_N_TYPED_POSES = 24
 #: What is seen from the side alone.
 _FORWARD_WORDS = ("protrudes", "retracts")
 
@@ -56,6 +59,11 @@ class CalibrationSetup:
             positive=tuple(self._word(servo.positive) for servo in mouth.values()),
             rules=mouth_rules(self.settings),
         )
+
+    @property
+    def n_typed_poses(self) -> int:
+        """How many poses there are where a person types what each marker is."""
+        return max(_N_TYPED_POSES, least_poses(len(self.servos.joints)))
 
     def _word(self, positive: str) -> str:
         """What a positive angle does; nothing where nobody can see whether it does."""

@@ -19,6 +19,7 @@ from calibration.calibration import (
     check_servo_memories,
 )
 from calibration.capture.capture import Capture, Robot
+from calibration.capture.sanity import is_flat
 from calibration.capture.trackers import FileTracker, SeenByComputation, Tracker, TypedTracker
 from calibration.fit.jaw import fit_jaw, jaw_agreement, jaw_markers
 from calibration.fit.learnt_face import fit_calibration
@@ -106,6 +107,14 @@ def fit_capture(setup: CalibrationSetup, capture: Capture) -> CalibrationResult:
 
     One servo and no lips among the markers: the jaw alone.
     """
+    if setup.sees_forward and is_flat(capture):
+        if not setup.accept:
+            raise CalibrationError(
+                "all markers keep one depth, so how far lips go forward was not measured, and no "
+                "figure would know how far they are off; measure z too, or take lips as they are "
+                "seen from the front with --accept"
+            )
+        setup = replace(setup, sees_forward=False)
     servos = setup.servos
     lips = LIPS_NEEDED & set(capture.marker_names)
     if len(servos.joints) == 1 and jaw_markers(capture.marker_names) and not lips:

@@ -15,7 +15,7 @@ from rich.table import Table
 
 from calibration.calibration import Calibration, CalibrationError
 from calibration.fit.servo_response import CHIRP_END_HZ, chirp_amplitude_deg
-from calibration.grade import LearntLips, lips_off_mm
+from calibration.grade import PASSED, LearntLips, lips_off_mm
 from calibration.mouth_servos import JointRange
 from lipservo.settings.sections import PreventSettings
 from lipservo.terminal.pictures import save_picture, without_screen
@@ -47,7 +47,7 @@ def report_lines(
             f"learnt face: {kind}poses left out {lips.left_out_rms_mm:.2f} mm off in each axis, of "
             f"which the tracker's noise is about {lips.noise_mm:.2f}"
         )
-        lines.append(_closing_line(lips, fit))
+        lines.append(_closing_line(calibration, lips))
     if fit is not None:
         lines.append(f"the mouth moves {fit.retargeting.scale:.2f} times as much as the speaker's")
     if calibration.origin.not_measured:
@@ -66,14 +66,20 @@ def report_lines(
     return lines + (_reach_lines(calibration) if fit is not None else [])
 
 
-def _closing_line(lips: LearntLips, fit: "MeasuredFit | None") -> str:
-    pressed = "" if fit is None else f"; closures go {fit.retargeting.press_mm:.1f} mm past it"
-    if not lips.stop:
-        return (
-            "contact: the lips were not seen to stop each other; closed is taken as the narrowest "
-            f"gap seen, {lips.own_gap_mm:.1f} mm between the dots{pressed}"
-        )
-    return f"contact: closing stops at a gap of {lips.own_gap_mm:.1f} mm between the dots{pressed}"
+def _closing_line(calibration: Calibration, lips: LearntLips) -> str:
+    closing, closure = calibration.closing, calibration.closure
+    pressed = "" if closure is None else f"; closures go {closure.press_mm:.1f} mm past it"
+    if closing is not None and not closing.closes:
+        return f"contact: none; the mouth {closing.told}: widen that limit, or close it by its horn"
+    if closing is not None and closing.evidence == PASSED:
+        return f"contact: the dots of both lips pass one another{pressed}"
+    if closing is not None or lips.stop:
+        stops = f"contact: closing stops at a gap of {lips.own_gap_mm:.1f} mm between the dots"
+        return f"{stops}{pressed}"
+    return (
+        "contact: nobody saw whether the lips meet; closed is taken as the narrowest gap seen, "
+        f"{lips.own_gap_mm:.1f} mm between the dots{pressed}"
+    )
 
 
 def _summary(calibration: Calibration) -> str:
@@ -222,6 +228,15 @@ def grade_values(calibration: Calibration) -> dict[str, object] | None:
     return None if grade is None else {"lips_off_mm": lips_off_mm(grade, lips), **asdict(grade)}
 
 
+def closing_values(calibration: Calibration) -> dict[str, object] | None:
+    """Whether the lips meet, and how far past contact closures go; None: nobody looked."""
+    closing, closure = calibration.closing, calibration.closure
+    if closing is None:
+        return None
+    press_mm = None if closure is None else closure.press_mm
+    return {"closes": closing.closes, **asdict(closing), "press_mm": press_mm}
+
+
 def shown_values(
     calibration: Calibration, rules: Sequence[PreventSettings] | None
 ) -> dict[str, object]:
@@ -240,6 +255,7 @@ def shown_values(
         "hold_out": errors,
         "grade": grade_values(calibration),
         "learnt_lips": None if lips is None else asdict(lips),
+        "closing": closing_values(calibration),
         "coverage": coverage_values(calibration),
         "trim": trim_values(calibration),
     }

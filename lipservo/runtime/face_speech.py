@@ -60,6 +60,8 @@ class FaceSpeech:
             board=board,
         )
         self._motion = motion
+        closing = face.calibration.closing
+        self._mouth_closes = None if closing is None else closing.closes
 
     def status(self, settings: Mapping[str, float], listens_on: str | None = None) -> SpeechStatus:
         """The speech side as it is now. settings: those changed since the start, by name."""
@@ -99,6 +101,7 @@ class FaceSpeech:
             speaking=None if playout is None else playout.speaking,
             n_playout_underruns=None if playout is None else playout.n_underruns,
             arousal=None if expression is None else round(expression.arousal, 3),
+            mouth_closes=self._mouth_closes,
             is_resting=None if expression is None else expression.is_resting,
             expression={} if expression is None else expression.wishes.values,
         )

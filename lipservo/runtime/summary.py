@@ -77,6 +77,8 @@ class Summary:
     strategy: str = ""
     recognizer: str = ""
     fallback_level: int = 0
+    #: Whether the lips meet, as the calibration saw; None: nobody looked.
+    mouth_closes: bool | None = None
     #: Joints that often stood at a limit in speech, and in which share of the frames.
     joints_at_limit: Mapping[str, float] = field(default_factory=dict)
     #: Joints too slow for what was said, and in which share of the time they gave way.
@@ -144,6 +146,7 @@ class Tally:
             strategy=status.speech.strategy or "",
             recognizer=status.speech.recognizer or "",
             fallback_level=status.speech.fallback_level or 0,
+            mouth_closes=status.speech.mouth_closes,
             speed=duration_s / seconds if seconds else 0.0,
             start_to_first_command_s=self.first_command_s,
             rss_mb=peak_resident_mb(),
@@ -232,6 +235,11 @@ def print_summary(summary: Summary, console: Console) -> None:
         text = f"{value:.2f}" if isinstance(value, float) else str(value)
         table.add_row(shown.replace("_", " "), f"{text} {unit}".rstrip(), meaning)
     console.print(table)
+    if summary.mouth_closes is False:
+        console.print(
+            "the mouth does not close: `lipservo calibrate show` says which joint is at its limit",
+            soft_wrap=True,
+        )
     for name, share in summary.joints_at_limit.items():
         console.print(
             f"{name} stood at a limit in {share:.0%} of the frames: widen its min_deg and "

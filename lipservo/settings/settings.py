@@ -58,8 +58,9 @@ class ServoSettings(BusServo):
     """
 
     critical: bool = False
-    #: What it moves; only the mouth is calibrated to a speaker.
-    part: Literal["mouth", "neck", "eyes", "lids", "brows"] = "mouth"
+    #: What it moves; only the mouth is calibrated to a speaker. A tongue, and what else no marker
+    #: shows, moves by its own `expression:` or not at all.
+    part: Literal["mouth", "neck", "eyes", "lids", "brows", "tongue", "other"] = "mouth"
     expression: ServoExpression | None = None
 
     @model_validator(mode="after")

@@ -202,7 +202,8 @@ class TerminalView:
         title = Text(self._title + torque, style="bold")
         speech = self._status.speech
         fallback = f", fallback {speech.fallback_level}" if speech.fallback_level else ""
-        motion = Text(f"{speech.strategy}, {speech.recognizer}{fallback}", style="dim")
+        opens = ", does not close" if speech.mouth_closes is False else ""
+        motion = Text(f"{speech.strategy}, {speech.recognizer}{fallback}{opens}", style="dim")
         return Group(title, motion, self._head(tick), self._face(tick))
 
     @property

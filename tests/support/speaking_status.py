@@ -24,6 +24,7 @@ SPEECH = SpeechStatus(
     speaking="greeting #1",
     n_playout_underruns=2,
     arousal=0.3,
+    mouth_closes=False,
     is_resting=False,
     expression={"expression": 1.0},
 )

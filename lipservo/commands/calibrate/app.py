@@ -74,6 +74,12 @@ class CalibrateGroup(LazyGroup):
                 _SINGLE,
                 example="my_face.calibration.yaml --config my_face.yaml --port /dev/ttyUSB0",
             ),
+            "touch": Command(
+                f"{_HERE}.on_servos:touch",
+                "Find anew where the lips meet.",
+                _SINGLE,
+                example="my_face.calibration.yaml --config my_face.yaml --port /dev/ttyUSB0",
+            ),
             "trim": Command(
                 f"{_HERE}.written:trim",
                 "Change one mouth shape by hand.",

@@ -73,7 +73,7 @@ def plan(
         checked = check_capture(capture, setup.model, positive, accept=accept)
         for line in checked.warnings:
             MESSAGES.print(line)
-        further = procedure.speech_plan(checked.capture, max(1, procedure.n_of_speech))
+        further = procedure.speech_plan(checked, max(1, procedure.n_of_speech))
         made = joined(read_plan(refine, names), further)
         then = f"--plan {file} --markers {markers} -o FILE"
     write_plan(made, file)

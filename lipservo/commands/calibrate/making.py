@@ -186,6 +186,7 @@ def finish(
     from lipservo.calibrating.hand_poses import with_hand_made
     from lipservo.calibrating.measured_calibration import jaw_check
     from lipservo.calibrating.shown_calibration import report_lines
+    from lipservo.calibrating.within_speeds import speed_line, within_speeds
 
     fit = result.fit
     calibration, kept = with_hand_made(result.calibration, setup.servos, output)
@@ -207,8 +208,13 @@ def finish(
 
         then = write_check_poses(setup, calibration, fit, check_plan, output)
     jaw_r = jaw_check(setup, calibration)
+    speeds = within_speeds(setup.model, calibration, setup.settings)
     if as_json:
-        from lipservo.calibrating.shown_calibration import coverage_values, grade_values
+        from lipservo.calibrating.shown_calibration import (
+            closing_values,
+            coverage_values,
+            grade_values,
+        )
 
         lips = calibration.learnt_lips
         told = {
@@ -223,6 +229,8 @@ def finish(
             "warnings": result.warnings,
             "kept": kept,
             "grade": grade_values(calibration),
+            "closing": closing_values(calibration),
+            "within_speeds": asdict(speeds),
         }
         if fit is not None:
             told["left_out_pose_rms_mm"] = fit.face.left_out_rms_mm
@@ -232,6 +240,7 @@ def finish(
         MESSAGES.print(line)
     for line in report_lines(calibration, str(output), fit):
         RESULTS.print(line)
+    RESULTS.print(speed_line(speeds))
     if jaw_r is not None:
         RESULTS.print(f"the jaw goes with the speaker's: correlation {jaw_r:.2f}")
     if then is not None:

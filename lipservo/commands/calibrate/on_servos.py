@@ -53,7 +53,13 @@ def measure(
     landmarker: Landmarker = None,
     eye_distance_mm: EyeDistance = None,
     camera: Camera = "0",
-    poses: Poses = 60,
+    poses: Annotated[
+        int | None,
+        typer.Option(
+            help="How many poses are captured; default: 60, and 24 where markers are typed.",
+            show_default=False,
+        ),
+    ] = None,
     keep: Keep = None,
     lags: Lags = True,
     speed: Speed = 30.0,
@@ -75,7 +81,6 @@ def measure(
     check_files(output, keep=keep, plots=plots)
     setup = replace(
         load_setup(config, model, ranges),
-        n_poses=poses,
         keep=keep,
         quiet=quiet or as_json,
         lags=lags,
@@ -84,9 +89,13 @@ def measure(
     )
     from lipservo.calibrating.face_source import is_seen_from_the_front, tracker_source
     from lipservo.calibrating.measured_calibration import (
+        TYPED,
         calibrate_on_computed_skin,
         calibrate_on_servos,
     )
+
+    usual = setup.n_typed_poses if tracker == TYPED else setup.n_poses
+    setup = replace(setup, n_poses=usual if poses is None else poses)
 
     with setup_at_port(setup, port, sim, config) as at:
         if tracker is None:
@@ -264,3 +273,54 @@ def lags(
         return
     for line in following_lines(found):
         RESULTS.print(line)
+
+
+def touch(
+    file: CalibrationFile,
+    config: Config = DEFAULT_FACE,
+    model: Model = None,
+    port: Port = None,
+    sim: Sim = None,
+    tracker: Annotated[
+        str | None,
+        typer.Option(
+            help="Who sees the markers, as for `measure`; none: by what the servos draw.",
+            show_default=False,
+        ),
+    ] = None,
+    axes: Axes = "x y z",
+    landmarker: Landmarker = None,
+    eye_distance_mm: EyeDistance = None,
+    camera: Camera = "0",
+    speed: Speed = 30.0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Find anew where the lips meet, in a minute, and write it into a calibration.
+
+    The map stays; the file that was there is kept as `.previous`. With --sim pty and no --tracker
+    the markers are computed.
+    """
+    from calibration.files.calibration_file import load_calibration, save_calibration
+
+    before = load_calibration(file)
+    check_files(file)
+    setup = replace(load_setup(config, model), quiet=quiet or as_json, speed_deg_s=speed)
+    from lipservo.calibrating.face_source import tracker_source
+    from lipservo.calibrating.touching import touch_by_current, touch_by_markers, touch_computed
+
+    with setup_at_port(setup, port, sim, config) as at:
+        if tracker is not None:
+            mesh = mesh_options(landmarker, eye_distance_mm, camera)
+            with tracker_source(at, tracker, axes, mesh) as make_tracker:
+                found, later_mm = touch_by_markers(at, before, make_tracker)
+        elif sim is not None:
+            found, later_mm = touch_computed(at, before)
+        else:
+            found, later_mm = touch_by_current(at, before)
+    save_calibration(found, file)
+    if as_json:
+        print_json({"calibration": str(file), "contact_later_mm": later_mm})
+        return
+    how = "later" if later_mm >= 0.0 else "earlier"
+    RESULTS.print(f"the lips meet {abs(later_mm):.2f} mm {how} than {file} said, which says so now")

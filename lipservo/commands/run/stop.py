@@ -238,9 +238,9 @@ def _motion(status: dict[str, Any]) -> str:
     fallback = f" (fallback {level})" if level else ""
     listens = f"; listens at {status['listens_on']}" if status.get("listens_on") else ""
     named = "".join(f", {name} {value:g}" for name, value in status["settings"].items())
-    return (
-        f"{status['sound']}: {status['strategy']}{named}; {status['recognizer']}{fallback}{listens}"
-    )
+    opens = "; does not close" if status.get("mouth_closes") is False else ""
+    heard = f"{status['recognizer']}{fallback}{listens}{opens}"
+    return f"{status['sound']}: {status['strategy']}{named}; {heard}"
 
 
 def _report(outcomes: list[Outcome], done: str, *, as_json: bool) -> None:

@@ -13,8 +13,8 @@ class FaceStopped(Exception):  # noqa: N818 - what a person asked for is no erro
 
     @property
     def exit_status(self) -> int:
-        """See `exit_status`."""
-        return exit_status(self.report, self.signal_number)
+        """See `exit_status`; 5 in place of 0, for what was begun is not there."""
+        return exit_status(self.report, self.signal_number) or ExitStatus.STOPPED_EARLY
 
 
 def exit_status(report: StopReport, signal_number: int | None) -> int:

@@ -71,7 +71,8 @@ class SpeechStatus:
     loudspeaker, None: nothing is played; output_lost: it is gone; listens_on: where voice agents
     are waited for; speaking: the stream that is being said; n_playout_underruns: how often sound
     that was to be played was not there in time, a stream's or the device's. arousal: of the voice
-    that is shown, -1 to 1;
+    that is shown, -1 to 1; mouth_closes: whether its lips meet, as its
+    calibration saw, None: nobody looked.
     is_resting: after a long silence its servos are let go until somebody speaks; expression: how
     lively it is, where it looks and what affect was set, by name.
     """
@@ -97,6 +98,7 @@ class SpeechStatus:
     speaking: str | None = None
     n_playout_underruns: int | None = None
     arousal: float | None = None
+    mouth_closes: bool | None = None
     is_resting: bool | None = None
     expression: Mapping[str, float] = field(default_factory=dict)
 

@@ -91,8 +91,16 @@ def test_the_cube_fills_the_range_of_every_joint_evenly(plan):
 
 
 def test_too_few_poses_are_refused_with_the_number_needed():
-    with pytest.raises(CalibrationError, match="41 poses are too few for 10 servos; ask for 42"):
-        plan_poses(JOINTS, 41)
+    with pytest.raises(CalibrationError, match="21 poses are too few for 10 servos; ask for 22"):
+        plan_poses(JOINTS, 21)
+
+
+def test_of_few_poses_each_joint_is_alone_in_one():
+    few = plan_poses(JOINTS, 24)
+    alone = (few.goals_deg != 0.0).sum(axis=1) == 1
+    assert len(few) == 24
+    assert alone.sum() == len(JOINTS)
+    assert (few.from_below[alone] == 1.0).all()
 
 
 def test_a_capture_cut_short_goes_on_where_it_stopped(plan, robot, tmp_path):
@@ -214,6 +222,18 @@ def test_swapped_markers_are_named(capture, one, other, poses):
     markers_mm[poses, [[a], [b]]] = capture.markers_mm[poses, [[b], [a]]]
     with pytest.raises(CalibrationError, match=rf"markers '{one}' and '{other}' have changed"):
         check_capture(dataclasses.replace(capture, markers_mm=markers_mm), MODEL)
+
+
+def test_names_that_changed_places_in_one_pose_are_exchanged_where_that_is_accepted(capture):
+    pair = [MARKERS_47.names.index(name) for name in ("outer_lip_61", "outer_lip_291")]
+    markers_mm = capture.markers_mm.copy()
+    markers_mm[17, pair] = markers_mm[17, pair[::-1]]
+    swapped = dataclasses.replace(capture, markers_mm=markers_mm)
+    with pytest.raises(CalibrationError, match="add --accept where it was in single poses"):
+        check_capture(swapped, MODEL)
+    checked = check_capture(swapped, MODEL, accept=True)
+    assert any("have changed places in pose 18: exchanged" in line for line in checked.warnings)
+    assert np.array_equal(checked.capture.markers_mm[17, pair], capture.markers_mm[17, pair])
 
 
 def test_two_wild_readings_near_each_others_places_are_no_exchange(capture):

@@ -16,6 +16,8 @@ from calibration.calibration import (
     Touch,
     check_servo_memories,
 )
+from calibration.capture.capture import ladders_of
+from calibration.capture.repeated_poses import first_part
 from calibration.capture.trackers import PATIENCE_S, FileTracker, TypedTracker
 from calibration.files.calibration_file import parse_calibration
 from calibration.files.calibration_text import calibration_text
@@ -66,6 +68,8 @@ def test_a_file_is_read_while_another_program_is_still_writing_it(tmp_path):
     assert np.isnan(seen[0]).all()
     assert seen[1].tolist() == [1.0, 1.0, 1.0]
     assert wire.said[-1] == f"pose 2 stands: record it in {path}"
+    tracker.arrived(0, np.zeros(2))  # it stands again, and shows what was recorded
+    assert tracker.measure().tolist() == [[4.0, 5.0, 6.0], [7.0, 8.0, 9.0]]
     tracker.close()
     assert not told.exists()
 
@@ -126,10 +130,11 @@ def test_the_second_part_of_a_capture_is_where_speech_will_be_and_keeps_the_rule
     assert len(before) == 17
     second = robot()
     capture = procedure.capture(MARKERS_47.names, second.move, second.measure, keep=keep)
-    assert len(capture) == 20
+    again = len(first_part(procedure.range_plan()))
+    assert (ladders_of(capture) == 0).sum() == 20 + again
     assert np.allclose(capture.goals_deg[:17], before, atol=1e-3)
     assert (capture.goals_deg @ rule.weights <= 30.0 + 1e-9).all()
-    speech = capture.goals_deg[15:]
+    speech = capture.goals_deg[15:20]
     assert np.ptp(speech, axis=0)[1] < np.ptp(capture.goals_deg[:15], axis=0)[1]
 
 

@@ -15,6 +15,7 @@ from calibration.calibration import (
     check_servo_models,
 )
 from calibration.capture.capture import Capture, capture_poses, plan_poses
+from calibration.closure import CLOSED_GAP_MM
 from calibration.files.calibration_file import load_calibration, parse_calibration, save_calibration
 from calibration.files.calibration_text import calibration_text
 from calibration.fit.measured import MeasuredFit, fit_measured, lips_apart_mm, split_frames
@@ -26,7 +27,6 @@ from calibration.fit.retargeting import (
 )
 from calibration.fit.robot_face import fit_robot_face
 from calibration.fit.run_time_map import fit_run_time_map
-from calibration.grade import CLOSED_GAP_MM
 from calibration.mouth_servos import JointRange, MouthServos
 from calibration.simulated.face import POSITIVE_DIRECTIONS
 from calibration.simulated.robot import SimulatedRobot, draw_robot, true_markers_mm

@@ -4,13 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from linear_face import MODEL as SMALL
+from linear_face import SERVOS, LinearFace
 from lipservo_lab.bench.calibration.elastic_draws import draw_elastic_robot
 
 from calibration.calibration import CalibrationError
-from calibration.capture.capture import least_poses
+from calibration.capture.capture import Robot, usual_poses
 from calibration.capture.joint_health import MOST_LOOKS
 from calibration.capture.sanity import check_capture
-from calibration.fit.procedure import Procedure
+from calibration.fit.measured import fit_measured
+from calibration.fit.procedure import Procedure, take_grade
 from calibration.fit.retargeting import RobotMouth, correspond, widest_pose_deg
 from calibration.simulated.elastic_robot import ElasticFace
 from calibration.simulated.robot import SimulatedRobot
@@ -28,7 +31,7 @@ def drawn(seed, n_servos):
 
 def shortest(servos, seed):
     """No poses of speech: nothing is fitted on the way."""
-    n_poses = least_poses(len(servos.joints))
+    n_poses = usual_poses(len(servos.joints))
     return Procedure(MODEL, servos.joints, n_poses, seed=seed, positive=servos.positive)
 
 
@@ -69,6 +72,98 @@ def test_a_dead_joint_is_named_after_the_second_look():
     assert ["'cheek_l'" in line for line in told] == [True] * MOST_LOOKS
     with pytest.raises(CalibrationError, match="'cheek_l' moves no marker"):
         check_capture(capture, MODEL, servos.positive)
+
+
+def two_servos(accept=False):
+    face = LinearFace()
+    return face, Procedure(SMALL, SERVOS.joints, 20, positive=SERVOS.positive, accept=accept)
+
+
+def test_two_names_that_change_places_are_looked_at_again_and_told(tmp_path):
+    face, procedure = two_servos()
+    robot, looks, told = SimulatedRobot(face), [], []
+    pair = [MARKERS_47.names.index(name) for name in ("outer_lip_61", "outer_lip_0")]
+
+    def measure():
+        looks.append(robot.measure())
+        if len(looks) == 8:
+            looks[-1][pair] = looks[-1][pair[::-1]]
+        return looks[-1]
+
+    keep = tmp_path / "poses.jsonl"
+    capture = procedure.capture(MARKERS_47.names, robot.move, measure, keep=keep, told=told.append)
+    assert told == ["pose 8: the tracker exchanged 'outer_lip_61' with 'outer_lip_0': taken again"]
+    assert len(looks) == len(capture) + 1
+    check_capture(capture, SMALL, SERVOS.positive)
+    again = procedure.capture(MARKERS_47.names, robot.move, robot.measure, keep=keep)
+    assert np.array_equal(again.markers_mm, capture.markers_mm)
+
+
+def test_names_that_three_looks_agree_to_be_exchanged_are_exchanged():
+    face, procedure = two_servos()
+    robot, told, goals = SimulatedRobot(face), [], []
+    pair = [MARKERS_47.names.index(name) for name in ("outer_lip_61", "outer_lip_0")]
+    swapped_deg = procedure.range_plan().goals_deg[9]
+
+    def move(goal_deg):
+        goals.append(goal_deg)
+        return robot.move(goal_deg)
+
+    def measure():
+        seen_mm = robot.measure()
+        if np.allclose(goals[-1], swapped_deg):
+            seen_mm[pair] = seen_mm[pair[::-1]]
+        return seen_mm
+
+    capture = procedure.capture(MARKERS_47.names, move, measure, told=told.append)
+    assert ["3 times: named anew" in line for line in told] == [True]
+    check_capture(capture, SMALL, SERVOS.positive)
+
+
+def test_a_pose_to_grade_by_is_taken_again_where_two_names_changed_places():
+    face, procedure = two_servos()
+    robot, n_looks = SimulatedRobot(face), []
+    capture = procedure.capture(MARKERS_47.names, robot.move, robot.measure)
+    fit = fit_measured(SMALL, capture, SERVOS)
+    pair = [MARKERS_47.names.index(name) for name in ("outer_lip_61", "outer_lip_0")]
+
+    def measure():
+        seen_mm = robot.measure()
+        n_looks.append(1)
+        if len(n_looks) == 4:
+            seen_mm[pair] = seen_mm[pair[::-1]]
+        return seen_mm
+
+    grade = take_grade(fit, SERVOS, MARKERS_47.names, Robot(robot.move, measure)).calibration.grade
+    assert len(n_looks) == grade.n_poses + 1
+    assert grade.lip_rms_mm < 1.0
+
+
+def test_a_face_of_the_wrong_size_is_refused_at_its_first_pose():
+    face, procedure = two_servos()
+    robot, looks = SimulatedRobot(face), []
+
+    def measure():
+        looks.append(0.4 * robot.measure())
+        return looks[-1]
+
+    with pytest.raises(CalibrationError, match=r"0\.40 times as large"):
+        procedure.capture(MARKERS_47.names, robot.move, measure)
+    assert len(looks) == 1
+
+
+def test_a_horn_that_slips_among_the_poses_of_speech_is_named():
+    face, procedure = two_servos()
+    robot, n_moves = SimulatedRobot(face), []
+
+    def move(goal_deg):
+        n_moves.append(1)
+        robot.move(goal_deg + np.array([0.0, 15.0 * (len(n_moves) > 34)]))
+        return goal_deg
+
+    capture = procedure.capture(MARKERS_47.names, move, robot.measure)
+    with pytest.raises(CalibrationError, match=r"'corners' slipped on its shaft"):
+        check_capture(capture, SMALL, SERVOS.positive)
 
 
 def test_the_lips_are_seen_as_far_apart_as_they_go():

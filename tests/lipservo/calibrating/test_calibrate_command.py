@@ -252,7 +252,7 @@ def test_a_plan_is_refined_where_speech_will_be_and_a_picture_drawn(tmp_path):
     done = calibrate("plan", longer, "--config", "face_four", "--refine", plan,
                    "--markers", markers, "--poses", "24", "--json")  # fmt: skip
     assert done.exit_code == 0, done.output
-    assert json.loads(done.stdout)["poses"] == 24 + 6
+    assert json.loads(done.stdout)["poses"] == 24 + 10 + 6
     assert longer.read_text().startswith(plan.read_text().rstrip()[:200])
     write_markers(longer, markers, servos, LIPS)
     done = calibrate("fit", "--config", "face_four", "--plan", longer, "--markers", markers,

@@ -50,7 +50,7 @@ def test_a_port_without_anybody_who_sees_the_markers_moves_nothing(tmp_path):
             "/dev/ttyUSB77: no such port",
         ),
         (("measure", "--sim", "usb"), "--sim knows `pty` only"),
-        (("practise", "1", "--poses", "4"), "4 poses are too few for 1 servos"),
+        (("practise", "1", "--poses", "3"), "3 poses are too few for 1 servos"),
     ],
 )
 def test_bad_wishes_are_one_clear_line_and_write_nothing(tmp_path, arguments, said):

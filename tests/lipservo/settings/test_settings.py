@@ -117,3 +117,11 @@ def test_the_rules_of_the_gate_come_from_the_yaml(tmp_path):
         levels = [bridge.tick(n / 50.0).stale.name for n in range(110)]
 
     assert [levels.index(name) for name in ("EASING", "NEUTRAL", "LIMP")] == [11, 50, 100]
+
+
+@pytest.mark.parametrize("part", ["other", "tongue"])
+def test_what_no_marker_shows_is_no_part_of_the_mouth(tmp_path, part):
+    face = load(tmp_path, FACE.replace("  lip:\n", f"  lip:\n    part: {part}\n"))
+
+    assert list(face.servos) == ["jaw", "lip"]
+    assert list(face.mouth_servos) == ["jaw"]

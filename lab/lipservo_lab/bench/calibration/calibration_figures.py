@@ -6,6 +6,7 @@ score is taken on markers without noise, with the backlash as it lies.
 How far the mouth is from its sound on servos that are late, with and without compensation.
 """
 
+import math
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
@@ -14,28 +15,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.calibration import Calibration, CalibrationError, Following
+from calibration.closure import CLOSED_GAP_MM
 from calibration.fit.guided import CLOSED, fit_guided, landmark_poses
 from calibration.fit.measured import MeasuredFit, fit_measured, lips_apart_mm
 from calibration.fit.procedure import Procedure
 from calibration.fit.retargeting import MOST_EXAGGERATION, PRESS_MM, nearest_poses_deg
 from calibration.fit.servo_response import identify, lag_between_s
-from calibration.grade import CLOSED_GAP_MM
 from calibration.mouth_servos import JointRange, MouthServos
 from calibration.run.compensation import BacklashCompensation, LagCompensation
 from calibration.simulated.face import JAW
 from calibration.simulated.robot import RobotDraw, SimulatedRobot, draw_robot, true_markers_mm
 from calibration.simulated.servos import SimulatedServos
+from lipservo.calibrating.within_speeds import spoken_frames
 from lipservo.settings.settings import FaceSettings, load_shipped_face
+from lipservo_lab.bench.calibration.hard_captures import count_faults, fault_figures
 from lipsync.animpho.units import FaceWithAnimPhos, load_face_with_animphos
 from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
-from lipsync.phonemes import SILENCE
 
 _RATE_HZ = 100.0
 LOOK_AHEAD_S = 0.200
-#: Phones of speech last about this long (GRID and TIMIT: 80 to 100 ms on average).
-_PHONE_S = 0.09
-_N_PHONES, _PHONES_A_WALK = 220, 8
 #: The error is taken in windows of this length, twice as many as fit end to end.
 _WINDOW_S = 2.0
 
@@ -61,7 +60,7 @@ def sync_errors(
     seed: int,
 ) -> SyncErrors:
     """Twenty seconds of AnimPhos, through map, compensation, late servos and backlash."""
-    motion = _motion(model, np.random.default_rng([seed, 3]))
+    motion = spoken_frames(model, np.random.default_rng([seed, 3]))
     wanted_mm = np.array([model.lip_gap_mm(frame) for frame in motion])
     poses_deg = calibration.poses_deg(motion)
     before_mm = _gap_mm(draw, servos, poses_deg)
@@ -78,26 +77,6 @@ def sync_errors(
         after_rms_ms=_rms(late_s) * 1e3,
         gap_r=float(np.corrcoef(wanted_mm[: len(after_mm) - early], after_mm[shown])[0, 1]),
     )
-
-
-def _motion(model: FaceWithAnimPhos, rng: np.random.Generator) -> Array:
-    """(n, n_components) at 100 Hz: walks without pauses through AnimPhos that may follow.
-
-    Each walk is short, as some AnimPhos lead round in a circle, and of a motion that repeats itself
-    nobody can say how late it is.
-    """
-    speaking = np.setdiff1d(np.arange(len(model.animphos)), model.animphos.of_phoneme(SILENCE))
-    animpho = int(rng.choice(speaking))
-    frames = [model.rest[None]]
-    for phone in range(_N_PHONES):
-        frames.append(model.animphos.samples[animpho, 1:-1])
-        following = np.intersect1d(model.animphos.successors[animpho], speaking)
-        goes_on = len(following) > 0 and (phone + 1) % _PHONES_A_WALK > 0
-        animpho = int(rng.choice(following if goes_on else speaking))
-    keys = np.concatenate(frames)
-    key_s = np.arange(len(keys)) * _PHONE_S / 3
-    times_s = np.arange(0.0, key_s[-1], 1.0 / _RATE_HZ)
-    return np.stack([np.interp(times_s, key_s, column) for column in keys.T], axis=1)
 
 
 def _gap_mm(draw: RobotDraw, servos: SimulatedServos, goals_deg: Array) -> Array:
@@ -157,11 +136,7 @@ class SeedFigures:
 
 def measure_seed(model: FaceWithAnimPhos, settings: FaceSettings, seed: int) -> SeedFigures:
     """Calibrate one simulated robot from capture to lags, and score it."""
-    servos = MouthServos(
-        joints=tuple(JointRange(j.name, j.min_deg, j.max_deg) for j in settings.joints()),
-        face_checksum=settings.checksum,
-        positive=tuple(servo.positive for servo in settings.servos.values()),
-    )
+    servos = _servos(settings)
     joints = servos.joints
     rest_mm = model.markers_mm(model.rest[None])[0]
     draw = draw_robot(rest_mm, servos.names, seed)
@@ -180,17 +155,42 @@ def measure_seed(model: FaceWithAnimPhos, settings: FaceSettings, seed: int) -> 
     return _figures(shapes, sync, _map_time_us(model, fit), procedure_s)
 
 
-def calibration_figures(seeds: Iterable[int]) -> dict[str, float]:
-    """Medians over the seeds under the names of the table; `worst_` and the worst seed for each."""
+def _servos(settings: FaceSettings) -> MouthServos:
+    return MouthServos(
+        joints=tuple(JointRange(j.name, j.min_deg, j.max_deg) for j in settings.joints()),
+        face_checksum=settings.checksum,
+        positive=tuple(servo.positive for servo in settings.servos.values()),
+    )
+
+
+def calibration_figures(seeds: Iterable[int]) -> dict[str, object]:
+    """Medians over the seeds under the names of the table; `worst_` and the worst seed for each.
+
+    A healthy robot that is refused counts in `refused`, and in no median.
+    """
     model, settings = load_face_with_animphos(), load_shipped_face("face_sim")
-    found = [measure_seed(model, settings, seed) for seed in seeds]
-    figures: dict[str, float] = {}
+    servos, rest_mm = _servos(settings), model.markers_mm(model.rest[None])[0]
+    found, faults = [], []
+    refused: dict[str, str] = {}
+    for seed in seeds:
+        try:
+            found.append(measure_seed(model, settings, seed))
+        except CalibrationError as error:
+            refused[str(seed)] = str(error)
+        draw = draw_robot(rest_mm, servos.names, seed)
+        faults.append(count_faults(model, draw, servos, seed))
+    figures: dict[str, object] = {}
     for field in fields(SeedFigures):
-        values = [float(getattr(seed, field.name)) for seed in found]
+        values = [float(getattr(seed, field.name)) for seed in found] or [math.nan]
         figures[field.name] = float(np.median(values))
         figures[f"worst_{field.name}"] = (min if field.name in _LARGE_IS_GOOD else max)(values)
     figures["worst_rms_mm"] = figures.pop("worst_heldout_rms_mm")
-    return figures
+    return {
+        **figures,
+        "refused": len(refused),
+        "refused_why": refused,
+        **fault_figures(faults),
+    }
 
 
 def read_seeds(text: str) -> list[int]:

@@ -19,7 +19,7 @@ from calibration.mouth_servos import MouthServos
 from calibration.simulated.elastic_robot import ElasticFace
 from calibration.simulated.robot import SimulatedRobot
 from lipservo_lab.bench.calibration.elastic_draws import draw_elastic_robot
-from lipservo_lab.bench.calibration.hard_captures import count_faults, refusals
+from lipservo_lab.bench.calibration.hard_captures import count_faults, fault_figures, refusals
 from lipservo_lab.bench.calibration.shipped_ways import way_figures
 from lipservo_lab.bench.calibration.shown_motion import (
     Motion,
@@ -36,6 +36,8 @@ from lipsync.markers import MARKERS_47
 N_POSES = 60
 N_FRAMES = 400
 _GOOD_GRADE = (0.8, 1.3)
+#: The share of robots that `force_over_needed` is of, and how often what suffices is little force.
+_MOST, _ENOUGH_FORCE = 0.9, 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +56,7 @@ class RobotScore:
     rival_small_gaps_shut: float
     rival_closures_touch: float
     rival_force_ratio: float
+    contact_called: bool
 
 
 def score_robot(model: FaceWithAnimPhos, seed: int, n_servos: int | None = None) -> RobotScore:
@@ -66,6 +69,7 @@ def score_robot(model: FaceWithAnimPhos, seed: int, n_servos: int | None = None)
     fit = fit_measured(model, capture, servos)
     fit = take_grade(fit, servos, MARKERS_47.names, Robot(robot.move, robot.measure))
     assert fit.calibration.grade is not None
+    closing = fit.calibration.closing
     frames = split_frames(model, 0)[1][:N_FRAMES]
     wanted = wanted_shapes(model, face, servos, frames)
     ours = shown(face, played(face, fit.calibration, frames), wanted)
@@ -83,6 +87,7 @@ def score_robot(model: FaceWithAnimPhos, seed: int, n_servos: int | None = None)
         rival_small_gaps_shut=rival.shut,
         rival_closures_touch=rival.touch,
         rival_force_ratio=rival.force_ratio,
+        contact_called=closing is not None and closing.closes,
     )
 
 
@@ -97,7 +102,7 @@ def elastic_figures(seeds: Iterable[int], ways_seed: int | None = None) -> dict[
     rest_mm = model.markers_mm(model.rest[None])[0]
     scores, refused = {}, {}
     refused_with: dict[str, dict[str, str]] = {}
-    tried = named = misnamed = 0
+    faults = []
     for seed in seeds:
         try:
             scores[seed] = score_robot(model, seed)
@@ -106,16 +111,13 @@ def elastic_figures(seeds: Iterable[int], ways_seed: int | None = None) -> dict[
         draw, servos = draw_elastic_robot(rest_mm, seed)
         for tracker, why in refusals(model, ElasticFace(draw), servos, seed).items():
             refused_with.setdefault(tracker, {}).update({} if why is None else {str(seed): why})
-        for count in count_faults(model, ElasticFace(draw), servos, seed).values():
-            tried, named = tried + count.tried, named + count.named
-            misnamed += count.misnamed
+        faults.append(count_faults(model, ElasticFace(draw), servos, seed))
     ways = {} if ways_seed is None else {"ways": way_figures(model, ways_seed)}
     return {
         **summary(scores, refused),
         **ways,
         "refused_with": refused_with,
-        "faults_named": named / max(tried, 1),
-        "faults_misnamed": misnamed / max(tried, 1),
+        **fault_figures(faults),
     }
 
 
@@ -140,6 +142,13 @@ def summary(scores: Mapping[int, RobotScore], refused: Mapping[int, str]) -> dic
         "closures_touch": middle(lambda s: s.closures_touch),
         "worst_closures_touch": min((s.closures_touch for s in found), default=float("nan")),
         "closure_force_ratio": middle(lambda s: s.closure_force_ratio),
+        "force_over_needed": (
+            float(np.quantile([s.closure_force_ratio for s in found], _MOST)) if found else None
+        ),
+        "force_within_4": float(np.mean([s.closure_force_ratio <= _ENOUGH_FORCE for s in found]))
+        if found
+        else 0.0,
+        "contact_called": float(np.mean([s.contact_called for s in found])) if found else 0.0,
         "best_rival_ratio": middle(lambda s: s.true_mm / s.rival_mm),
         "rival_rms_mm": middle(lambda s: s.rival_mm),
         "rival_small_gaps_shut": middle(lambda s: s.rival_small_gaps_shut),
@@ -148,7 +157,8 @@ def summary(scores: Mapping[int, RobotScore], refused: Mapping[int, str]) -> dic
         "grade_over_truth": float(np.median(grades)) if found else float("nan"),
         "grades_within": float(good.mean()) if found else 0.0,
         "healthy_refused": len(refused),
-        "refused": {str(seed): reason for seed, reason in refused.items()},
+        "refused": len(refused),
+        "refused_why": {str(seed): reason for seed, reason in refused.items()},
         "each": {
             str(seed): {f.name: getattr(score, f.name) for f in fields(score)}
             for seed, score in scores.items()

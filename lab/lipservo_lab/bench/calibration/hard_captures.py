@@ -9,8 +9,8 @@ Rightly: the first thing that is said names the fault, and the servo where one i
 another servo or another fault is named. The rest is silence.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -20,19 +20,21 @@ from calibration.capture.sanity import check_capture
 from calibration.fit.procedure import Procedure
 from calibration.mouth_servos import MouthServos
 from calibration.simulated.elastic_robot import ElasticFace
-from calibration.simulated.robot import SENSOR_NOISE_MM, SimulatedRobot
+from calibration.simulated.robot import SENSOR_NOISE_MM, SimulatedRobot, Skin
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
 
 _N_POSES = 60
-_SLIP_DEG = 12.0
+_SLIP_DEG = 15.0
 #: Words of which one must be in what is said, and none of the others' words may be.
 _WORDS: Mapping[str, tuple[str, ...]] = {
     "dead": ("moves no marker", "stopped moving"),
     "stuck": ("stopped moving",),
+    "torn": ("stopped moving",),
     "slipped": ("slipped",),
     "reversed": ("is reversed",),
+    "reversed jaw": ("is reversed",),
     "lips exchanged": ("changed places", "exchanged"),
     "half scale": ("scale",),
     "double scale": ("scale",),
@@ -44,7 +46,9 @@ _WORDS: Mapping[str, tuple[str, ...]] = {
     "hand-held": ("moved by",),
 }
 #: Faults with a servo to blame.
-_OF_A_SERVO = ("dead", "stuck", "slipped", "reversed")
+_OF_A_SERVO = ("dead", "stuck", "torn", "slipped", "reversed", "reversed jaw")
+#: Words of a jaw.
+_JAW = ("opens", "closes")
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,23 +60,44 @@ class FaultCount:
     misnamed: int
 
 
+_COUNTED = fields(FaultCount)
+
+
 def count_faults(
-    model: FaceWithAnimPhos, face: ElasticFace, servos: MouthServos, seed: int
+    model: FaceWithAnimPhos, face: Skin, servos: MouthServos, seed: int
 ) -> dict[str, FaultCount]:
-    """Every fault once on one robot; the servo to blame is drawn by the seed."""
+    """Every fault once on one robot; the servo to blame is drawn by the seed, or its jaw."""
     rng = np.random.default_rng([seed, 23])
-    joint = int(rng.integers(len(servos.joints)))
+    drawn = int(rng.integers(len(servos.joints)))
+    jaws = [joint for joint, word in enumerate(servos.positive) if word in _JAW]
+    counts = {}
+    for fault in _WORDS:
+        if fault == "reversed jaw" and not jaws:
+            continue
+        joint = jaws[0] if fault == "reversed jaw" else drawn
+        seen = _captured(model, face, servos, fault, joint, seed)
+        counts[fault] = _told(model, servos, fault, joint, seen)
+    return counts
+
+
+def fault_figures(counts: Sequence[Mapping[str, FaultCount]]) -> dict[str, object]:
+    """Of the faults on all robots: `faults_named` and `faults_misnamed`, shares; each kind's."""
+    every = [count for robot in counts for count in robot.values()]
+    tried = max(1, sum(count.tried for count in every))
+    each: dict[str, dict[str, int]] = {}
+    for fault in _WORDS:
+        own = [robot[fault] for robot in counts if fault in robot]
+        each[fault] = {f.name: sum(getattr(count, f.name) for count in own) for f in _COUNTED}
     return {
-        fault: _told(
-            model, servos, fault, joint, _captured(model, face, servos, fault, joint, seed)
-        )
-        for fault in _WORDS
+        "faults_named": sum(count.named for count in every) / tried,
+        "faults_misnamed": sum(count.misnamed for count in every) / tried,
+        "faults": each,
     }
 
 
 def _captured(
     model: FaceWithAnimPhos,
-    face: ElasticFace,
+    face: Skin,
     servos: MouthServos,
     fault: str,
     joint: int,
@@ -86,9 +111,9 @@ def _captured(
     def move(goal_deg: Array) -> Array:
         pose, given = moves[0] // 2, goal_deg.copy()
         moves[0] += 1
-        if fault == "dead":
+        if fault == "dead" or (fault == "torn" and pose >= middle):
             given[joint] = 0.0
-        elif fault == "reversed":
+        elif fault.startswith("reversed"):
             given[joint] = -given[joint]
         elif fault == "slipped" and pose >= middle:
             given[joint] += _SLIP_DEG

@@ -28,6 +28,7 @@ from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from calibration.calibration import Calibration
 from calibration.capture.capture import Capture
+from calibration.closure import CLOSED_GAP_MM
 from calibration.fit.retargeting import (
     NEUTRAL_WEIGHT_MM_PER_DEG,
     MarkersOf,
@@ -37,7 +38,6 @@ from calibration.fit.retargeting import (
     nearest_poses_deg,
     shape_slopes,
 )
-from calibration.grade import CLOSED_GAP_MM
 from calibration.mouth_servos import MouthServos
 from calibration.run.compensation import BacklashCompensation
 from calibration.simulated.elastic_robot import N_PAIRS, ElasticFace

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from calibration.grade import CLOSED_GAP_MM
+from calibration.closure import CLOSED_GAP_MM
 from calibration.mouth_servos import MouthServos
 from calibration.run.compensation import BacklashCompensation
 from calibration.simulated.elastic_family import elastic_robot_of

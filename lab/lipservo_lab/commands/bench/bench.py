@@ -301,6 +301,7 @@ def calibration(
 ) -> None:
     """Calibrate simulated robots that nothing is known of, and score them: medians and worst."""
     from lipservo_lab.bench.calibration.calibration_figures import calibration_figures, read_seeds
+    from lipservo_lab.bench.calibration.closing_figures import N_OPEN_MOUTHS, closing_figures
     from lipservo_lab.bench.calibration.elastic_figures import elastic_figures
 
     if ways and family is not RobotFamily.ELASTIC:
@@ -313,7 +314,11 @@ def calibration(
         if family is RobotFamily.ELASTIC:
             figures = elastic_figures(tracked, ways_seed=numbers[0] if ways else None)
         else:
-            figures = {"family": family.value, **calibration_figures(tracked)}
+            # Lips that pass through each other press nothing.
+            own = {"family": family.value, "force_over_needed": None}
+            figures = {**own, **calibration_figures(tracked)}
+        open_mouths = progress.track(range(N_OPEN_MOUTHS), description="mouths that cannot close")
+        figures = {**figures, **closing_figures(open_mouths)}
     _print(figures, time.perf_counter() - began_s, as_json=as_json)
 
 

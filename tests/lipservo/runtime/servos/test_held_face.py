@@ -13,6 +13,7 @@ from calibration.mouth_servos import JointRange
 from firmware_bridge.dynamixel.mounting import mounted_servos
 from firmware_bridge.errors import PortGone
 from firmware_bridge.simulator.faults import Fault
+from firmware_bridge.stopping import StopReport
 from lipservo.runtime.servos.face_stopped import FaceStopped
 from lipservo.runtime.servos.held_face import HeldFace, held_rate_hz
 from lipservo.settings.settings import FaceSettings, load_shipped_face
@@ -143,6 +144,15 @@ def test_a_signal_after_a_pulled_plug_is_a_stop_that_nobody_confirmed():
         hold()
     assert stopped.value.exit_status == 3
     assert len(stopped.value.report.unconfirmed) == 4
+
+
+@pytest.mark.parametrize(
+    ("unconfirmed", "signal_number", "status"),
+    [({}, None, 5), ({}, signal.SIGTERM, 143), ({"jaw": "no answer"}, None, 3)],
+)
+def test_a_command_that_was_stopped_before_it_was_done_says_so(unconfirmed, signal_number, status):
+    report = StopReport(confirmed=("lip",), unconfirmed=unconfirmed)
+    assert FaceStopped(report, signal_number).exit_status == status
 
 
 def test_a_lost_sample_at_the_start_neither_moves_a_joint_nor_keeps_it_for_ever():

@@ -1,0 +1,243 @@
+"""What changed on a face between a pose and the same pose later: horns, rods, all of it.
+
+A face that is asked for the same pose, from the same side, looks the same, however crooked its skin
+is: nothing has to be learnt first. The first part of a plan, neutral and every joint alone, is
+taken again at the end. What all of these poses are off by alike, and along what one joint does, is
+a horn that slipped; where a joint alone does less than it did, it stopped, or its rod is torn. Of
+several suspicions the one counts that explains most of what changed.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.capture.capture import Capture, PosePlan, plan_rows
+from calibration.capture.joint_health import JointFault
+from calibration.capture.straight_lines import StraightLines
+from lipsync.arrays import Array
+
+#: Degrees, and the share of what a joint did, from which a change is a fault. Zeros that drift with
+#: warm servos come to two degrees and noise to a quarter; slipped splines begin at ten.
+_SLIPPED_DEG, _LOST_SHARE, _ALL_LOST = 5.0, 0.45, 0.8
+#: So many standard errors of noise, whatever else: for a slip, which all poses show, and for what a
+#: joint does alone, where healthy robots come to 2.3. And of a marker that nothing explains.
+_SURE_ERRORS, _SURE_LOST_ERRORS, _SURE_MM = 6.0, 3.5, 1.5
+_KNOWN_ERRORS = 3.0
+#: What a joint does must be alike what changed by so much, to be blamed for it.
+_ALIKE = 0.7
+#: Another joint this near to 0 does not move; two goals this near are the same.
+_STILL_DEG, _SAME_DEG = 0.1, 0.01
+#: Poses between which so much of a capture lies are early and late.
+_APART = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class FaceChange:
+    """kind: `slipped` by degrees, `stopped` by a share, or `shifted` (joint -1) by millimetres.
+
+    first, last: poses between which it happened, counted from 1. errors: by how many standard
+    errors of noise.
+    """
+
+    kind: str
+    joint: int
+    by: float
+    errors: float
+    first: int
+    last: int
+
+    def told(self, names: tuple[str, ...]) -> str:
+        """One line, with what to do."""
+        where = f"between poses {self.first} and {self.last}"
+        if self.joint < 0:
+            return (
+                f"the face is another one than before, by {self.by:.1f} mm, {where}: was the "
+                "tracker or a part moved, did the skin tear? Look for it and capture again"
+            )
+        name = names[self.joint]
+        if self.kind == "slipped":
+            return (
+                f"servo {name!r} slipped on its shaft by about {abs(self.by):.0f} deg {where}; "
+                "check its horn, and capture again"
+            )
+        return (
+            f"servo {name!r} stopped moving {self.by:.0%} of what it moved, {where}; check its "
+            "horn, its rod, the skin there and its torque, and capture again"
+        )
+
+
+def first_part(plan: PosePlan) -> PosePlan:
+    """Neutral and every joint alone, from either side: the poses of a plan that are taken again."""
+    rows = np.flatnonzero((np.abs(plan.goals_deg) > _STILL_DEG).sum(axis=1) <= 1)
+    keys = np.hstack([plan.goals_deg[rows], plan.from_below[rows]])
+    first = np.unique(keys, axis=0, return_index=True)[1]
+    return plan_rows(plan, rows[np.sort(first)].tolist())
+
+
+def repeats(capture: Capture) -> list[tuple[int, int]]:
+    """Rows of the first and the last time that a pose was taken, where much lies between."""
+    keys = np.hstack([np.rint(capture.goals_deg / _SAME_DEG), capture.from_below])
+    alike = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+    pairs = []
+    for pose in np.unique(alike):
+        rows = np.flatnonzero(alike == pose)
+        if rows[-1] - rows[0] > _APART * len(capture):
+            pairs.append((int(rows[0]), int(rows[-1])))
+    return sorted(pairs)
+
+
+def is_repeated(capture: Capture) -> bool:
+    """Whether every joint was seen alone early and late."""
+    goals_deg = capture.goals_deg[[early for early, _ in repeats(capture)]]
+    return bool(len(goals_deg)) and bool((np.abs(goals_deg) > _STILL_DEG).any(axis=0).all())
+
+
+@dataclass(frozen=True, slots=True)
+class ChangedPoses:
+    """What repeated poses say, (n_servos,) each.
+
+    did_mm: how far each joint took the face along its own way when it was alone, early; does_mm:
+    the same late; lost_error_mm: what noise makes of the difference; turned_deg: by turning so far.
+    slid_mm: how far all poses alike are off along that way, and what noise makes of it in
+    slid_error_mm; alike: the cosine between the two, without the noise. common_mm: (n_markers, 3),
+    what all are off by; noise_mm: of each difference. n: so many poses were repeated; first, last:
+    before the first and after the last of which nothing happened, counted from 1.
+    """
+
+    did_mm: Array
+    does_mm: Array
+    lost_error_mm: Array
+    turned_deg: Array
+    slid_mm: Array
+    slid_error_mm: Array
+    alike: Array
+    common_mm: Array
+    noise_mm: float
+    n: int
+    first: int
+    last: int
+
+    @property
+    def lost(self) -> Array:
+        """The share of what each joint did that it does no more."""
+        return np.asarray(1.0 - self.does_mm / self.did_mm)
+
+    @property
+    def slipped_deg(self) -> Array:
+        """How far each horn would have slipped, were it alone to blame."""
+        return np.asarray(self.slid_mm / self.did_mm * self.turned_deg)
+
+    @property
+    def common_error_mm(self) -> float:
+        """Of common_mm: of a median."""
+        return 1.25 * self.noise_mm / math.sqrt(self.n)
+
+
+def changed_poses(capture: Capture, lines: StraightLines) -> ChangedPoses | None:
+    """None where not every joint was seen alone twice. lines: of this capture."""
+    if not is_repeated(capture):
+        return None
+    pairs = repeats(capture)
+    early, late = (np.array([pair[i] for pair in pairs]) for i in (0, 1))
+    goals_deg = capture.goals_deg[early]
+    moved = np.abs(goals_deg) > _STILL_DEG
+    neutral = np.flatnonzero(~moved.any(axis=1))
+    alone = [_farthest_alone(moved, goals_deg, joint) for joint in range(moved.shape[1])]
+    turned_deg = np.array([goals_deg[rows[0], joint] for joint, rows in enumerate(alone)])
+    seen_mm = np.where(lines.far[..., None], np.nan, capture.markers_mm)
+    off_mm = _filled(seen_mm[late] - seen_mm[early])
+    common_mm = np.median(off_mm, axis=0)
+    # Most markers in most poses are where they were: what is left of them is noise.
+    noise_mm = max(1.4826 * float(np.median(np.abs(off_mm - common_mm))), 1e-6)
+    n = len(pairs)
+    # Lines through all poses know the way of a joint better than two readings do.
+    ways = lines.slopes_mm * np.sign(turned_deg)[:, None, None]
+    ways = ways / np.maximum(np.linalg.norm(ways, axis=(1, 2), keepdims=True), 1e-9)
+
+    def alone_mm(of: NDArray[np.int64]) -> Array:
+        still_mm = _middle(seen_mm[of[neutral]])
+        seen_alone_mm = np.array([_middle(seen_mm[of[rows]]) for rows in alone])
+        return np.asarray(np.sum(ways * _filled(seen_alone_mm - still_mm), axis=(1, 2)))
+
+    did_mm, does_mm = alone_mm(early), alone_mm(late)
+    looks = np.array([1.0 / len(rows) + 1.0 / len(neutral) for rows in alone])
+    slid_mm = np.sum(ways * common_mm, axis=(1, 2))
+    error_mm2 = common_mm.size * (1.25 * noise_mm) ** 2 / n
+    # A pose whose markers are all off together, as where they are counted from a noisy nose.
+    along_mm = np.einsum("smk,nmk->sn", ways, off_mm)
+    spread_mm = np.median(np.abs(along_mm - np.median(along_mm, axis=1)[:, None]), axis=1)
+    along_noise_mm = np.maximum(noise_mm, 1.4826 * spread_mm)
+    size_mm = math.sqrt(max(float(np.sum(common_mm**2)) - error_mm2, error_mm2 / n))
+    return ChangedPoses(
+        did_mm=np.maximum(did_mm, 1e-6),
+        does_mm=does_mm,
+        lost_error_mm=along_noise_mm * np.sqrt(looks),
+        slid_error_mm=1.25 * along_noise_mm / math.sqrt(n),
+        turned_deg=turned_deg,
+        slid_mm=slid_mm,
+        alike=np.abs(slid_mm) / size_mm,
+        common_mm=common_mm,
+        noise_mm=noise_mm,
+        n=n,
+        first=int(early.max()) + 1,
+        last=int(late.min()) + 1,
+    )
+
+
+def _farthest_alone(moved: NDArray[np.bool_], goals_deg: Array, joint: int) -> NDArray[np.int64]:
+    """Rows in which no other joint is off 0 and this one most."""
+    rows = np.flatnonzero(moved[:, joint] & (moved.sum(axis=1) == 1))
+    most_deg = goals_deg[rows[np.abs(goals_deg[rows, joint]).argmax()], joint]
+    return np.asarray(rows[np.abs(goals_deg[rows, joint] - most_deg) < _STILL_DEG])
+
+
+def _middle(seen_mm: Array) -> Array:
+    """(n, n_markers, 3) -> (n_markers, 3), NaN where none was seen."""
+    return np.asarray(np.ma.filled(np.ma.masked_invalid(seen_mm).mean(axis=0), np.nan))
+
+
+def bears_out(changed: ChangedPoses, fault: JointFault) -> bool:
+    """Whether repeated poses, too, say what a model of the whole capture suspects of a joint."""
+    if fault.joint < 0:
+        return False
+    if fault.kind == "slipped":
+        return bool(abs(changed.slipped_deg[fault.joint]) > _SLIPPED_DEG)
+    return bool(changed.lost[fault.joint] > _LOST_SHARE)
+
+
+def face_change(changed: ChangedPoses) -> FaceChange | None:
+    """The one thing that changed and explains most of it, beyond doubt; None where nothing did."""
+    where = changed.first, changed.last
+    slip_errors = np.abs(changed.slid_mm) / changed.slid_error_mm
+    lost_mm = changed.did_mm - changed.does_mm
+    lost_errors = lost_mm / changed.lost_error_mm
+    found = []
+    for joint, (slip_deg, lost) in enumerate(zip(changed.slipped_deg, changed.lost, strict=True)):
+        slips, loses = float(slip_errors[joint]), float(lost_errors[joint])
+        stops = lost > _LOST_SHARE and loses > _SURE_LOST_ERRORS
+        if stops:
+            fault = FaceChange("stopped", joint, min(float(lost), 1.0), loses, *where)
+            found.append((lost_mm[joint], fault))
+        # A joint that stands still somewhere is off in all poses, too; a horn that slipped moves.
+        moves = not stops or lost < _ALL_LOST
+        # Nor is a joint blamed that alone took the face no farther than noise does.
+        is_known = changed.did_mm[joint] > _KNOWN_ERRORS * changed.lost_error_mm[joint]
+        alike = is_known and changed.alike[joint] > _ALIKE
+        if moves and alike and abs(slip_deg) > _SLIPPED_DEG and slips > _SURE_ERRORS:
+            fault = FaceChange("slipped", joint, float(slip_deg), slips, *where)
+            found.append((abs(changed.slid_mm[joint]) * math.sqrt(changed.n), fault))
+    if found:
+        return max(found, key=lambda each: float(each[0]))[1]
+    most_mm = float(np.sort(np.linalg.norm(changed.common_mm, axis=1))[-3:].mean())
+    errors = most_mm / changed.common_error_mm
+    if most_mm > _SURE_MM and errors > _SURE_ERRORS:
+        return FaceChange("shifted", -1, most_mm, errors, *where)
+    return None
+
+
+def _filled(off_mm: Array) -> Array:
+    """Points that one of the two did not see changed by nothing."""
+    seen: NDArray[np.bool_] = np.isfinite(off_mm)
+    return np.where(seen, off_mm, 0.0)

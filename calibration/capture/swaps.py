@@ -1,0 +1,215 @@
+"""Two markers whose names changed places: in every pose, or in some, found, put right and told.
+
+A tracker that follows dots takes one for its neighbour now and then. Which two and in which pose is
+plain from what the other poses say; so the pose is looked at again, and where three looks agree the
+two names are exchanged.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from calibration.calibration import CalibrationError
+from calibration.capture.capture import (
+    Capture,
+    CapturedPose,
+    PosePlan,
+    Robot,
+    gather,
+    keep_pose,
+    take_pose,
+)
+from calibration.capture.straight_lines import straight_lines
+from lipsync.arrays import Array
+from lipsync.face.model import FaceModel
+from lipsync.markers import MARKERS_47
+
+#: Swapped names must explain this part of what a pose leaves unexplained, and at least so much:
+#: two markers 3 mm apart that change places are 3 mm off each, six times the noise.
+_SWAP_SHARE, _SWAP_MM = 0.6, 3.0
+_OUTER_LIPS = ("outer_lip_0", "outer_lip_17")
+_INNER_LIPS = (
+    ("inner_lip_13", "inner_lip_14"),
+    ("inner_lip_82", "inner_lip_87"),
+    ("inner_lip_312", "inner_lip_317"),
+)
+#: Inner and outer lips part together; so much the other way is an exchange.
+_OPPOSED = -0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Swap:
+    """Two markers, by name, that changed places; pose: from 0, None: in every one."""
+
+    one: str
+    other: str
+    pose: int | None = None
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """Both."""
+        return self.one, self.other
+
+    def told(self) -> str:
+        """Half a line."""
+        where = "in every pose" if self.pose is None else f"in pose {self.pose + 1}"
+        return f"{self.one!r} and {self.other!r} have changed places {where}"
+
+
+def told_swaps(swaps: Sequence[Swap]) -> str:
+    """All of them in half a line."""
+    return "; ".join(swap.told() for swap in swaps)
+
+
+def refuse_swaps(swaps: Sequence[Swap]) -> None:
+    """Raises CalibrationError with all of them in one line."""
+    if swaps:
+        told = told_swaps(swaps)
+        raise CalibrationError(
+            f"markers {told}; name them the other way round in the tracker and capture again, or "
+            "add --accept where it was in single poses, and they are exchanged there"
+        )
+
+
+def exchanged(capture: Capture, swaps: Sequence[Swap]) -> Array:
+    """(n, n_markers, 3): the markers with the names of these poses put right."""
+    markers_mm, names = capture.markers_mm.copy(), capture.marker_names
+    for swap in swaps:
+        pair = [names.index(swap.one), names.index(swap.other)]
+        markers_mm[swap.pose, pair] = markers_mm[swap.pose, pair[::-1]]
+    return markers_mm
+
+
+def swapped_everywhere(capture: Capture, model: FaceModel) -> list[Swap]:
+    """Two names exchanged throughout: the robot's neutral looks more like a face the other way.
+
+    Compared with the speaker's rest after moving and scaling one onto the other, axis by axis.
+    """
+    human_mm = model.markers_mm(model.rest[None])[0]
+    known = [i for i, name in enumerate(capture.marker_names) if name in MARKERS_47.names]
+    human_mm = human_mm[[MARKERS_47.names.index(capture.marker_names[i]) for i in known]]
+    robot_mm = np.nanmedian(capture.markers_mm, axis=0)[known]
+
+    def like(points_mm: Array) -> Array:
+        """Standardised in each axis."""
+        centred = points_mm - np.median(points_mm, axis=0)
+        return np.asarray(centred / np.maximum(np.median(np.abs(centred), axis=0), 1e-6))
+
+    apart = like(robot_mm) - like(human_mm)
+    size_mm = np.median(np.abs(robot_mm - np.median(robot_mm, axis=0)), axis=0)
+    names = [capture.marker_names[i] for i in known]
+    whole = list(_pairs(names, apart * size_mm, robot_mm))
+    return whole or _swapped_lips(capture)
+
+
+def _swapped_lips(capture: Capture) -> list[Swap]:
+    """Inner lips that come nearer, upper below lower, the farther the outer ones part."""
+    found: list[Swap] = []
+    if _OUTER_LIPS[0] not in capture.marker_names or _OUTER_LIPS[1] not in capture.marker_names:
+        return found
+    at = [capture.marker_names.index(name) for name in (_OUTER_LIPS[0], _OUTER_LIPS[1])]
+    outer_mm = capture.markers_mm[:, at[0], 1] - capture.markers_mm[:, at[1], 1]
+    for upper, lower in _INNER_LIPS:
+        if upper in capture.marker_names and lower in capture.marker_names:
+            at = [capture.marker_names.index(name) for name in (upper, lower)]
+            heights_mm = capture.markers_mm[:, at[0], 1] - capture.markers_mm[:, at[1], 1]
+            known = np.isfinite(heights_mm) & np.isfinite(outer_mm)
+            if known.sum() > 2 and np.corrcoef(heights_mm[known], outer_mm[known])[0, 1] < _OPPOSED:
+                found.append(Swap(upper, lower))
+    return found
+
+
+def swapped_in_poses(capture: Capture, expected_mm: Array | None = None) -> list[Swap]:
+    """expected_mm: as captured; None: by joint, in lines."""
+    if expected_mm is None:
+        expected_mm = straight_lines(capture).expected_mm
+    names, found = capture.marker_names, []
+    for pose, (seen_mm, wanted_mm) in enumerate(zip(capture.markers_mm, expected_mm, strict=True)):
+        filled_mm = np.where(np.isfinite(seen_mm), seen_mm, wanted_mm)
+        pairs = _pairs(names, filled_mm - wanted_mm, filled_mm, pose, near_mm=_SWAP_MM)
+        found += list(pairs)
+    return found
+
+
+def _pairs(
+    names: Sequence[str],
+    off_mm: Array,
+    points_mm: Array,
+    pose: int | None = None,
+    *,
+    near_mm: float = np.inf,
+) -> Iterator[Swap]:
+    """Pairs of markers that changed places, the clearest first; a marker is in one at most.
+
+    off_mm: (n, 3), how far each point is from where its name belongs; near_mm: how near it must
+    come to where the other's belongs.
+    """
+    sizes_mm = np.linalg.norm(off_mm, axis=1)
+    pairs = []
+    for a, b in combinations(np.flatnonzero(sizes_mm > _SWAP_MM).tolist(), 2):
+        as_named = sizes_mm[a] ** 2 + sizes_mm[b] ** 2
+        change_mm = points_mm[b] - points_mm[a]
+        a_mm = np.linalg.norm(off_mm[a] + change_mm)
+        b_mm = np.linalg.norm(off_mm[b] - change_mm)
+        swapped = a_mm**2 + b_mm**2
+        # Two wild readings in one pose are no exchange: each must come near the other's place.
+        both = a_mm < 0.6 * sizes_mm[b] and b_mm < 0.6 * sizes_mm[a] and max(a_mm, b_mm) < near_mm
+        if both and swapped < (1.0 - _SWAP_SHARE) * as_named:
+            pairs.append((swapped / as_named, a, b))
+    used: set[int] = set()
+    for _, a, b in sorted(pairs):
+        if not used & {a, b}:
+            used |= {a, b}
+            yield Swap(names[a], names[b], pose)
+
+
+#: Readings that must agree before names are exchanged.
+_LOOKS = 3
+
+
+def put_right(
+    plan: PosePlan,
+    marker_names: tuple[str, ...],
+    on: Robot,
+    poses: list[CapturedPose],
+    keep: Path | None = None,
+    told: Callable[[str], None] = lambda _: None,
+    expected_mm: Array | None = None,
+) -> list[CapturedPose]:
+    """The same poses; one in which two names changed places is taken again, and that is told.
+
+    Where all of three readings agree, the names are exchanged. expected_mm: (n, n_markers, 3), of
+    the plan; None: by what the other poses say.
+    """
+    seen = gather(plan, marker_names, poses)
+    rows = seen.rows
+    wanted_mm = straight_lines(seen).expected_mm if expected_mm is None else expected_mm[list(rows)]
+    found = swapped_in_poses(seen, wanted_mm)
+    again = {pose.index: pose for pose in poses}
+    for row in sorted({swap.pose for swap in found if swap.pose is not None}):
+        index, names = rows[row], [swap.names for swap in found if swap.pose == row]
+        pairs = " and ".join(f"{one!r} with {other!r}" for one, other in names)
+        for _ in range(_LOOKS - 1):
+            pose = take_pose(plan, index, on)
+            one = replace(
+                seen,
+                goals_deg=plan.goals_deg[[index]],
+                from_below=plan.from_below[[index]],
+                markers_mm=pose.markers_mm[None],
+            )
+            swaps = swapped_in_poses(one, wanted_mm[[row]])
+            if [swap.names for swap in swaps] != names:
+                told(f"pose {index + 1}: the tracker exchanged {pairs}: taken again")
+                break
+        else:
+            pose = replace(pose, markers_mm=exchanged(one, swaps)[0])
+            told(f"pose {index + 1}: the tracker exchanged {pairs} {_LOOKS} times: named anew")
+        again[index] = pose
+        if keep is not None:
+            keep_pose(keep, pose, plan, marker_names)
+    if found:
+        on.move(np.zeros(len(plan.servo_names)))
+    return list(again.values())

@@ -1,0 +1,249 @@
+"""Whether lips meet, and where: ladders of small steps that close them, and what the lips do there.
+
+A ladder begins with the lips open in one of the shapes in which the speaker closes them, and goes
+on in small steps by all joints that close, as far as their limits. How far the lips should come in
+each step says the face as learnt about the open end, by a straight line: so a joint at its limit is
+a step of nothing, not lips that have met. Contact is a ladder that goes on closing while the dots
+of upper and lower lip, all of them, come no nearer: the far lip is pushed along. One kink in all
+ladders must explain what was seen far better than none, and leave little of the slope.
+Loads scikit-learn; the live path never does.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.cluster import KMeans
+
+from calibration.capture.capture import Capture, ladders_of
+from calibration.fit.retargeting import Retargeting, bounded_minimum, gap_heights_mm
+from lipsync.arrays import Array
+
+#: Shapes in which lips are closed, millimetres of a step, and how far above the gap that is
+#: believed to be the closed one ladders begin.
+_N_SHAPES, _STEP_MM, _BEGIN_MM = 3, 0.4, 2.4
+#: Steps that come first, and that are added for as long as neither contact nor limits were seen.
+FIRST_STEPS, MORE_STEPS, MOST_STEPS = 10, 4, 26
+#: What a degree costs against a millimetre, so that joints that do little stay where they are.
+_TURN_MM_PER_DEG = 0.03
+_DIFFERENCE_DEG = 1.0
+#: A step that closes less than this is none: joints stand at their limits.
+_LEAST_STEP_MM = 0.12
+
+#: Dots of both lips, one above the other.
+_OPPOSITE = (
+    ("inner_lip_13", "inner_lip_14"), ("inner_lip_82", "inner_lip_87"),
+    ("inner_lip_312", "inner_lip_317"), ("outer_lip_0", "outer_lip_17"),
+    ("outer_lip_37", "outer_lip_84"), ("outer_lip_267", "outer_lip_314"),
+    ("outer_lip_39", "outer_lip_181"), ("outer_lip_269", "outer_lip_405"),
+)  # fmt: skip
+#: (n, n_servos) degrees -> (n, n_markers, 3) millimetres.
+_MarkersOf = Callable[[Array], Array]
+
+
+@dataclass(frozen=True, slots=True)
+class Ladder:
+    """Steps of one ladder.
+
+    goals_deg: (n_steps, n_servos), the last of them where it can close no farther, if `at_limits`;
+    from_below: (n_servos,), 1 or -1, the side that joints come from.
+    """
+
+    goals_deg: Array
+    from_below: Array
+    at_limits: bool
+
+
+def plan_ladders(retargeting: Retargeting, from_rest: Array, n_steps: int) -> list[Ladder]:
+    """from_rest: (n, n_components), frames in which the speaker's lips are closed."""
+    n_shapes = min(_N_SHAPES, len(np.unique(from_rest, axis=0)))
+    shapes = KMeans(n_shapes, n_init=2, random_state=0).fit(from_rest).cluster_centers_
+    begin_mm = float(retargeting.closed_mm[0]) + _BEGIN_MM
+    return [
+        _ladder(retargeting, retargeting.at_gap(shape[None], begin_mm)[0], n_steps)
+        for shape in shapes
+    ]
+
+
+def _ladder(retargeting: Retargeting, base_deg: Array, n_steps: int) -> Ladder:
+    """Each step a step nearer, all gaps alike, by the joints that have room for it."""
+    mouth = retargeting.mouth
+    slopes = pair_slopes(mouth.markers_of, base_deg, mouth.names.shape_features.gaps)
+    bends = slopes.T @ slopes + _TURN_MM_PER_DEG**2 * np.eye(len(base_deg))
+    pulls = -_STEP_MM * np.arange(n_steps)[:, None] * slopes.sum(axis=0)
+    low, high = (limit - base_deg for limit in mouth.limits_deg)
+    moved_deg = bounded_minimum(np.repeat(bends[None], n_steps, axis=0), pulls, low, high)
+    goals_deg = mouth.kept_deg(base_deg + moved_deg)
+    short = np.flatnonzero(np.diff(-goals_deg @ slopes[0]) < _LEAST_STEP_MM)
+    n_reached = int(short[0]) + 1 if len(short) else n_steps
+    ahead = np.sign(goals_deg[n_reached - 1] - base_deg)
+    return Ladder(goals_deg[:n_reached], np.where(ahead == 0.0, 1.0, ahead), n_reached < n_steps)
+
+
+def pair_slopes(markers_of: _MarkersOf, base_deg: Array, pairs: Sequence[tuple[int, int]]) -> Array:
+    """(n_pairs, n_servos): millimetres of each pair's height for a degree of each joint."""
+    steps = _DIFFERENCE_DEG * np.eye(len(base_deg))
+    more = gap_heights_mm(markers_of(base_deg + steps), tuple(pairs))
+    less = gap_heights_mm(markers_of(base_deg - steps), tuple(pairs))
+    return np.asarray((more - less).T / (2 * _DIFFERENCE_DEG))
+
+
+#: Slopes of the learnt face about the open end are right by such a share.
+_SLOPE_SD = 0.25
+#: A kink of all ladders together must explain so much, in square standard errors, and leave so
+#: little of the slope, by two standard errors; noise alone explains 5 a ladder.
+_SURE, _STALLED = 22.0, 0.7
+#: A ladder of fewer steps tells nothing; in so many first ones lips are open.
+_FEWEST, _OPEN_STEPS = 5, 3
+#: Dots that are so far past each other belong to lips that meet.
+_PASSED_MM = 0.8
+
+
+@dataclass(frozen=True, slots=True)
+class Kink:
+    """Where ladders stop coming nearer. at_mm: (n_ladders,), predicted closing there.
+
+    left: the slope beyond as a share of that before; left_sd: its standard error; explained: by
+    how much better, in square standard errors, than without.
+    """
+
+    at_mm: tuple[float, ...]
+    left: float
+    left_sd: float
+    explained: float
+
+    @property
+    def is_contact(self) -> bool:
+        """Whether lips that meet are the one thing that explains it."""
+        return self.explained > _SURE and self.left + 2.0 * self.left_sd < _STALLED
+
+
+def find_kink(closes_mm: Sequence[Array], apertures_mm: Sequence[Array], noise_mm: float) -> Kink:
+    """closes_mm: how far each ladder's steps should have come, (n,), ascending from 0."""
+    found = [_kink(x, y / noise_mm, noise_mm) for x, y in zip(closes_mm, apertures_mm, strict=True)]
+    weights = np.array([each[3] for each in found])
+    lefts = np.array([each[2] for each in found])
+    total = max(float(weights.sum()), 1e-9)
+    return Kink(
+        at_mm=tuple(each[0] for each in found),
+        left=float((weights * lefts).sum() / total),
+        left_sd=1.0 / np.sqrt(total),
+        explained=float(sum(each[1] for each in found)),
+    )
+
+
+def _kink(x: Array, y: Array, noise_mm: float) -> tuple[float, float, float, float]:
+    """Where, what it explains, the share of the slope left, and how well that is known (1 / var).
+
+    y: in standard errors.
+    """
+    straight = _left(np.column_stack([np.ones_like(x), -x / noise_mm]), y)[0]
+    best = (float(x[-1]), 0.0, 1.0, 0.0)
+    for at in np.arange(x[0] + 0.3, x[-1] - 0.3, 0.1):
+        cost, slopes, variance = bent_line(x, y, float(at), noise_mm)
+        if straight - cost > best[1]:
+            left = slopes[2] / max(slopes[1], 0.2)
+            known = slopes[1] ** 2 / max(variance[2, 2] + left**2 * variance[1, 1], 1e-9)
+            best = (float(at), straight - cost, float(left), float(known))
+    return best
+
+
+def bent_line(x: Array, y: Array, at: float, noise_mm: float) -> tuple[float, Array, Array]:
+    """A line that bends at `at`: cost, parameters (height, both slopes) and their variance.
+
+    y: in standard errors.
+    """
+    before, beyond = np.minimum(x, at), np.maximum(x - at, 0.0)
+    return _left(np.column_stack([np.ones_like(x), -before / noise_mm, -beyond / noise_mm]), y)
+
+
+def _left(inputs: Array, y: Array) -> tuple[float, Array, Array]:
+    """Least squares with what is known of the slope before: cost, parameters, their variance."""
+    prior = np.zeros((1, inputs.shape[1]))
+    prior[0, 1] = 1.0 / _SLOPE_SD
+    a = np.vstack([inputs, prior])
+    b = np.append(y, 1.0 / _SLOPE_SD)
+    normal = np.linalg.pinv(a.T @ a)
+    solved = normal @ a.T @ b
+    return float(np.sum((a @ solved - b) ** 2)), solved, normal
+
+
+@dataclass(frozen=True, slots=True)
+class SeenLadders:
+    """What a capture's ladders show.
+
+    rows: of the capture, for each ladder in the order of its steps; touching: (n,), poses of the
+    capture beyond the kink; passed: whether dots of upper and lower lip passed one another.
+    """
+
+    rows: tuple[NDArray[np.int64], ...]
+    kink: Kink
+    touching: NDArray[np.bool_]
+    passed: bool
+
+    @property
+    def meet(self) -> bool:
+        """Whether there is evidence that the lips meet."""
+        return self.passed or self.kink.is_contact
+
+
+def begins(capture: Capture) -> NDArray[np.bool_]:
+    """(n,): poses without those steps of a ladder in which lips may touch."""
+    of = ladders_of(capture)
+    earlier = np.array([(of[:row] == ladder).sum() for row, ladder in enumerate(of)])
+    return np.asarray((of == 0) | (earlier < _OPEN_STEPS))
+
+
+@dataclass(frozen=True, slots=True)
+class Apertures:
+    """How high the lips are apart in the steps of ladders, from each ladder's usual height on.
+
+    rows: of the capture, for each ladder in the order of its steps; pairs: of dots that are
+    compared; share: of a marker's noise that is in the mean of them; last_mm: of the middle gap.
+    """
+
+    rows: tuple[NDArray[np.int64], ...]
+    mm: tuple[Array, ...]
+    pairs: tuple[tuple[int, int], ...]
+    share: float
+    last_mm: float
+
+
+def apertures_of(capture: Capture) -> Apertures | None:
+    """None where a capture has no ladders, or dots of only one lip."""
+    of, names = ladders_of(capture), capture.marker_names
+    pairs = tuple((names.index(a), names.index(b)) for a, b in _OPPOSITE if {a, b} <= set(names))
+    rows = [np.flatnonzero(of == ladder) for ladder in np.unique(of[of > 0])]
+    rows = [own for own in rows if len(own) >= _FEWEST]
+    if not rows or not pairs:
+        return None
+    apertures, last_mm = [], []
+    for own in rows:
+        heights_mm = gap_heights_mm(capture.markers_mm[own], pairs)
+        # A dot that is lost in one step must not shift the mean of the others.
+        usual_mm = np.nanmedian(heights_mm, axis=0)
+        apertures.append(np.nan_to_num(np.nanmean(heights_mm - usual_mm, axis=1)))
+        last_mm.append(heights_mm[-2:, 0])
+    share = float(np.sqrt(2.0 / len(pairs)))
+    return Apertures(tuple(rows), tuple(apertures), pairs, share, float(np.nanmean(last_mm)))
+
+
+def see_ladders(capture: Capture, markers_of: _MarkersOf, noise_mm: float) -> SeenLadders | None:
+    """None where a capture has no ladders, or dots of only one lip.
+
+    markers_of: the face as learnt so far; noise_mm: of a marker in one axis.
+    """
+    seen = apertures_of(capture)
+    if seen is None:
+        return None
+    closes = []
+    for own in seen.rows:
+        by_deg = pair_slopes(markers_of, capture.goals_deg[own[0]], seen.pairs).mean(axis=0)
+        closes.append(-(capture.goals_deg[own] - capture.goals_deg[own[0]]) @ by_deg)
+    kink = find_kink(closes, seen.mm, seen.share * noise_mm)
+    touching = np.zeros(len(capture), dtype=bool)
+    if kink.is_contact:
+        for own, x, at in zip(seen.rows, closes, kink.at_mm, strict=True):
+            touching[own[x > at]] = True
+    return SeenLadders(seen.rows, kink, touching, passed=seen.last_mm < -_PASSED_MM)

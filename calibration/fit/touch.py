@@ -1,0 +1,142 @@
+"""Where lips meet, found again in a minute: the map stays, and what it knows of contact is moved.
+
+Screws that are tightened, warm servos and worn skin shift where lips meet by tenths of a
+millimetre. Ladders of small steps close the lips in shapes in which the map closes them. By
+markers contact is where the dots of both lips come no nearer; without markers it is where the
+servos begin to draw more than the skin alone asks of them.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from sklearn.cluster import KMeans
+
+from calibration.calibration import Calibration, CalibrationError
+from calibration.capture.capture import Capture, PosePlan, ladders_of, reached_from
+from calibration.closure import CLOSED_GAP_MM, Closure
+from calibration.fit.closing import apertures_of, bent_line, find_kink
+from calibration.mouth_servos import MouthServos
+from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.arrays import Array, Indices
+
+#: Shapes, and openings of their ladders beyond contact as the map believes it to be.
+_N_SHAPES, _LEVELS_MM = 3, np.linspace(2.0, -2.2, 15)
+_ROUNDS = 4
+#: Contact may have moved by so much; farther, and the face must be measured anew.
+_MOST_OFF_MM, _STEP_MM = 1.2, 0.05
+#: That there is contact is known; where it is must explain so much, in square standard errors.
+_SURE_AGAIN = 15.0
+#: A rise of the current must explain so much more than a straight line (an F value).
+_SURE_RISE = 8.0
+
+
+def touch_plan(calibration: Calibration, model: FaceWithAnimPhos, servos: MouthServos) -> PosePlan:
+    """Raises CalibrationError for a calibration that knows nothing of contact."""
+    closure = _closure_of(calibration)
+    frames = model.animphos.frames
+    frames = frames[model.lip_gaps_mm(model.markers_mm(frames)) <= CLOSED_GAP_MM]
+    if not len(frames):
+        raise CalibrationError("the model's speaker never closes the lips")
+    n_shapes = min(_N_SHAPES, len(np.unique(frames, axis=0)))
+    shapes = KMeans(n_shapes, n_init=2, random_state=0).fit(frames).cluster_centers_
+    goals, sides, ladders = [], [], []
+    for number, pose_deg in enumerate(calibration.poses_deg(shapes)):
+        own = np.tile(pose_deg, (len(_LEVELS_MM), 1))
+        for _ in range(_ROUNDS):
+            missing_mm = _LEVELS_MM[:, None] - closure.open_mm(own)
+            own = np.clip(own + missing_mm @ closure.turns_deg.T, *servos.limits_deg)
+        ahead = np.sign(own[-1] - own[0])
+        goals.append(own)
+        sides.append(np.tile(np.where(ahead == 0.0, 1.0, ahead), (len(own), 1)))
+        ladders.append(np.full(len(own), number + 1))
+    plan = reached_from(servos.joints, np.concatenate(goals), np.concatenate(sides), servos.rules)
+    return replace(plan, ladders=np.concatenate(ladders))
+
+
+def touched_by_markers(calibration: Calibration, seen: Capture) -> tuple[Calibration, float]:
+    """The same with contact where the dots show it, and how many mm later it comes than believed.
+
+    Raises CalibrationError where the lips are not seen to stop each other.
+    """
+    closure, lips = _closure_of(calibration), calibration.learnt_lips
+    apertures = apertures_of(seen)
+    if apertures is None or lips is None:
+        raise CalibrationError("touch needs dots on both lips, one above the other")
+    noise_mm = apertures.share * lips.noise_mm
+    closes = [_closes_mm(calibration, seen, rows) for rows in apertures.rows]
+    # Contact is believed to be at 0; a ladder for the kink begins there.
+    kink = find_kink([x - x[0] for x in closes], apertures.mm, noise_mm)
+    if kink.explained < _SURE_AGAIN:
+        raise CalibrationError(
+            "the lips were not seen to stop each other within 2 mm of where they did; measure "
+            "the face anew with `lipservo calibrate measure`"
+        )
+    offs = np.arange(-_MOST_OFF_MM, _MOST_OFF_MM + 1e-9, _STEP_MM)
+    costs = [
+        sum(
+            bent_line(x, y / noise_mm, float(off), noise_mm)[0]
+            for x, y in zip(closes, apertures.mm, strict=True)
+        )
+        for off in offs
+    ]
+    return _moved(calibration, closure, float(offs[int(np.argmin(costs))]))
+
+
+def touched_by_current(
+    calibration: Calibration, plan: PosePlan, efforts: Array
+) -> tuple[Calibration, float]:
+    """The same by what the servos draw, efforts (n, n_servos), in any one unit.
+
+    Raises CalibrationError where no rise is seen.
+    """
+    closure = _closure_of(calibration)
+    total = np.abs(efforts).sum(axis=1)
+    of = ladders_of(plan)
+    ladders = [np.flatnonzero(of == number) for number in np.unique(of)]
+    offs = np.arange(-_MOST_OFF_MM, _MOST_OFF_MM + 1e-9, _STEP_MM)
+    straight, bent = 0.0, np.zeros(len(offs))
+    for rows in ladders:
+        x = -closure.open_mm(plan.goals_deg[rows])[:, 0]
+        straight += _left(x[:, None], total[rows])[0]
+        for n, off in enumerate(offs):
+            cost, slopes = _left(np.column_stack([x, np.maximum(x - off, 0.0)]), total[rows])
+            # A current that falls where lips meet is none of theirs.
+            bent[n] += cost if slopes[2] > 0.0 else _left(x[:, None], total[rows])[0]
+    best = int(bent.argmin())
+    freedom = max(len(total) - 3 * len(ladders) - 1, 1)
+    if (straight - bent[best]) / max(bent[best] / freedom, 1e-12) < _SURE_RISE * len(ladders):
+        raise CalibrationError(
+            "the servos' current does not rise where the lips close: give --tracker, or measure "
+            "the face anew with `lipservo calibrate measure`"
+        )
+    return _moved(calibration, closure, float(offs[best]))
+
+
+def _closes_mm(calibration: Calibration, seen: Capture, rows: Indices) -> Array:
+    """How far past contact the steps are believed to be; play as the map makes up for it."""
+    following = calibration.following
+    half_deg: Array | float = 0.0 if following is None else following.backlash_deg / 2
+    horns_deg = seen.goals_deg[rows] - seen.from_below[rows] * half_deg
+    return -_closure_of(calibration).open_mm(horns_deg)[:, 0]
+
+
+def _moved(
+    calibration: Calibration, closure: Closure, later_mm: float
+) -> tuple[Calibration, float]:
+    moved = replace(closure, gaps_mm=closure.gaps_mm + later_mm)
+    return replace(calibration, closure=moved), later_mm
+
+
+def _left(inputs: Array, y: Array) -> tuple[float, Array]:
+    inputs = np.column_stack([np.ones(len(y)), inputs])
+    slopes = np.asarray(np.linalg.lstsq(inputs, y, rcond=None)[0], dtype=np.float64)
+    return float(((inputs @ slopes - y) ** 2).sum()), slopes
+
+
+def _closure_of(calibration: Calibration) -> Closure:
+    if calibration.closure is None:
+        raise CalibrationError(
+            "this calibration knows nothing of contact; make it anew with `lipservo calibrate "
+            "measure`"
+        )
+    return calibration.closure

@@ -1,0 +1,136 @@
+"""Mouths that cannot close, and healthy ones whose dots lie beside the lips: who is told so.
+
+A mouth that cannot close is an elastic robot of 1 to 8 servos whose jaw is mounted some degrees
+open, and whose lips have little room: with all joints at their limits the lips stay apart.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calibration.calibration import CalibrationError
+from calibration.capture.capture import Robot
+from calibration.fit.measured import fit_measured
+from calibration.fit.procedure import Procedure, take_grade
+from calibration.grade import CONTACT, LIMITS, Closing
+from calibration.mouth_servos import JointRange, MouthServos
+from calibration.simulated.elastic_family import KINDS, robot_of_kinds
+from calibration.simulated.elastic_robot import N_PAIRS, ElasticDraw, ElasticFace
+from calibration.simulated.robot import SimulatedRobot
+from lipsync.animpho.units import FaceWithAnimPhos, load_face_with_animphos
+from lipsync.arrays import Array
+from lipsync.markers import MARKERS_47
+
+_N_POSES = 60
+#: How many of them are tried.
+N_OPEN_MOUTHS = 20
+#: How far these mouths stay open, in millimetres, and how far their lips may turn to close.
+_STAY_MM, _LIP_DEG = (1.2, 5.0), (4.0, 10.0)
+_BELOW_MM = 0.3
+_KINDS: Sequence[tuple[str, ...]] = (
+    ("jaw",),
+    ("jaw", "corners"),
+    ("jaw", "upper", "lower"),
+    ("jaw", "upper", "lower", "corners"),
+    ("jaw", "upper_l", "upper_r", "lower", "pucker"),
+    ("jaw", "upper", "lower", "out_l", "out_r", "pucker"),
+    ("jaw", "upper_l", "upper_r", "lower_l", "lower_r", "corners", "pucker"),
+    ("jaw", "upper_l", "upper_r", "lower_l", "lower_r", "out_l", "out_r", "pucker"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class OpenMouth:
+    """A robot that cannot close. stay_mm: how far its lips are apart at the least."""
+
+    draw: ElasticDraw
+    servos: MouthServos
+    stay_mm: float
+
+
+def open_mouth(rest_mm: Array, seed: int) -> OpenMouth:
+    """The robot of a seed, of 1 to 8 servos."""
+    rng = np.random.default_rng([seed, 53])
+    kinds = _KINDS[seed % len(_KINDS)]
+    draw, limits_deg = robot_of_kinds(rest_mm, kinds, kinds, rng)
+    for joint, kind in enumerate(kinds):
+        if KINDS[kind].lip:
+            limits_deg[joint, 0] = -round(rng.uniform(*_LIP_DEG))
+    stay_mm = float(rng.uniform(*_STAY_MM))
+    limits_deg[draw.jaw, 0] = 0.0
+    # The jaw's horn is turned on its shaft until the lips stay so far apart.
+    low, high = -8.0, 24.0
+    for _ in range(30):
+        middle = (low + high) / 2
+        nearest_mm = _nearest_mm(_mounted(draw, middle), limits_deg)
+        low, high = (middle, high) if nearest_mm < stay_mm else (low, middle)
+    draw = _mounted(draw, high)
+    limits_deg[draw.jaw, 1] = max(8.0, limits_deg[draw.jaw, 1] - high)
+    joints = tuple(
+        JointRange(name, float(least), float(most))
+        for name, (least, most) in zip(kinds, limits_deg, strict=True)
+    )
+    words = tuple(KINDS[kind].word for kind in kinds)
+    servos = MouthServos(joints, f"open-{seed}", (), words)
+    return OpenMouth(draw, servos, _nearest_mm(draw, limits_deg))
+
+
+def _mounted(draw: ElasticDraw, jaw_deg: float) -> ElasticDraw:
+    zero_deg = draw.zero_deg.copy()
+    zero_deg[draw.jaw] = jaw_deg
+    return replace(draw, zero_deg=zero_deg)
+
+
+def _nearest_mm(draw: ElasticDraw, limits_deg: Array) -> float:
+    """How near the middles of the lips come, each joint in turn at its better end, twice round."""
+    face, n = ElasticFace(draw), len(limits_deg)
+    pose_deg = np.zeros((1, n))
+    for joint in (*range(n), *range(n)):
+        tries = np.repeat(pose_deg, 2, axis=0)
+        tries[:, joint] = limits_deg[joint]
+        pose_deg = tries[face.state(tries).gaps_mm[:, N_PAIRS // 2].argmin()][None]
+    return float(face.state(pose_deg).gaps_mm[0, N_PAIRS // 2])
+
+
+def closing_figures(seeds: Iterable[int]) -> dict[str, object]:
+    """Of mouths that cannot close, one a seed.
+
+    cannot_close_reported: the share that is refused for it, or reported with the joint;
+    gaps_below: how many of these were reported nearer by more than .3 mm than they come;
+    limits_called_contact: how many were said to close.
+    """
+    model = load_face_with_animphos()
+    rest_mm = model.markers_mm(model.rest[None])[0]
+    reported = below = contact = 0
+    each: dict[str, object] = {}
+    for seed in seeds:
+        mouth = open_mouth(rest_mm, seed)
+        closing = _measured(model, mouth, seed)
+        # A refusal counts where it says so.
+        if isinstance(closing, str):
+            reported += "not close" in closing
+        elif closing is not None:
+            reported += closing.evidence == LIMITS
+            contact += closing.evidence == CONTACT
+            below += closing.evidence == LIMITS and closing.apart_mm < mouth.stay_mm - _BELOW_MM
+        each[str(seed)] = [len(mouth.servos.joints), round(mouth.stay_mm, 2), str(closing)]
+    return {
+        "cannot_close_reported": reported / max(len(each), 1),
+        "gaps_below": below,
+        "limits_called_contact": contact,
+        "cannot_close": each,
+    }
+
+
+def _measured(model: FaceWithAnimPhos, mouth: OpenMouth, seed: int) -> Closing | str | None:
+    robot = SimulatedRobot(ElasticFace(mouth.draw), noise_seed=seed)
+    servos = mouth.servos
+    procedure = Procedure(model, servos.joints, _N_POSES, seed=seed, positive=servos.positive)
+    try:
+        capture = procedure.capture(MARKERS_47.names, robot.move, robot.measure)
+        fit = fit_measured(model, capture, servos)
+        on = Robot(robot.move, robot.measure)
+        return take_grade(fit, servos, MARKERS_47.names, on).calibration.closing
+    except CalibrationError as error:
+        return str(error)

@@ -1,0 +1,104 @@
+"""`calibrate touch`: lips are closed step by step, and where they meet is written anew."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calibration.calibration import Calibration, CalibrationError, check_servo_memories
+from calibration.capture.capture import CapturedPose, PosePlan, Robot, gather, take_poses
+from calibration.capture.trackers import FileTracker, SeenByComputation, Tracker
+from calibration.fit.touch import touch_plan, touched_by_current, touched_by_markers
+from calibration.simulated.practice_robot import markers_of_face
+from calibration.simulated.robot import SENSOR_NOISE_MM
+from lipservo.calibrating.calibration_setup import CalibrationSetup, held_servos, progress_bar
+from lipservo.calibrating.measured_calibration import strained_servo
+from lipservo.calibrating.plan_poses import check_face
+from lipservo.runtime.servos.assembly import servo_memories
+from lipservo.runtime.servos.held_face import HeldFace
+from lipsync.arrays import Array
+from lipsync.markers import MARKERS_47
+
+
+@dataclass(slots=True)
+class _Efforts:
+    """Sees no markers; notes what the mouth's servos draw in each pose."""
+
+    face: HeldFace
+    seen: list[Array] = field(default_factory=list)
+    marker_names: tuple[str, ...] = ()
+
+    def arrived(self, _pose: int, _reached_deg: Array) -> None:
+        """A pose stands."""
+
+    def measure(self) -> Array:
+        """Of (0, 3) markers."""
+        self.seen.append(self.face.effort)
+        return np.zeros((0, 3))
+
+
+def touch_by_markers(
+    setup: CalibrationSetup,
+    calibration: Calibration,
+    make_tracker: Callable[[HeldFace], Tracker],
+) -> tuple[Calibration, float]:
+    """The same map, and how many mm later its lips meet than it said. Raises CalibrationError."""
+    plan = _plan(setup, calibration)
+    with held_servos(setup) as face:
+        tracker = make_tracker(face)
+        try:
+            poses = _taken(setup, face, plan, tracker)
+        finally:
+            if isinstance(tracker, FileTracker):
+                tracker.close()
+    return touched_by_markers(calibration, gather(plan, tracker.marker_names, poses))
+
+
+def touch_computed(setup: CalibrationSetup, calibration: Calibration) -> tuple[Calibration, float]:
+    """A rehearsal: markers are computed from where the servos stand."""
+    markers_of = markers_of_face(setup.model.markers_mm(setup.model.rest[None])[0], setup.servos)
+    noise = np.random.default_rng(0)
+
+    def look(reached_deg: Array) -> Array:
+        exact_mm = markers_of(reached_deg[None])[0]
+        return np.asarray(exact_mm + noise.normal(0.0, SENSOR_NOISE_MM, exact_mm.shape))
+
+    return touch_by_markers(setup, calibration, lambda _: SeenByComputation(MARKERS_47.names, look))
+
+
+def touch_by_current(
+    setup: CalibrationSetup, calibration: Calibration
+) -> tuple[Calibration, float]:
+    """By motor current alone. Raises CalibrationError for servos that measure none."""
+    if not setup.settings.capabilities.load:
+        raise CalibrationError(
+            f"{setup.settings.name}: its servos do not say what they draw; give --tracker"
+        )
+    plan = _plan(setup, calibration)
+    with held_servos(setup) as face:
+        efforts = _Efforts(face)
+        poses = _taken(setup, face, plan, efforts)
+    if len(poses) < len(plan):
+        raise CalibrationError("a servo drew its max_current_ma before all steps were taken")
+    return touched_by_current(calibration, plan, np.array(efforts.seen))
+
+
+def _plan(setup: CalibrationSetup, calibration: Calibration) -> PosePlan:
+    check_face(setup, calibration, "the calibration")
+    if not setup.settings.capabilities.in_memory:
+        check_servo_memories(calibration, servo_memories(setup.settings))
+    return touch_plan(calibration, setup.model, setup.servos)
+
+
+def _taken(
+    setup: CalibrationSetup, face: HeldFace, plan: PosePlan, tracker: Tracker | _Efforts
+) -> list[CapturedPose]:
+    with progress_bar(setup, "steps", len(plan)) as done:
+        on = Robot(
+            face.move,
+            tracker.measure,
+            tracker.arrived,
+            done,
+            lambda: strained_servo(setup, face.effort),
+        )
+        return take_poses(plan, tracker.marker_names, on, [], None, range(len(plan)))

@@ -1,0 +1,155 @@
+"""Whether a calibrated mouth stays within its joints' speeds while it speaks, as `run` moves it.
+
+What the speaker's recorded AnimPhos ask, one after another as they may follow, goes through the
+map, play made up for, and the plan of joint motion. A joint that is asked for more than its
+`max_speed_deg_s` is held back by that plan; closures come first, and are counted behind it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.calibration import Calibration
+from calibration.closure import CLOSED_GAP_MM
+from calibration.run.compensation import BacklashCompensation
+from firmware_bridge.gate.joint_plan import JointPlan, TargetWindow
+from lipservo.settings.settings import FaceSettings
+from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.arrays import Array
+from lipsync.phonemes import SILENCE
+
+_PERIOD_S = 0.01
+#: Phones of speech last about this long (GRID and TIMIT: 80 to 100 ms on average).
+_PHONE_S = 0.09
+_N_PHONES, _PHONES_A_WALK = 220, 8
+#: What is known ahead by default, and where a window has poses.
+_WINDOW_S = np.array([0.0, 0.05, 0.1])
+_WITHIN_SHARE = 0.01
+_STRENGTHS = np.arange(1.0, 0.35, -0.05)
+#: A closure counts as met where lips would be no farther apart.
+_MET_MM = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class WithinSpeeds:
+    """Shares 0..1. slowest: the joint that is asked for too much most often, and how often.
+
+    closures_met: of those that the map alone meets, behind the plan; None: no contact is known;
+    strength: `lipservo set strength` that keeps all but a hundredth of the frames within speeds;
+    None: not even .4 does.
+    """
+
+    beyond: float
+    slowest: str
+    slowest_beyond: float
+    closures_met: float | None
+    strength: float | None
+
+
+def within_speeds(
+    model: FaceWithAnimPhos, calibration: Calibration, settings: FaceSettings
+) -> WithinSpeeds:
+    """By twenty seconds of speech."""
+    speeds = [settings.servos[name].max_speed_deg_s for name in calibration.servo_names]
+    speeds_deg_s = np.array(speeds)
+    if calibration.following is not None:
+        speeds_deg_s = np.minimum(speeds_deg_s, calibration.following.top_speed_deg_s)
+    faces = spoken_frames(model, np.random.default_rng([0, 3]))
+    goals_deg = _goals_deg(calibration, faces)
+    each = _beyond(calibration.poses_deg(faces), speeds_deg_s)
+    worst = int(each.mean(axis=0).argmax())
+    return WithinSpeeds(
+        beyond=float(each.any(axis=1).mean()),
+        slowest=calibration.servo_names[worst],
+        slowest_beyond=float(each[:, worst].mean()),
+        closures_met=_closures_met(model, calibration, faces, goals_deg, speeds_deg_s),
+        strength=_strength(model, calibration, faces, speeds_deg_s),
+    )
+
+
+def spoken_frames(model: FaceWithAnimPhos, rng: np.random.Generator) -> Array:
+    """(n, n_components) at 100 Hz: walks without pauses through AnimPhos that may follow.
+
+    Each walk is short, as some AnimPhos lead round in a circle, and of a motion that repeats itself
+    nobody can say how late it is.
+    """
+    speaking = np.setdiff1d(np.arange(len(model.animphos)), model.animphos.of_phoneme(SILENCE))
+    animpho = int(rng.choice(speaking))
+    frames = [model.rest[None]]
+    for phone in range(_N_PHONES):
+        frames.append(model.animphos.samples[animpho, 1:-1])
+        following = np.intersect1d(model.animphos.successors[animpho], speaking)
+        goes_on = len(following) > 0 and (phone + 1) % _PHONES_A_WALK > 0
+        animpho = int(rng.choice(following if goes_on else speaking))
+    keys = np.concatenate(frames)
+    key_s = np.arange(len(keys)) * _PHONE_S / 3
+    times_s = np.arange(0.0, key_s[-1], _PERIOD_S)
+    return np.stack([np.interp(times_s, key_s, column) for column in keys.T], axis=1)
+
+
+def _goals_deg(calibration: Calibration, faces: Array) -> Array:
+    poses_deg = calibration.poses_deg(faces)
+    following = calibration.following
+    if following is None:
+        return poses_deg
+    play = BacklashCompensation(following.backlash_deg)
+    return np.array([play.feed(pose_deg[None])[0] for pose_deg in poses_deg])
+
+
+def _beyond(goals_deg: Array, speeds_deg_s: Array) -> Array:
+    return np.asarray(np.abs(np.diff(goals_deg, axis=0)) / _PERIOD_S > speeds_deg_s)
+
+
+def _strength(
+    model: FaceWithAnimPhos, calibration: Calibration, faces: Array, speeds_deg_s: Array
+) -> float | None:
+    for strength in _STRENGTHS.tolist():
+        goals_deg = calibration.poses_deg(model.rest + strength * (faces - model.rest))
+        if _beyond(goals_deg, speeds_deg_s).any(axis=1).mean() <= _WITHIN_SHARE:
+            return float(round(strength, 2))
+    return None
+
+
+def _closures_met(
+    model: FaceWithAnimPhos,
+    calibration: Calibration,
+    faces: Array,
+    goals_deg: Array,
+    speeds_deg_s: Array,
+) -> float | None:
+    if calibration.closure is None:
+        return None
+    closes = model.lip_gaps_mm(model.markers_mm(faces)) <= CLOSED_GAP_MM
+    plan = JointPlan(speeds_deg_s, np.full(len(speeds_deg_s), np.inf), _PERIOD_S)
+    ahead = np.round(_WINDOW_S / _PERIOD_S).astype(np.int64)
+    sent = []
+    for n in range(len(goals_deg)):
+        rows = np.minimum(n + ahead, len(goals_deg) - 1)
+        sent.append(plan.step(TargetWindow(_WINDOW_S, goals_deg[rows], closes[rows])))
+    begins = np.flatnonzero(np.diff(closes.astype(np.int64), prepend=0) == 1)
+    ends = np.flatnonzero(np.diff(closes.astype(np.int64), append=0) == -1)
+    asked_mm = calibration.closure.open_mm(goals_deg)[:, 0]
+    shown_mm = calibration.closure.open_mm(np.array(sent))[:, 0]
+    met = [
+        shown_mm[first : last + 1].min() <= _MET_MM
+        for first, last in zip(begins, ends, strict=True)
+        if asked_mm[first : last + 1].min() <= _MET_MM
+    ]
+    return float(np.mean(met)) if met else None
+
+
+def speed_line(found: WithinSpeeds) -> str:
+    """For a person."""
+    met = found.closures_met
+    told = "" if met is None else f"; behind the plan of joint motion {met:.0%} of closures are met"
+    if found.beyond <= _WITHIN_SHARE:
+        return f"speeds: no more than {found.beyond:.0%} of speech asks a joint for too much{told}"
+    kept = (
+        "no strength keeps within"
+        if found.strength is None
+        else (f"a strength of {found.strength:g} keeps within")
+    )
+    return (
+        f"speeds: {found.beyond:.0%} of speech asks a joint for more than its max_speed_deg_s, "
+        f"most often {found.slowest} ({found.slowest_beyond:.0%}){told}; {kept}"
+    )

@@ -1,0 +1,96 @@
+"""Poses that were taken twice: what slipped, stopped or tore meanwhile, and who is to blame."""
+
+import numpy as np
+import pytest
+
+from calibration.capture.capture import Capture, joined, plan_poses
+from calibration.capture.joint_health import JointFault
+from calibration.capture.repeated_poses import (
+    bears_out,
+    changed_poses,
+    face_change,
+    first_part,
+    repeats,
+)
+from calibration.capture.straight_lines import straight_lines
+from calibration.mouth_servos import JointRange
+from lipsync.markers import MARKERS_47
+
+JOINTS = tuple(JointRange(name, -25.0, 30.0) for name in ("jaw", "upper", "lower", "corner"))
+NAMES = tuple(joint.name for joint in JOINTS)
+PLAN = plan_poses(JOINTS, 40)
+TWICE = joined(PLAN, first_part(PLAN))
+N_MARKERS, NOISE_MM, MIDDLE = 20, 0.5, 25
+
+
+def capture_of(seed=0, given=lambda _, goal_deg: goal_deg, shifted_mm=0.0, plan=TWICE):
+    """A face so crooked that no line fits; `given` says where its horns go in place of the goal."""
+    rng = np.random.default_rng(seed)
+    by_deg = 0.1 * rng.normal(size=(4, N_MARKERS, 3))
+    at_deg = np.array([given(pose, goal.copy()) for pose, goal in enumerate(plan.goals_deg)])
+    at_deg = at_deg - plan.from_below / 2
+    bent_deg = at_deg + 0.02 * at_deg * np.abs(at_deg) + 0.01 * at_deg * at_deg[:, ::-1]
+    markers_mm = np.einsum("ns,smk->nmk", bent_deg, by_deg)
+    markers_mm[MIDDLE:] += shifted_mm
+    markers_mm += rng.normal(0.0, NOISE_MM, markers_mm.shape)
+    names = MARKERS_47.names[:N_MARKERS]
+    return Capture(NAMES, names, plan.goals_deg, plan.from_below, markers_mm)
+
+
+def change_of(capture):
+    return face_change(changed_poses(capture, straight_lines(capture)))
+
+
+def from_middle(change):
+    return lambda pose, goal_deg: change(goal_deg) if pose >= MIDDLE else goal_deg
+
+
+def test_the_first_part_is_neutral_and_every_joint_alone_from_either_side():
+    part = first_part(PLAN)
+    assert len(part) == 2 + 2 * len(JOINTS)
+    assert (np.count_nonzero(part.goals_deg, axis=1) <= 1).all()
+    assert len(repeats(capture_of())) == len(part)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_of_a_sound_crooked_face_nothing_is_said(seed):
+    assert change_of(capture_of(seed)) is None
+
+
+@pytest.mark.parametrize("joint", range(4))
+@pytest.mark.parametrize("by_deg", [15.0, -15.0])
+def test_a_horn_that_slips_is_named_with_its_degrees(joint, by_deg):
+    slip = from_middle(lambda goal_deg: goal_deg + by_deg * (np.arange(4) == joint))
+    found = change_of(capture_of(joint, slip))
+    assert (found.kind, found.joint) == ("slipped", joint)
+    assert found.by == pytest.approx(by_deg, abs=6.0)
+    assert found.first < MIDDLE < found.last
+    assert f"{NAMES[joint]!r} slipped on its shaft" in found.told(NAMES)
+
+
+@pytest.mark.parametrize("joint", range(4))
+def test_a_rod_that_tears_is_named(joint):
+    tear = from_middle(lambda goal_deg: np.where(np.arange(4) == joint, 0.5, goal_deg))
+    found = change_of(capture_of(joint, tear))
+    assert (found.kind, found.joint) == ("stopped", joint)
+    assert found.by > 0.8
+
+
+def test_a_face_that_is_another_than_before_accuses_no_joint():
+    found = change_of(capture_of(shifted_mm=3.0))
+    assert (found.kind, found.joint) == ("shifted", -1)
+    assert "the face is another one than before, by " in found.told(NAMES)
+
+
+def test_without_repeated_poses_nothing_can_be_said():
+    capture = capture_of(plan=PLAN)
+    assert changed_poses(capture, straight_lines(capture)) is None
+
+
+def test_a_suspicion_is_borne_out_by_the_joint_that_stopped_and_by_no_other():
+    tear = from_middle(lambda goal_deg: np.where(np.arange(4) == 2, 0.5, goal_deg))
+    capture = capture_of(2, tear)
+    changed = changed_poses(capture, straight_lines(capture))
+    borne = [bears_out(changed, JointFault("stopped", joint, MIDDLE)) for joint in range(4)]
+    assert borne == [False, False, True, False]
+    assert not bears_out(changed, JointFault("shifted", -1, MIDDLE))
