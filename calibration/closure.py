@@ -62,6 +62,8 @@ class Closure:
     def corrected_deg(self, from_rest: Array, poses_deg: Array, low: Array, high: Array) -> Array:
         """(k, n_components) and their poses (k, n_servos) -> the same with the lips as asked."""
         asked_mm, share = self.asked_mm(from_rest)
+        if not share.any():  # lips far apart: most of the ticks
+            return poses_deg
         for _ in range(_ROUNDS):
             missing_mm = share * (asked_mm - self.open_mm(poses_deg))
             poses_deg = np.minimum(np.maximum(poses_deg + missing_mm @ self.turns_deg.T, low), high)

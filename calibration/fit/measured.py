@@ -218,9 +218,9 @@ MAX_FITTED, MAX_HELD_OUT = 240, 160
 #: (https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#specifications). Soft lips need less.
 TOUCH_CURRENT_MA = 294.0
 
-#: Where lips were seen to stop each other, closures go so far past contact: about twice what the
-#: learnt gap of closed lips is wrong by (docs/decisions/0064).
-_CONTACT_PRESS_MM = 0.6
+#: Where lips were seen to stop each other, closures go so far past contact: less leaves the middle
+#: of lips open that are pulled at their sides (docs/decisions/0064).
+_CONTACT_PRESS_MM = 1.0
 #: What noise gives a kink of three ladders at the most, in square standard errors.
 _HINT = 15.0
 #: A joint that is so near to its limit stands at it.
