@@ -4,9 +4,9 @@ The 39 phones of the CMU pronouncing dictionary plus SIL, upper case, without st
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal, Protocol, Self, runtime_checkable
 
 from lipsync.arrays import Array, Array32
 from lipsync.audio_block import AudioBlock
@@ -110,6 +110,10 @@ class FramePosteriors:
     first_frame: int
     delays: tuple[int, ...]
     values: Array32
+
+    def later(self, by_s: float) -> Self:
+        """The same of sound that begins `by_s` later, to the nearest frame."""
+        return replace(self, first_frame=self.first_frame + round(by_s * self.frames_per_s))
 
 
 @dataclass(frozen=True, slots=True)

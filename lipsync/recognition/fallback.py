@@ -264,23 +264,20 @@ def _fed(
 
 
 def _later(update: PhonemeUpdate, by_s: float) -> PhonemeUpdate:
-    posteriors = update.posteriors
+    events = tuple(
+        replace(
+            event,
+            start_s=event.start_s + by_s,
+            end_s=None if event.end_s is None else event.end_s + by_s,
+        )
+        for event in update.events
+    )
     return PhonemeUpdate(
         update.replace_from_s + by_s,
         update.heard_until_s + by_s,
         update.final_until_s + by_s,
-        tuple(
-            replace(
-                event,
-                start_s=event.start_s + by_s,
-                end_s=None if event.end_s is None else event.end_s + by_s,
-            )
-            for event in update.events
-        ),
-        posteriors
-        and replace(
-            posteriors, first_frame=posteriors.first_frame + round(by_s * posteriors.frames_per_s)
-        ),
+        events,
+        None if update.posteriors is None else update.posteriors.later(by_s),
     )
 
 

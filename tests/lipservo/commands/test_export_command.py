@@ -61,8 +61,10 @@ def test_what_is_exported_are_the_frames_that_replay_shows(tmp_path, two_seconds
     spoken = spoken_sound(two_seconds, None, ChosenMotion(), "face_sim", None)
     faces = [frame.coefficients for frame in spoken.frames(trace.sound_s[shown])]
     assert len(faces) == 60
-    # A trace keeps four decimals, of times as of faces.
-    assert np.abs(faces - trace.coefficients[shown]).max() < 0.2
+    # Rounded times of a trace may be a block of sound earlier, and so may what was believed of it.
+    model = load_face_with_animphos()
+    apart_mm = model.markers_mm(np.array(faces)) - model.markers_mm(trace.coefficients[shown])
+    assert np.abs(apart_mm).max() < 0.5
     assert np.abs(np.diff(faces, axis=0)).max() > 5.0
 
     lipservo("export", two_seconds, "-o", tmp_path / "a.jsonl", "--rate-hz", 50)
