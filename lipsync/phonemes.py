@@ -96,6 +96,11 @@ class PhonemeEvent:
     end_s: float | None
     confidence: float = 1.0
 
+    def later(self, by_s: float) -> Self:
+        """The same of sound that begins `by_s` later."""
+        end_s = None if self.end_s is None else self.end_s + by_s
+        return replace(self, start_s=self.start_s + by_s, end_s=end_s)
+
 
 @dataclass(frozen=True, slots=True)
 class FramePosteriors:

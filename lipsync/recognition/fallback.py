@@ -264,19 +264,11 @@ def _fed(
 
 
 def _later(update: PhonemeUpdate, by_s: float) -> PhonemeUpdate:
-    events = tuple(
-        replace(
-            event,
-            start_s=event.start_s + by_s,
-            end_s=None if event.end_s is None else event.end_s + by_s,
-        )
-        for event in update.events
-    )
     return PhonemeUpdate(
         update.replace_from_s + by_s,
         update.heard_until_s + by_s,
         update.final_until_s + by_s,
-        events,
+        tuple(event.later(by_s) for event in update.events),
         None if update.posteriors is None else update.posteriors.later(by_s),
     )
 
