@@ -11,7 +11,7 @@ Nothing here is quick: it is called where text arrives, never in a tick.
 import re
 import sqlite3
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from importlib.util import find_spec
@@ -99,21 +99,22 @@ def pronounced_units(
 
 
 def _english(text: str) -> Iterator[PronouncedWord]:
-    """Plain words come from the lexicon alone: gruut itself takes seconds to load, and 43 MB."""
+    """Plain words come from the lexicon alone; gruut itself takes seconds to load."""
     plain = _plain_words(text)
     if plain is not None:
         yield from plain
         return
-    from gruut import sentences
+    from lipsync.text_to_speech.gruut_process import written_out
+    from lipsync.text_to_speech.synthesis import SynthesisError
 
-    for sentence in sentences(text, lang=DEFAULT_LANGUAGE):
-        for word in sentence:
-            if not word.is_spoken:
-                continue
-            guessed = _phones(word.phonemes or ())
-            found = dict.fromkeys([*_in_lexicon(word.text.lower()), guessed])
-            if known := tuple(phones for phones in found if phones):
-                yield PronouncedWord(word.text, known)
+    try:
+        words = written_out(text, DEFAULT_LANGUAGE)
+    except SynthesisError as error:
+        raise PronunciationError(str(error)) from None
+    for word, ipa in words:
+        found = dict.fromkeys([*_in_lexicon(word.lower()), _phones(ipa)])
+        if known := tuple(phones for phones in found if phones):
+            yield PronouncedWord(word, known)
 
 
 def _plain_words(text: str) -> list[PronouncedWord] | None:
@@ -148,7 +149,7 @@ def _in_lexicon(word: str) -> list[tuple[str, ...]]:
     return [_phones(phonemes.split()) for (phonemes,) in rows]
 
 
-def _phones(ipa: "list[str] | tuple[str, ...]") -> tuple[str, ...]:
+def _phones(ipa: Sequence[str]) -> tuple[str, ...]:
     found = (_ARPABET_OF.get(each.translate(_STRESS)) for each in ipa)
     return tuple(phone for phone in found if phone is not None)
 

@@ -1,5 +1,8 @@
 """How words may sound, and what is made of texts that are none."""
 
+import subprocess
+import sys
+
 import pytest
 
 from lipsync.phonemes import SILENCE, VISEME_OF
@@ -51,3 +54,12 @@ def test_another_language_is_pronounced_by_espeak():
 def test_a_language_that_no_voice_speaks_is_refused_in_one_line():
     with pytest.raises(PronunciationError, match="does not speak 'xx'"):
         pronounced("hello", "xx")
+
+
+def test_gruut_is_loaded_by_no_process_that_moves_a_mouth():
+    code = (
+        "import sys; from lipsync.text_to_speech.pronunciation import pronounced\n"
+        "assert [word.label for word in pronounced('Dr. Who, 42')][-2:] == ['forty', 'two']\n"
+        "assert 'gruut' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
