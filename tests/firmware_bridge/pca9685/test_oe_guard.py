@@ -92,6 +92,9 @@ def bridge(pin, tmp_path):
         wait_for(lambda: not pin.is_high())
         yield process
         process.kill()
+    next_one = OeGuard(str(tmp_path / "oe"), 17, MonotonicClock())
+    next_one.start()  # sends the guard away that its bridge left behind
+    next_one.close()
 
 
 def test_a_bridge_that_is_killed_leaves_the_pin_high_until_the_next_takes_it(bridge, pin, tmp_path):
