@@ -317,7 +317,8 @@ def calibration(
             # Lips that pass through each other press nothing.
             own = {"family": family.value, "force_over_needed": None}
             figures = {**own, **calibration_figures(tracked)}
-        open_mouths = progress.track(range(N_OPEN_MOUTHS), description="mouths that cannot close")
+        some = range(min(len(numbers), N_OPEN_MOUTHS))
+        open_mouths = progress.track(some, description="mouths that cannot close")
         figures = {**figures, **closing_figures(open_mouths)}
     _print(figures, time.perf_counter() - began_s, as_json=as_json)
 
