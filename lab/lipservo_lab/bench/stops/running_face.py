@@ -32,6 +32,8 @@ from lipservo_lab.bench.stops.stop_clients import Addresses
 START_S: Final = 60.0
 _ANSWER_S: Final = 2.0
 _POLL_S: Final = 0.2
+#: A process that died is replaced by then.
+_REPLACED_S: Final = 20.0
 #: A start may be refused for so long after a stop was confirmed.
 _REFUSED_S: Final = 20.0
 #: Of the runtime folder; that programs of this computer find by themselves.
@@ -63,12 +65,22 @@ class RunningFace:
         return self.robot.folder / "inject"
 
     def child(self, name: str) -> int:
-        """The process id of the bridge or the speech process. Raises RuntimeError."""
-        for pid in children_of(self.daemon.pid):
-            with contextlib.suppress(OSError):
-                if f"{name}-process" in Path(f"/proc/{pid}/cmdline").read_text():
-                    return pid
-        raise RuntimeError(f"no {name} process: {self.robot.last_said}")
+        """The process id of the bridge or the speech process; one that is being replaced, too.
+
+        Raises RuntimeError where none comes.
+        """
+        found: list[int] = []
+
+        def is_there() -> bool:
+            for pid in children_of(self.daemon.pid):
+                with contextlib.suppress(OSError):
+                    if f"{name}-process" in Path(f"/proc/{pid}/cmdline").read_text():
+                        found.append(pid)
+            return bool(found)
+
+        if not self.robot.look_until(is_there, _REPLACED_S):
+            raise RuntimeError(f"no {name} process: {self.robot.last_said}")
+        return found[0]
 
     def request(self, word: str) -> dict[str, Any]:
         """One word and its answer, while the servos are watched. Raises OSError."""
