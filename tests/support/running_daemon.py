@@ -11,6 +11,7 @@ from pathlib import Path
 from places import short_folder
 
 from firmware_bridge.dynamixel.wire.line import Line
+from firmware_bridge.errors import PortError
 from firmware_bridge.process.control_client import ask
 from firmware_bridge.serial_servos.serial_transport import open_port
 
@@ -91,14 +92,23 @@ def child(process, name):
     return int(lines[-1].split()[-1])
 
 
-def torque(port):
-    """torque_enable of every servo, read by a second program once the first is gone."""
-    transport = open_port(port, BAUD_RATE)
-    try:
-        line = Line(transport)
-        return [line.read(each, 64, 1).data[0] for each in IDS]
-    finally:
-        transport.close()
+def torque(port, ids=IDS):
+    """torque_enable of every servo, read by a second program once the first is gone.
+
+    On a busy computer the first may hold the port a moment longer, and an answer may come too late.
+    """
+    give_up_s = time.monotonic() + PATIENCE_S
+    while True:
+        try:
+            with contextlib.closing(open_port(port, BAUD_RATE)) as transport:
+                line = Line(transport)
+                answers = [line.read(each, 64, 1) for each in ids]
+        except PortError:
+            answers = [None]
+        if None not in answers:
+            return [answer.data[0] for answer in answers]
+        assert time.monotonic() < give_up_s, "no servo answers"
+        time.sleep(0.05)
 
 
 def alive(pid):

@@ -142,7 +142,8 @@ def test_practice_on_a_simulated_robot_tells_errors_play_and_lags(tmp_path):
     assert done.exit_code == 0, done.output
     assert "mm from the shapes of speech" in done.stdout
     assert "ms late" in done.stdout
-    assert len(keep.read_text().splitlines()) == 30
+    # Lips are closed in steps afterwards, and the first poses taken again.
+    assert 30 < len(keep.read_text().splitlines()) < 90
     assert load_calibration(out).following.lag_s.min() > 0.02
 
 

@@ -14,7 +14,6 @@ from types import SimpleNamespace
 import pytest
 from places import ROOT
 from running_daemon import (
-    BAUD_RATE,
     PATIENCE_S,
     alive,
     all_driven,
@@ -22,12 +21,11 @@ from running_daemon import (
     own_folder,
     run,
     running,
+    torque,
     wait_for,
 )
 
-from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.process.control_client import ask
-from firmware_bridge.serial_servos.serial_transport import open_port
 from lipservo.runtime.servos.sim_process import simulated_port
 
 # Real processes in real time.
@@ -75,12 +73,7 @@ def lips_are_off(head):
 
 
 def neck_torque(head):
-    transport = open_port(head.neck, BAUD_RATE)
-    try:
-        line = Line(transport)
-        return [line.read(each, 64, 1).data[0] for each in NECK_IDS]
-    finally:
-        transport.close()
+    return torque(head.neck, NECK_IDS)
 
 
 def is_let_go(head):

@@ -410,7 +410,9 @@ def _judge_words(
 
 def _allowed_statuses(case: SignalCase, command: Command) -> tuple[int, ...]:
     if case.ending is Ending.STOP:
-        return (0,)
+        # What was being measured, set up or held still is not done; speech has no more to do.
+        speaks = command.name in ("run", "daemon", "say", "perform", "run-sim")
+        return (0,) if speaks else (0, ExitStatus.STOPPED_EARLY)
     number = signal.Signals[f"SIG{case.ending}"].value
     if case.moment in (Moment.UNPLUGGED, Moment.DEAF):
         # Some have told that no servo can be reached, and ended, before the last signal comes.
