@@ -199,7 +199,9 @@ def test_what_is_no_calibration_at_all_is_refused(tmp_path, content):
 def test_what_is_nested_deep_or_has_keys_of_no_text_is_one_line(tmp_path, content):
     path = tmp_path / "c.yaml"
     path.write_text(content)
-    with pytest.raises(CalibrationError, match=r"nested too deep|the key 1 is no text") as raised:
+    # libyaml of some computers gives up before our own limit is reached.
+    refused = r"nested too deep|the key 1 is no text|line 1: not readable as YAML"
+    with pytest.raises(CalibrationError, match=refused) as raised:
         load_calibration(path)
     assert "\n" not in str(raised.value)
 
