@@ -1,7 +1,7 @@
 """gruut in a process of its own, at low priority: it takes seconds to load, in which no tick waits.
 
-A text arrives while a face speaks. In the process that moves the mouth, loading gruut held up one
-tick in six, and its 43 MB stayed.
+A text arrives while a face speaks. In the process that moves the mouth, loading gruut would hold
+the interpreter, and its 43 MB would stay.
 """
 
 import os
