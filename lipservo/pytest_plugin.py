@@ -27,7 +27,7 @@ _PATIENCE_S: Final = 120.0
 
 
 class SimulatedFace:
-    """A `lipservo daemon` of one test, with servos that are simulated in its process.
+    """A `lipservo daemon` of one test, with simulated servos.
 
     Attributes
     ----------
