@@ -111,10 +111,15 @@ def jaw(bus, tmp_path):
 
 
 def shoot(pids):
-    """All at once: none sees another end."""
-    for number in (signal.SIGSTOP, signal.SIGKILL):
-        for pid in pids:
-            os.kill(pid, number)
+    """All at once: none sees another end.
+
+    The parent comes first and dies last: a stopped child whose parent has died is woken by the
+    kernel with SIGHUP, and lets its servos go before it is shot.
+    """
+    for pid in pids:
+        os.kill(pid, signal.SIGSTOP)
+    for pid in reversed(pids):
+        os.kill(pid, signal.SIGKILL)
 
 
 def test_a_second_program_at_one_maestro_is_refused_and_the_first_goes_on(tmp_path, monkeypatch):

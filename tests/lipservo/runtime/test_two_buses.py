@@ -164,7 +164,7 @@ def test_a_plug_that_is_pulled_lets_go_of_the_other_bus_and_all_come_back(
     tmp_path, monkeypatch, lost
 ):
     own_folder(monkeypatch)
-    faults = {lost: "faults: [{kind: unplug, at_s: 12.0, lasts_s: 1.5}]"}
+    faults = {lost: "faults: [{kind: unplug, at_s: 18.0, lasts_s: 1.5}]"}
     with two_ports(tmp_path, **faults) as head, driven(head) as daemon:
         wait_for(lambda: "port of the servos is gone" in daemon.said.read_text())
         if lost == "neck":
