@@ -51,7 +51,7 @@ class UnknownRaterError(StudyError):
 
 
 def parse_answers(path: Path, content: bytes, identity: str) -> Answers:
-    """Read the lines of a file of a study. Raises StudyError, naming the line, for a damaged one."""
+    """Read the lines of a study's file. Raises StudyError, naming the line, for a damaged one."""
     *lines, torn = content.split(b"\n")
     answers = Answers({}, torn)
     for number, line in enumerate(lines, 1):

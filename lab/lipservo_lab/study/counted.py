@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import pearsonr
 
 from lipservo_lab.study.answers import Answers, RaterRecord
-from lipservo_lab.study.sheets import Clip, Key, Study
+from lipservo_lab.study.sheets import FIRST, Clip, Key, Study
 from lipsync.arrays import Array, Indices
 
 Reason = Literal["left", "unfinished", "checks", "alike", "hasty", "inverted"]
@@ -56,8 +56,11 @@ class Tables:
 
 @dataclass(frozen=True, slots=True)
 class Counted:
-    """What is reported. left_out: the reason, by rater; all_tables: with those left out for a
-    reason that is a judgement, so that one sees what difference it makes."""
+    """What is reported. left_out: the reason, by rater.
+
+    all_tables: with all raters but those who left or did not finish, so that one sees what
+    difference the rules make.
+    """
 
     tables: Tables
     all_tables: Tables
@@ -154,7 +157,7 @@ def tables_of(study: Study, key: Key, raters: Mapping[str, RaterRecord]) -> Tabl
                 ratings.append(first)
                 points.append(answer)
             elif item.kind == "pair":
-                chosen, other = clips if answer == "left" else clips[::-1]
+                chosen, other = clips if answer == FIRST else clips[::-1]
                 pairs.append((*first[:2], method_of[chosen.method], method_of[other.method]))
             else:
                 readings.append(first)

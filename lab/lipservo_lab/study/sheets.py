@@ -29,6 +29,8 @@ from lipsync.output_file import write_whole
 T = TypeVar("T")
 Kind = Literal["reading", "sound", "rating", "pair", "check"]
 POINTS: Final = 5
+#: Which clip of a pair was chosen.
+FIRST, SECOND = "A", "B"
 SERVED: Final = "served"
 STUDY_FILE, KEY_FILE, CLIPS = f"{SERVED}/study.json", "key.json", f"{SERVED}/clips"
 ANSWERS_FILE, MACHINES_FILE = "answers.jsonl", "machines.jsonl"
@@ -43,7 +45,7 @@ class StudyError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One thing to do. clips: one, or two of a pair, the left one first; none of a check.
+    """One thing to do. clips: one, or two of a pair, A first; none of a check.
 
     expected: the point that a check asks for, the beeps of a sound check.
     """
@@ -228,12 +230,12 @@ class _Pairs:
         self._each = each
 
     def of(self, rater: int) -> list[tuple[tuple[int, int], int]]:
-        """Left and right method and the number of the sentence, which goes on with every turn."""
+        """Methods of A and B and the number of the sentence, which goes on with every turn."""
         found = []
         for count in range(rater * self._each, (rater + 1) * self._each):
             turn, k = divmod(count, len(self._pairs))
-            left, right = self._pairs[k]
-            found.append(((right, left) if turn % 2 else (left, right), k + turn))
+            one, other = self._pairs[k]
+            found.append(((other, one) if turn % 2 else (one, other), k + turn))
         return found
 
 

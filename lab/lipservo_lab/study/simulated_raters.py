@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import norm
 
 from lipservo_lab.study.answers import Record, first_record, now
-from lipservo_lab.study.sheets import POINTS, Item, Key, Study
+from lipservo_lab.study.sheets import FIRST, POINTS, SECOND, Item, Key, Study
 from lipsync.arrays import Array
 
 Character = Literal["honest", "alike", "random", "hasty", "inverted"]
@@ -54,9 +54,7 @@ class Taste:
 
     def preferred(self, one: str, other: str) -> float:
         """How often one method's clip is chosen over another's, over all raters and sentences."""
-        spread = np.sqrt(
-            2.0 * (self.rater_method**2 + self.sentence_method**2 + self.moment**2)
-        )
+        spread = np.sqrt(2.0 * (self.rater_method**2 + self.sentence_method**2 + self.moment**2))
         return float(norm.cdf((self.natural[one] - self.natural[other]) / spread))
 
 
@@ -91,9 +89,7 @@ def simulated_records(
 
 
 class _Population:
-    def __init__(
-        self, study: Study, key: Key, taste: Taste, numbers: np.random.Generator
-    ) -> None:
+    def __init__(self, study: Study, key: Key, taste: Taste, numbers: np.random.Generator) -> None:
         self.study, self.key, self.taste, self.numbers = study, key, taste, numbers
         sentences = {clip.sentence for clip in key.clips.values()}
         self.of_sentence = {s: numbers.normal(0, taste.sentence) for s in sorted(sentences)}
@@ -113,9 +109,7 @@ class _Rater:
         self._all, self._character = population, character
         numbers, taste = population.numbers, population.taste
         self._own = float(numbers.normal(0, taste.rater))
-        self._of_method = {
-            m: numbers.normal(0, taste.rater_method) for m in population.key.methods
-        }
+        self._of_method = {m: numbers.normal(0, taste.rater_method) for m in population.key.methods}
         self._always = int(numbers.integers(1, POINTS + 1))
 
     def answer(self, item: Item) -> tuple[int | str, float]:
@@ -135,11 +129,11 @@ class _Rater:
             case "reading":
                 return ("" if careless else self._read(item.clips[0])), seconds
             case "pair":
-                left = careless and numbers.random() < 0.5
+                first = careless and numbers.random() < 0.5
                 if not careless:
                     better = self._liking(item.clips[0]) > self._liking(item.clips[1])
-                    left = better != (self._character == "inverted")
-                return ("left" if left else "right"), seconds
+                    first = better != (self._character == "inverted")
+                return (FIRST if first else SECOND), seconds
         if careless:
             return self._careless(), seconds
         point = int(np.clip(np.floor(self._liking(item.clips[0]) + 0.5), 1, POINTS))
@@ -168,6 +162,4 @@ class _Rater:
 
 def strengths_of(taste: Taste, methods: Sequence[str]) -> Array:
     """(n, n): how often the method of the row is chosen over that of the column; 0 for itself."""
-    return np.array(
-        [[0.0 if a == b else taste.preferred(a, b) for b in methods] for a in methods]
-    )
+    return np.array([[0.0 if a == b else taste.preferred(a, b) for b in methods] for a in methods])
