@@ -152,9 +152,7 @@ def machine_records(study: Study, key: Key, material: Material) -> list[Record]:
             clip = key.clips[name]
             utterance = by_name[clip.sentence]
             faces = material.faces(clip.method, utterance)
-            seen: Mapping[str, Array] = {
-                utterance.name: kind.view(model, model.markers_mm(faces))
-            }
+            seen: Mapping[str, Array] = {utterance.name: kind.view(model, model.markers_mm(faces))}
             words = [
                 str(reader.classifiers[slot].predict(words_of_slot([utterance], seen, slot))[0])
                 for slot in slots
