@@ -3,6 +3,7 @@
 import io
 from collections.abc import Mapping, Sequence
 from html import escape
+from importlib.resources import files
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -19,22 +20,7 @@ if TYPE_CHECKING:
 
 _INK, _SOFT, _OURS, _OTHER = "#1d2730", "#6b7780", "#14518f", "#b1560f"
 _OURS_NAMES: Final = ("ears", "words", "scripted")
-_STYLE: Final = """
-:root { color-scheme: light; }
-body { margin: 0 auto; max-width: 62rem; padding: 1.2rem 1rem 4rem; color: #1d2730; background: #fff;
-  font: 1rem/1.5 system-ui, sans-serif; }
-h1 { font-size: 1.7rem; line-height: 1.2; margin: 0.4rem 0; }
-h2 { font-size: 1.25rem; margin: 2.4rem 0 0.3rem; border-top: 1px solid #d5dce1; padding-top: 1.2rem; }
-p { max-width: 46rem; margin: 0.5rem 0; } .soft, figcaption { color: #5a6772; }
-figure { margin: 1rem 0; } figure svg { width: 100%; height: auto; max-width: 46rem; display: block; }
-.scroll { overflow-x: auto; } table { border-collapse: collapse; font-variant-numeric: tabular-nums;
-  font-size: 0.95rem; } th { text-align: left; font-weight: 500; color: #5a6772; vertical-align: bottom; }
-th, td { padding: 0.25rem 0.8rem 0.25rem 0; border-bottom: 1px solid #e4e9ec; white-space: nowrap; }
-td.n, th.n { text-align: right; } tr.reference td { font-weight: 600; }
-.notes { background: #f3f6f8; border-radius: 8px; padding: 0.5rem 1rem; margin: 1rem 0; }
-.trial { background: #fff1d6; color: #6b4700; font-weight: 600; border-radius: 8px;
-  padding: 0.5rem 1rem; }
-"""
+_STYLE: Final = (files("lipservo_lab.study.page") / "report.css").read_text("utf-8")
 
 
 def report_page(figures: Row, *, about: str, is_rehearsal: bool) -> str:
@@ -151,9 +137,12 @@ def _pairs(figures: Row) -> list[str]:
 def _won_table(won_over: Mapping[str, Mapping[str, int]], rows: Sequence[Row]) -> str:
     names = [row["method"] for row in rows]
     cells = [
-        [escape(row["label"]), *("" if o == row["method"] else str(won_over[row["method"]][o]) for o in names)]
+        [
+            escape(row["label"]),
+            *(str(won_over[row["method"]].get(other, "")) for other in names),
+        ]
         for row in rows
-    ]  # fmt: skip
+    ]
     return _table(["", *(escape(name) for name in names)], cells)
 
 
@@ -215,13 +204,12 @@ def _picture(draw: Any, n_rows: int) -> str:
 
 
 def _draw_ratings(axes: "Axes", rows: Sequence[Row]) -> None:
-    _dots(axes, rows, "mean", offset=-0.0)
+    _dots(axes, rows, "mean")
     if any(row["mixed"] is not None for row in rows):
         at = np.arange(len(rows)) + 0.26
-        means = [np.nan if row["mixed"] is None else row["mixed"] for row in rows]
         ends = [row["mixed_95"] or [np.nan, np.nan] for row in rows]
         axes.hlines(at, *zip(*ends, strict=True), color=_SOFT, linewidth=0.9)
-        axes.plot(means, at, "|", color=_SOFT, markersize=5, label="mixed model")
+        axes.plot(_values(rows, "mixed"), at, "|", color=_SOFT, markersize=5, label="mixed model")
         axes.legend(loc="lower right", frameon=False, fontsize=9)
     axes.set_xlim(1, POINTS)
     axes.set_xticks(range(1, POINTS + 1))
@@ -235,37 +223,36 @@ def _draw_pairs(axes: "Axes", rows: Sequence[Row]) -> None:
 
 
 def _draw_reading(axes: "Axes", by_reader: Mapping[str, Sequence[Row]]) -> None:
-    first = next(iter(by_reader.values()))
     places = np.linspace(-0.22, 0.22, len(by_reader)) if len(by_reader) > 1 else [0.0]
-    for (name, rows), place in zip(by_reader.items(), places, strict=True):
+    for place, mark, (name, rows) in zip(places, "o^s", by_reader.items(), strict=False):
         is_human = name == PEOPLE
+        colour = _INK if is_human else _SOFT
         at = np.arange(len(rows)) + place
         ends = [row["words_right_95"] or [np.nan, np.nan] for row in rows]
-        colour = _INK if is_human else _SOFT
-        values = [np.nan if row["words_right"] is None else row["words_right"] for row in rows]
-        chance = [np.nan if row["chance"] is None else row["chance"] for row in rows]
-        mark = "o" if is_human else ("^" if place < 0.2 else "s")
         axes.hlines(at, *zip(*ends, strict=True), color=colour, linewidth=2.0 if is_human else 1.0)
-        axes.plot(values, at, mark, color=colour, label=name, markersize=6 if is_human else 4.5,
-                  markerfacecolor=colour if is_human else "white")  # fmt: skip
-        axes.plot(chance, at, "|", color=_OTHER, markersize=7, label=None if place else "chance")
+        fill = colour if is_human else "white"
+        axes.plot(_values(rows, "words_right"), at, mark, color=colour, label=name,
+                  markersize=6 if is_human else 4.5, markerfacecolor=fill)  # fmt: skip
+        axes.plot(_values(rows, "chance"), at, "|", color=_OTHER, markersize=7)
+        axes.set_yticks(range(len(rows)), [row["label"] for row in rows])
     axes.plot([], [], "|", color=_OTHER, label="chance")
-    axes.set_yticks(range(len(first)), [row["label"] for row in first])
     axes.set_xlim(0.0, 1.0)
     axes.set_xlabel("share of words read right")
-    handles, labels = axes.get_legend_handles_labels()
-    shown = dict(zip(labels, handles, strict=True))
-    axes.legend(shown.values(), shown.keys(), loc="lower right", frameon=False, fontsize=9)
+    axes.legend(loc="lower right", frameon=False, fontsize=9)
 
 
-def _dots(axes: "Axes", rows: Sequence[Row], name: str, offset: float = 0.0) -> None:
+def _values(rows: Sequence[Row], name: str) -> list[float]:
+    return [np.nan if row[name] is None else row[name] for row in rows]
+
+
+def _dots(axes: "Axes", rows: Sequence[Row], name: str) -> None:
     for at, row in enumerate(rows):
         if row[name] is None:
             continue
         colour = _colour(row["method"])
         if row[f"{name}_95"] is not None:
-            axes.hlines(at + offset, *row[f"{name}_95"], color=colour, linewidth=2.2)
-        axes.plot(row[name], at + offset, "o", color=colour, markersize=6.5)
+            axes.hlines(at, *row[f"{name}_95"], color=colour, linewidth=2.2)
+        axes.plot(row[name], at, "o", color=colour, markersize=6.5)
     axes.set_yticks(range(len(rows)), [row["label"] for row in rows])
     for text, row in zip(axes.get_yticklabels(), rows, strict=True):
         text.set_color(_colour(row["method"]))
@@ -279,11 +266,7 @@ def _colour(method: str) -> str:
 
 def _ordered(rows: Sequence[Row], name: str) -> list[Row]:
     """From the highest down; what was not measured last."""
-    return (
-        sorted(rows, key=lambda row: -np.inf if row[name] is None else -row[name])[:]
-        if all(row[name] is not None for row in rows)
-        else sorted(rows, key=lambda row: np.inf if row[name] is None else -row[name])
-    )
+    return sorted(rows, key=lambda row: np.inf if row[name] is None else -row[name])
 
 
 def _at(rows: Sequence[Row], method: str) -> int:
