@@ -74,7 +74,9 @@ def film(
     sound: its file; None: a silent film. out: replaced. progress: called with the number of
     pictures so far. Raises FilmError, OutputError, SoundError.
     """
-    return write_film((face.draw(frame) for frame in frames), face.size, sound, out, rate_hz, progress)
+    return write_film(
+        (face.draw(frame) for frame in frames), face.size, sound, out, rate_hz, progress
+    )
 
 
 def write_film(
@@ -94,7 +96,9 @@ def write_film(
     with written_whole(out) as partial, _explained(out, av.FFmpegError):
         kind = {"mkv": "matroska"}.get(out.suffix.lower()[1:], out.suffix.lower()[1:])
         with av.open(str(partial), "w", format=kind, options=_options(kind)) as file:
-            video = file.add_stream("libx264", rate=rate_hz, options={"crf": _QUALITY, "preset": "veryfast"})
+            video = file.add_stream(
+                "libx264", rate=rate_hz, options={"crf": _QUALITY, "preset": "veryfast"}
+            )
             video.width, video.height = size
             video.pix_fmt = "yuv420p"
             video.time_base = Fraction(1, rate_hz)

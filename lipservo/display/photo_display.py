@@ -66,7 +66,9 @@ class PhotoDisplay:
         middle = rim_px.mean(axis=0)
         rings = np.vstack([middle + (1 + far) * (rim_px - middle) for far, _ in _RINGS])
         ring_rows = np.vstack([self._rim, first + np.arange(len(rings)).reshape(len(_RINGS), -1)])
-        back = np.concatenate([_band(*pair) for pair in zip(ring_rows[:-1], ring_rows[1:], strict=True)])
+        back = np.concatenate(
+            [_band(*pair) for pair in zip(ring_rows[:-1], ring_rows[1:], strict=True)]
+        )
         rest_px = np.vstack([own_px[:, :2], eye_px[:, :2], rings])
         behind = np.vstack([back[::-1], *eye_fans])
         self._mesh = Mesh(
