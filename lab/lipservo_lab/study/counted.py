@@ -25,13 +25,13 @@ REASONS: Final[Mapping[Reason, str]] = {
     "checks": "got half of the checks wrong, or more",
     "alike": "gave nine of ten ratings the same point",
     "hasty": "answered one of ten clips, or more, before it could have ended",
-    "inverted": "rates against all others together (r < 0, p < .001): read the scale backwards",
+    "inverted": "rates against all others together (r < 0, p < .01): read the scale backwards",
 }
 _LEAST_DONE = _WRONG_CHECKS = 0.5
 _ALIKE, _HASTY = 0.9, 0.1
 #: A share of fewer answers says nothing.
 _FEWEST = 8
-_INVERTED_P = 0.001
+_INVERTED_P = 0.01
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ are lines of a file, and what is left out and reported is what a study's report 
 """
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -27,7 +27,7 @@ from lipservo_lab.study.simulated_raters import (
 )
 from lipsync.arrays import Array
 
-Track = Callable[[int], Sequence[int]]
+Track = Callable[[int], Iterable[int]]
 #: Places of six words each, as in the sentences of GRID.
 _WORDS: Final = (
     ("bin", "lay", "place", "set"), ("blue", "green", "red", "white"), ("at", "by", "in", "with"),
@@ -129,8 +129,9 @@ def _truth(taste: Taste, methods: Sequence[str], size: Size) -> dict[str, Array]
     means = np.array([taste.mean_rating(method) for method in methods])
     odds = strengths(1e6 * strengths_of(taste, methods))
     reading, key = trial_study(methods, Size(0, 0, size.readings, 0, 0))
-    crew: tuple[Character, ...] = ("honest",) * _MANY_READERS
-    read = words_read(simulated_study(reading, key, taste, crew, 0).tables, 0)[0]
+    read = words_read(
+        simulated_study(reading, key, taste, Crew(_MANY_READERS).characters, 0).tables, 0
+    )[0]
     return {
         "ratings": means,
         "rating_differences": means[1:] - means[0],
@@ -176,7 +177,7 @@ def power_rows(
             taste = Taste(natural, dict.fromkeys(methods, 0.3))
             means = np.array([taste.mean_rating(method) for method in methods])
             for seed in track(n_studies):
-                found = simulated_study(study, key, taste, ("honest",) * n_raters, seed)
+                found = simulated_study(study, key, taste, Crew(n_raters).characters, seed)
                 differences = rated(found.tables, 0, seed).less_reference
                 for figure, gap in zip(differences[1:], (means[0] - means)[1:], strict=True):
                     is_seen = figure.high is not None and not _holds(figure, 0.0)

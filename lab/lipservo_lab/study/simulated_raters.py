@@ -131,8 +131,7 @@ class _Rater:
             case "pair":
                 first = careless and numbers.random() < 0.5
                 if not careless:
-                    better = self._liking(item.clips[0]) > self._liking(item.clips[1])
-                    first = better != (self._character == "inverted")
+                    first = self._liking(item.clips[0]) > self._liking(item.clips[1])
                 return (FIRST if first else SECOND), seconds
         if careless:
             return self._careless(), seconds

@@ -15,6 +15,7 @@ from lipservo_lab.study.estimates import Estimates, Figure, preferred, rated, wo
 from lipservo_lab.study.mixed_model import MixedModel
 from lipservo_lab.study.sheets import Item, Key, Study, StudyError
 from lipservo_lab.study.shown_methods import METHODS, RECORDED
+from lipsync.arrays import Indices
 
 Row = dict[str, Any]
 PEOPLE: Final = "people"
@@ -92,7 +93,7 @@ def _readings(tables: Tables, reference: int) -> list[Row]:
     return rows
 
 
-def _rows(tables: Tables, shown: Sequence[int], found: Estimates, name: str) -> list[Row]:
+def _rows(tables: Tables, shown: Indices, found: Estimates, name: str) -> list[Row]:
     counts = np.bincount(shown, minlength=len(tables.methods))
     return [
         {
