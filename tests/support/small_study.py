@@ -4,6 +4,7 @@ import re
 import shutil
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +13,10 @@ import numpy as np
 import soundfile
 from lipservo_lab.study.rehearsal import trial_study
 from lipservo_lab.study.sheets import CLIPS, Key, Size, Study, write_study
+
+from lipservo.agents.listener import bind_listener
+from lipservo.dashboard.web.access_layer import App
+from lipservo.dashboard.web.serving import bounded, server_of
 
 METHODS = ("recorded", "ears", "rhubarb", "still")
 #: 40 clips a rater: 24 rated, 4 pairs, 8 read; with a sound check and two checks 39 items.
@@ -68,3 +73,20 @@ def served_study(
             yield found[1], process
         finally:
             process.terminate()
+
+
+@contextmanager
+def served_app(app: App) -> Iterator[str]:
+    """An application on a real socket, in a thread: its address."""
+    listener = bounded(bind_listener("127.0.0.1:0", "secret"))
+    ready = threading.Event()
+    server = server_of(app, ready.set)
+    thread = threading.Thread(target=server.run, args=([listener],), daemon=True)
+    thread.start()
+    try:
+        assert ready.wait(30.0)
+        yield f"http://127.0.0.1:{listener.getsockname()[1]}"
+    finally:
+        server.should_exit = True
+        thread.join()
+        listener.close()

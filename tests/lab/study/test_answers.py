@@ -56,15 +56,13 @@ def test_an_answer_sent_twice_counts_once_and_another_one_is_refused(path):
 
 
 def test_a_second_server_of_one_study_is_refused_in_one_line(path):
-    with AnswerFile(path, STUDY), pytest.raises(StudyError, match="another .* end it first"):
+    with AnswerFile(path, STUDY), pytest.raises(StudyError, match=r"another .* end it first"):
         AnswerFile(path, STUDY)
     AnswerFile(path, STUDY).__exit__()
 
 
 @given(cut=st.integers(0, 400))
-def test_a_file_cut_anywhere_keeps_every_whole_line_and_lays_the_rest_beside(
-    cut, tmp_path_factory
-):
+def test_a_file_cut_anywhere_keeps_every_whole_line_and_lays_the_rest_beside(cut, tmp_path_factory):
     path = tmp_path_factory.mktemp("cut") / "answers.jsonl"
     fill(path, 4)
     whole = path.read_bytes()
