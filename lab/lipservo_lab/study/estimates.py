@@ -18,7 +18,7 @@ from scipy.stats import t as students_t
 from lipservo_lab.study.counted import Tables
 from lipsync.arrays import Array, Indices
 
-N_DRAWS: Final = 1000
+N_DRAWS: Final = 600
 #: So many comparisons are added each way, or one that was always won had no end.
 _ADDED_WINS: Final = 0.1
 _NEWTON_STEPS: Final = 12
