@@ -89,7 +89,7 @@ def coverage_figures(n_studies: int, crew: Crew, size: Size, track: Track) -> di
     methods = tuple(METHODS)
     study, key = trial_study(methods, size)
     taste = even_taste(methods)
-    truth = _truth(taste, methods, size)
+    truth = _truth(study, key, taste)
     held: dict[str, list[bool]] = {name: [] for name in truth}
     out: Counter[tuple[Character, bool]] = Counter()
     ranks: list[float] = []
@@ -125,13 +125,12 @@ def coverage_figures(n_studies: int, crew: Crew, size: Size, track: Track) -> di
     }
 
 
-def _truth(taste: Taste, methods: Sequence[str], size: Size) -> dict[str, Array]:
-    means = np.array([taste.mean_rating(method) for method in methods])
-    odds = strengths(1e6 * strengths_of(taste, methods))
-    reading, key = trial_study(methods, Size(0, 0, size.readings, 0, 0))
-    read = words_read(
-        simulated_study(reading, key, taste, Crew(_MANY_READERS).characters, 0).tables, 0
-    )[0]
+def _truth(study: Study, key: Key, taste: Taste) -> dict[str, Array]:
+    """Of methods that differ; words by a crowd, since a wrong one may be right by chance."""
+    means = np.array([taste.mean_rating(method) for method in key.methods])
+    odds = strengths(1e6 * strengths_of(taste, key.methods))
+    crowd = simulated_study(study, key, taste, Crew(_MANY_READERS).characters, 0)
+    read = words_read(crowd.tables, 0)[0]
     return {
         "ratings": means,
         "rating_differences": means[1:] - means[0],

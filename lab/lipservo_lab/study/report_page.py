@@ -30,7 +30,7 @@ def report_page(figures: Row, *, about: str, is_rehearsal: bool) -> str:
         f"<h1>{escape(figures['title'])}</h1>",
         '<p class="trial">A rehearsal: these raters were simulated.</p>' if is_rehearsal else "",
         f'<p class="soft">{escape(about)}</p>',
-        f"<p>{_headline(figures)}</p>",
+        _headline(figures),
         "<h2>Raters</h2>",
         f"<p>{raters['began']} began, {raters['counted']} are counted.</p>",
         _left_out(raters["left_out_raters"]),
@@ -76,10 +76,10 @@ def _headline(figures: Row) -> str:
         else:
             verdict = "not told apart from"
         said.append(
-            f"<b>{escape(row['label'])}</b> is rated {row['mean']:.2f}, {verdict} {against} "
-            f"({_ends(ends)})."
+            f"<li><b>{escape(row['label'])}</b> is rated {row['mean']:.2f}, {verdict} {against} "
+            f"({_ends(ends)}).</li>"
         )
-    return " ".join(said)
+    return f"<ul>{''.join(said)}</ul>"
 
 
 def _left_out(reasons: Mapping[str, str]) -> str:
@@ -99,7 +99,7 @@ def _ratings(figures: Row) -> list[str]:
         ]
         for r in rows
     ]  # fmt: skip
-    heads = ["method", "ratings", "mean", "95 %", "less recorded", "95 %", "mixed model", "95 %"]
+    heads = ["method", "ratings", "mean", "95 %", "difference", "95 %", "mixed model", "95 %"]
     found = [
         "<h2>How natural</h2>",
         "<p>1 is not at all natural, 5 completely natural.</p>",
@@ -122,7 +122,7 @@ def _pairs(figures: Row) -> list[str]:
         ]
         for r in rows
     ]  # fmt: skip
-    heads = ["method", "shown", "chosen", "strength", "95 %", "less recorded", "95 %"]
+    heads = ["method", "shown", "chosen", "strength", "95 %", "difference", "95 %"]
     return [
         "<h2>Which of two</h2>",
         "<p>Strength by Bradley and Terry, in log odds: a method 1 above another is chosen over it "
@@ -295,7 +295,7 @@ def _value(value: float | None) -> str:
 
 
 def _signed(value: float | None) -> str:
-    return "" if value is None else f"{value:+.2f}".replace("-", "\N{MINUS SIGN}")
+    return "" if not value else f"{value:+.2f}".replace("-", "\N{MINUS SIGN}")
 
 
 def _ends(ends: Sequence[float] | None) -> str:
