@@ -25,6 +25,8 @@ from lipsync.video.face_detection import Picture
 _RINGS = ((0.06, 0.9), (0.16, 0.68), (0.30, 0.42), (0.48, 0.2), (0.70, 0.0))
 #: A head turned farther than this shows what no photograph from the front has, degrees.
 _MOST_POSE_DEG = {"pitch": 10.0, "yaw": 12.0, "roll": 12.0}
+#: The background's map is drawn for one pixel in so many each way.
+_COARSE = 4
 #: What moves less than this is not drawn anew, px.
 _STILL_PX = 0.02
 #: What lids, brows and smile can be asked for without looking like a mask.
@@ -71,6 +73,7 @@ class PhotoDisplay:
         )
         rest_px = np.vstack([own_px[:, :2], eye_px[:, :2], rings])
         behind = np.vstack([back[::-1], *eye_fans])
+        self._eye_fans = slice(len(back), len(behind))
         self._mesh = Mesh(
             rest_px, np.vstack([behind, faces]), slice(len(behind), len(behind) + len(faces))
         )
@@ -84,6 +87,11 @@ class PhotoDisplay:
         self._box = (slice(low[1], high[1]), slice(low[0], high[0]))
         rows, columns = np.mgrid[self._box].astype(np.float32)
         self._still = np.stack([columns, rows])
+        n_coarse = -(-np.array(self._still.shape[1:]) // _COARSE) + 1
+        rows, columns = (_COARSE * np.mgrid[: n_coarse[0], : n_coarse[1]]).astype(np.float32)
+        self._still_coarse = np.stack([columns + low[0], rows + low[1]])
+        rows, columns = (self._still[::-1] - low[::-1, None, None]).astype(np.float32) / _COARSE
+        self._at_coarse = np.ascontiguousarray(columns), np.ascontiguousarray(rows)
 
     @property
     def mesh(self) -> Mesh:
@@ -130,18 +138,45 @@ class PhotoDisplay:
 
     def source_of(self, moved_px: Array) -> NDArray[np.float32]:
         """(2, rows, columns) of the part that moves: where in the photograph each pixel comes from."""
-        maps = self._still.copy()
         rest = self._mesh.rest_px
         still = (np.abs(moved_px - rest) < _STILL_PX).all(axis=1)
-        triangles = self._mesh.triangles
         # Where nothing moves the map is there already; but what lies over what moves is drawn.
-        goes = ~still[triangles].all(axis=1)
-        goes[self._mesh.skin] |= goes.any() and bool((~still[self._eyes]).any())
-        triangles = triangles[goes]
-        corners = moved_px[triangles] - self.corner_px
-        found = covered(corners, *maps.shape[1:])
-        maps[:, found.rows, found.columns] = found.interpolated(corners, rest[triangles])
+        goes = ~still[self._mesh.triangles].all(axis=1)
+        goes[self._mesh.skin] |= not still[self._eyes].all()
+        around = np.flatnonzero(goes[: self._mesh.skin.start])
+        maps = self._still
+        if len(around):  # smooth and wide: a coarse map will do, of all there is
+            maps = self._coarse(moved_px)
+        maps = maps.copy()
+        skin = self._mesh.triangles[self._mesh.skin][goes[self._mesh.skin]]
+        fine = np.vstack([self._mesh.triangles[self._eye_fans], skin])
+        self._draw(maps, moved_px - self.corner_px, rest, fine)
         return maps
+
+    def _coarse(self, moved_px: Array) -> NDArray[np.float32]:
+        """The map of everything, from one pixel in so many each way."""
+        import cv2
+
+        corner = np.array(self.corner_px)
+        maps = self._still_coarse.copy()
+        self._draw(maps, (moved_px - corner) / _COARSE, self._mesh.rest_px, self._mesh.triangles)
+        columns, rows = self._at_coarse
+        offsets = (maps - self._still_coarse).astype(np.float32)
+        wide = [
+            cv2.remap(each, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            for each in offsets
+        ]
+        return np.asarray(self._still + np.stack(wide))
+
+    @staticmethod
+    def _draw(
+        maps: NDArray[np.float32], moved_px: Array, rest_px: Array, triangles: Indices
+    ) -> None:
+        corners = moved_px[triangles]
+        found = covered(corners, *maps.shape[1:])
+        flat = found.rows * maps.shape[2] + found.columns
+        for layer, values in zip(maps, found.interpolated(corners, rest_px[triangles]), strict=True):
+            layer.reshape(-1)[flat] = values
 
     @property
     def corner_px(self) -> tuple[int, int]:
