@@ -17,6 +17,7 @@ from lipservo.display.raster import covered
 from lipsync.arrays import Array, Indices
 from lipsync.errors import check_extra
 from lipsync.face.frame import Frame
+from lipsync.face.model import FaceModel
 from lipsync.markers import INNER_LIP
 from lipsync.twin.head_surface import FACE_RIM, LEFT_EYE, RIGHT_EYE, boundary_loops
 from lipsync.video.face_detection import Picture
@@ -97,6 +98,16 @@ class PhotoDisplay:
     def mesh(self) -> Mesh:
         """What is warped, at rest."""
         return self._mesh
+
+    @property
+    def own(self) -> Array:
+        """Coefficients of the mouth as it was photographed."""
+        return self._photo.own
+
+    def model_moves_px(self, face: FaceModel, coefficients: Array) -> Array:
+        """(n_points, 2): how far the model's points are moved from the photograph's, by it alone."""
+        moves = face.markers_mm((coefficients - self._photo.own)[None])[0] - face.mean_mm
+        return np.asarray((moves @ self._photo.matrix.T)[:, :2])
 
     @property
     def size(self) -> tuple[int, int]:
