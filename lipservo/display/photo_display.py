@@ -6,12 +6,13 @@ warped by its triangles, never painted: each pixel is looked up in the photograp
 """
 
 from dataclasses import fields
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lipservo.display.mouth_inside import MouthInside
 from lipservo.display.lip_contact import LipContact, Mesh, Unfolding
+from lipservo.display.mouth_inside import MouthInside
 from lipservo.display.photo_face import PhotoFace
 from lipservo.display.raster import covered
 from lipsync.arrays import Array, Indices
@@ -69,9 +70,7 @@ class PhotoDisplay:
         middle = rim_px.mean(axis=0)
         rings = np.vstack([middle + (1 + far) * (rim_px - middle) for far, _ in _RINGS])
         ring_rows = np.vstack([self._rim, first + np.arange(len(rings)).reshape(len(_RINGS), -1)])
-        back = np.concatenate(
-            [_band(*pair) for pair in zip(ring_rows[:-1], ring_rows[1:], strict=True)]
-        )
+        back = np.concatenate([_band(*pair) for pair in pairwise(ring_rows)])
         rest_px = np.vstack([own_px[:, :2], eye_px[:, :2], rings])
         behind = np.vstack([back[::-1], *eye_fans])
         self._eye_fans = slice(len(back), len(behind))
@@ -105,7 +104,7 @@ class PhotoDisplay:
         return self._photo.own
 
     def model_moves_px(self, face: FaceModel, coefficients: Array) -> Array:
-        """(n_points, 2): how far the model's points are moved from the photograph's, by it alone."""
+        """(n_points, 2): how far the model's points are from where the photograph has them."""
         moves = face.markers_mm((coefficients - self._photo.own)[None])[0] - face.mean_mm
         return np.asarray((moves @ self._photo.matrix.T)[:, :2])
 
@@ -148,7 +147,7 @@ class PhotoDisplay:
         return self._unfold.unfolded(np.vstack([skin[:, :2], *eyes, rings])), skin[:, 2]
 
     def source_of(self, moved_px: Array) -> NDArray[np.float32]:
-        """(2, rows, columns) of the part that moves: where in the photograph each pixel comes from."""
+        """(2, rows, columns) of the part that moves: from where in the photograph a pixel comes."""
         rest = self._mesh.rest_px
         still = (np.abs(moved_px - rest) < _STILL_PX).all(axis=1)
         # Where nothing moves the map is there already; but what lies over what moves is drawn.
@@ -186,7 +185,9 @@ class PhotoDisplay:
         corners = moved_px[triangles]
         found = covered(corners, *maps.shape[1:])
         flat = found.rows * maps.shape[2] + found.columns
-        for layer, values in zip(maps, found.interpolated(corners, rest_px[triangles]), strict=True):
+        for layer, values in zip(
+            maps, found.interpolated(corners, rest_px[triangles]), strict=True
+        ):
             layer.reshape(-1)[flat] = values
 
     @property

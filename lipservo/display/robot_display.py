@@ -115,7 +115,7 @@ class _Canvas:
         jaw_units = _UNIT * self._jaw_mm
         jaw = np.array([[104, 214], [106, 292], [124, 336], [162, 356], [200, 362]], dtype=float)
         jaw = np.vstack([jaw, (400.0, 0.0) + jaw[-2::-1] * (-1.0, 1.0)])
-        self._fill(_curve(jaw) + (0.0, jaw_units), _JAW, _LINE, "skull")
+        self._fill(_curve(jaw) + np.array([0.0, jaw_units]), _JAW, _LINE, "skull")
         half = np.array([[200, 32], [262, 52], [303, 108], [313, 166], [309, 220], [296, 262],
                          [272, 284], [236, 292]], dtype=float)  # fmt: skip
         skull = np.vstack([half, (400.0, 0.0) + half[:0:-1] * (-1.0, 1.0)])
@@ -130,7 +130,8 @@ class _Canvas:
             if ("brow", side) in self._moved:
                 up = -_UNIT * _horn_mm(self._deg("brow", side))
                 brow = _curve(
-                    middle + [[-26, -39 + up], [0, -46 + up], [26, -39 + up]], closed=False
+                    middle + np.array([[-26, -39 + up], [0, -46 + up], [26, -39 + up]]),
+                    closed=False,
                 )
                 self._line(brow, _LINE, 5.0)
 

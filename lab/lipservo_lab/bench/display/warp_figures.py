@@ -5,7 +5,8 @@ corpus's landmarks, and a small narrow face that looks aside. Motion: every reco
 `random_test`.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+import json
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +45,7 @@ def warp_figures(
     face: FaceModel,
     faces: Mapping[str, tuple[tuple[int, int], Landmarks]],
     motions: Mapping[str, Array],
-    track: Callable[[str, list[str]], Iterable[str]],
+    advance: Callable[[str, int, int], None],
 ) -> dict[str, object]:
     """rest_error_px, marker_error_px and folds, of each face and the worst.
 
@@ -55,12 +56,12 @@ def warp_figures(
         blank = np.full((size[1], size[0], 3), 128, dtype=np.uint8)
         display = PhotoDisplay(photo_face(*(cut := framed(blank, landmarks, SIZE)), face))
         folds, markers = 0, [0.0]
-        for sentence in track(name, list(motions)):
-            shown = motions[sentence]
+        for n, shown in enumerate(motions.values()):
+            advance(name, n, len(motions))
             folds += sum(_folds(display, Frame(0.0, each)) for each in shown)
             step = max(1, len(motions) * len(shown) // _CHECKED_FRAMES)
             for each in shown[::step]:
-                markers.append(_marker_error_px(display, face, cut[1], each))
+                markers.append(_marker_error_px(display, face, each))
         rows.append(
             {
                 "face": name,
@@ -90,18 +91,17 @@ def _rest_error_px(display: PhotoDisplay, landmarks: Landmarks) -> float:
     at = np.stack([moved[display.vertex_of(n)] for n in numbers])
     wanted = np.stack([landmarks[n][:2] for n in numbers])
     drawn = _source(display, moved, wanted) - wanted
-    return float(max(np.linalg.norm(at - wanted, axis=1).max(), np.linalg.norm(drawn, axis=1).max()))
+    return float(
+        max(np.linalg.norm(at - wanted, axis=1).max(), np.linalg.norm(drawn, axis=1).max())
+    )
 
 
-def _marker_error_px(
-    display: PhotoDisplay, face: FaceModel, landmarks: Landmarks, coefficients: Array
-) -> float:
+def _marker_error_px(display: PhotoDisplay, face: FaceModel, coefficients: Array) -> float:
     """The mean distance of the warp's markers from the model's, laid on this face, of one frame.
 
     The model's: as far from where the photograph has them as the model moves them from its own
     pose, in the size and turn of this head.
     """
-    del landmarks
     wanted, drawn = [], []
     moved = display.moved(Frame(0.0, coefficients))[0]
     model = display.model_moves_px(face, coefficients)
@@ -125,8 +125,6 @@ def _source(display: PhotoDisplay, moved: Array, at_px: Array) -> Array:
 
 
 def _stored(corpus: Path) -> Landmarks:
-    import json
-
     numbers = json.loads((corpus / "landmarks.json").read_text())["landmark_ids"]
     path = corpus / "landmarks" / f"{_GRID_SENTENCE}.npz"
     with path.open("rb") as file, ArrayArchive(file, 1 << 26) as archive:
