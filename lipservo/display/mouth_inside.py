@@ -25,6 +25,8 @@ _FINE = 3
 _LIGHT = np.array([-0.25, 0.35, 0.9]) / np.linalg.norm([-0.25, 0.35, 0.9])
 #: Light between the lips: least, and from which gap to which, mm, as in the page's twin.
 _LEAST_LIGHT, _DARK_MM, _LIGHT_MM = 0.15, 0.9, 6.0
+#: Lips that are no farther apart in a photograph are closed there.
+_CLOSED_MM = 2.0
 #: Behind the teeth, sRGB.
 _DARKNESS = np.array([38.0, 14.0, 14.0], dtype=np.float32)
 #: An inner lip is seen this far into the mouth, mm, before it is in its own shadow.
@@ -59,6 +61,12 @@ class MouthInside:
         self._upper_rows = np.arange(upper + 1)
         self._lower_rows = np.concatenate([np.arange(upper, len(lips_px)), [0]])[::-1]
         self._rest_px = lips_px[:, :2]
+        # Lips that are closed in the photograph have a line of their own where they meet.
+        own_px = np.linalg.norm(
+            self._rest_px[self._lower_rows] - self._rest_px[self._upper_rows], axis=1
+        )
+        is_closed = float(own_px.max()) < _CLOSED_MM * photo.px_per_mm
+        self._own_px = own_px if is_closed else np.zeros(len(own_px))
 
     def draw_into(
         self, picture: Picture, frame: Frame, lips_px: Array, turned: tuple[Array, Array]
@@ -74,7 +82,7 @@ class MouthInside:
         if (high <= low).any():
             return
         view = picture[low[1] : high[1], low[0] : high[0]]
-        gaps = _Opening(flat, self._upper_rows, self._lower_rows, low, view.shape[:2])
+        gaps = _Opening(flat, self._upper_rows, self._lower_rows, self._own_px, low, view.shape[:2])
         if not gaps.cover.any():
             return
         lips = cv2.remap(
@@ -119,6 +127,7 @@ class _Opening:
         lips: Array,
         upper_rows: NDArray[np.int_],
         lower_rows: NDArray[np.int_],
+        own_px: Array,
         low: NDArray[np.int_],
         shape: tuple[int, int],
     ) -> None:
@@ -134,6 +143,8 @@ class _Opening:
         top, bottom = (
             np.interp(s, at_s, chain[:, 1]) for at_s, chain in zip(self._s, chains, strict=True)
         )
+        margin = np.interp(s, self._s[0], own_px) / 2
+        top, bottom = top + margin, bottom - margin
         within = (s >= self._s[0][0]) & (s <= self._s[0][-1])
         open_px = np.minimum(t + 0.5, bottom) - np.maximum(t - 0.5, top)
         self.cover = np.where(within, np.clip(open_px, 0.0, 1.0), 0.0).astype(np.float32)

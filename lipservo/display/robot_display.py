@@ -78,7 +78,7 @@ def moved_channels(
     rig: Mapping[str, RigServo], positions_deg: Mapping[str, float]
 ) -> dict[tuple[str, str], float]:
     """Degrees in the drawing's directions, by channel and side."""
-    found = {}
+    found: dict[tuple[str, str], float] = {}
     for name, deg in positions_deg.items():
         servo = rig.get(name)
         if servo is None or servo.channel is None:
@@ -178,10 +178,10 @@ class _Canvas:
         self._fill(_ring(above, below), _CAVITY, None)
         gap = max(0.0, mid_lower - mid_upper)
         at = _MOUTH_AT + _UNIT * np.array([-9.0, min(mid_upper, 0.0)])
-        self._fill(_box(*at, _UNIT * 18, _UNIT * min(gap, 5.0)), _TEETH, None)
+        self._fill(_box(at[0], at[1], _UNIT * 18, _UNIT * min(gap, 5.0)), _TEETH, None)
         low = max(0.0, min(gap - 5.0, 3.5))
         at = _MOUTH_AT + _UNIT * np.array([-8.0, mid_lower - low])
-        self._fill(_box(*at, _UNIT * 16, _UNIT * low), _TEETH, None)
+        self._fill(_box(at[0], at[1], _UNIT * 16, _UNIT * low), _TEETH, None)
         self._fill(_ring(above, high), _LIPS, _LIP_LINE)
         self._fill(_ring(below, deep), _LIPS, _LIP_LINE)
 

@@ -139,7 +139,7 @@ def seen_figures(
     for one in sentences:
         if one.name not in motions:
             continue
-        for phone in one.phonemes:
+        for phone in one.phones:
             if phone.phoneme not in _LIPS_MEET:
                 continue
             first, last = round(phone.start_s * _RATE_HZ), round((phone.end_s or 0.0) * _RATE_HZ)
@@ -147,7 +147,7 @@ def seen_figures(
             if len(asked[one.name][during]) and asked[one.name][during].min() < CLOSED_GAP_MM:
                 n_asked += 1
                 n_shut += bool(seen[one.name][during].min() < CLOSED_GAP_MM)
-    together = [np.concatenate([each[name] for name in motions]) for each in (asked, seen)]
+    wanted, shown = (np.concatenate([each[name] for name in motions]) for each in (asked, seen))
     read = slotted(sentences)
     recorded = recorded_motions(face, read, LIP_READER)
     folds = known_fold(LIP_READER, read, frozenset(motions), recorded)
@@ -158,7 +158,7 @@ def seen_figures(
     of_frames = score(seen_motions(face, motions, LIP_READER))
     of_film = score({name: LIP_READER.view(face, markers[name]) for name in motions})
     return {
-        "gap_r": round(float(np.corrcoef(*together)[0, 1]), 4),
+        "gap_r": round(float(np.corrcoef(wanted, shown)[0, 1]), 4),
         "pbm_shut": round(n_shut / max(1, n_asked), 4),
         "pbm_asked": n_asked,
         "read_frames": round(of_frames, 4),
