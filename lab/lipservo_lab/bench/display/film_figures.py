@@ -132,9 +132,9 @@ def seen_figures(
     """
     markers = _markers_mm(face, tracks)
     asked = {name: face.lip_gaps_mm(face.markers_mm(shown)) for name, shown in motions.items()}
+    # Lips touch at rest: what a tracker says of them there is its zero.
     closed_mm = float(np.median(face.lip_gaps_mm(markers["rest"])))
-    at_rest_mm = float(face.lip_gap_mm(face.rest))
-    seen = {name: face.lip_gaps_mm(markers[name]) - closed_mm + at_rest_mm for name in motions}
+    seen = {name: face.lip_gaps_mm(markers[name]) - closed_mm for name in motions}
     n_shut, n_asked = 0, 0
     for one in sentences:
         if one.name not in motions:

@@ -67,7 +67,8 @@ export function urdfModel(text, meshes, servos) {
     links.set(group.name, group);
   }
   const root = new THREE.Group();
-  root.rotation.x = -Math.PI / 2; // a URDF has z up and x ahead; here y is up
+  // A URDF has x ahead, y to the left and z up; here z is to the viewer and y is up.
+  root.rotation.set(-Math.PI / 2, 0, -Math.PI / 2);
   const moved = new Map();
   const joints = [];
   const wanted = new Map(servos.map((name) => [plain(name), name]));

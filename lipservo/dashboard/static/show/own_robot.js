@@ -3,7 +3,7 @@
 import { GLTFLoader, OrbitControls, THREE } from "nicegui-scene";
 import { drawnDeg, face, onDraw, onHello } from "../link.js";
 import { spoken } from "../words.js";
-import { nodeJoints, plain, urdfModel } from "./joints.js";
+import { nodeJoints, urdfModel } from "./joints.js";
 
 const MOST_BYTES = 200e6;
 const ASK =
@@ -67,7 +67,8 @@ class FaceModel extends HTMLElement {
     } else {
       const lost = this.model.missing.length ? ` Not found: ${this.model.missing.join(", ")}.` : "";
       const still = without.length ? ` Without a joint: ${without.map(spoken).join(", ")}.` : "";
-      this.say(`${this.joints.length} joints move.${still}${lost}`);
+      const n = this.joints.length;
+      this.say(`${n === 1 ? "1 joint moves" : `${n} joints move`}.${still}${lost}`);
     }
     this.view.draw();
   }
@@ -191,5 +192,4 @@ function makeView(stage, root) {
   };
 }
 
-export { plain };
 customElements.define("face-model", FaceModel);
