@@ -95,7 +95,7 @@ def write_film(
     n = 0
     with written_whole(out) as partial, _explained(out, av.FFmpegError):
         kind = {"mkv": "matroska"}.get(out.suffix.lower()[1:], out.suffix.lower()[1:])
-        with av.open(str(partial), "w", format=kind, options=_options(kind)) as file:
+        with open_film(str(partial), "w", format=kind, options=_options(kind)) as file:
             video = file.add_stream(
                 "libx264", rate=rate_hz, options={"crf": _QUALITY, "preset": "veryfast"}
             )
@@ -117,6 +117,13 @@ def write_film(
         if not n:
             raise FilmError(f"{out}: nothing to film; the sound is empty")
     return n
+
+
+def open_film(*given: Any, **how: Any) -> Any:
+    """As `av.open`."""
+    import av
+
+    return av.open(*given, **how)
 
 
 class _Voice:

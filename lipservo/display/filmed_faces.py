@@ -17,6 +17,7 @@ from lipservo.display.robot_display import RobotDisplay
 from lipservo.display.shipped_faces import twin_face
 from lipservo.runtime.motion_options import ChosenMotion, motion_options
 from lipservo.runtime.servos.assembly import assemble_face, load_settings
+from lipservo.settings.motion_names import STRATEGIES
 from lipservo.terminal.output import Advance
 from lipsync.errors import UserError
 from lipsync.face.model import FaceModel, load_face
@@ -151,7 +152,12 @@ def _other(
     else:
         if first.sound is None or (asked.speech or "").endswith(SUFFIX):
             raise UserError(f"--beside {asked.beside}: beside a performance stands another one")
-        other = _speech(asked, replace(chosen, strategy=asked.beside))
+        strategy = next((each for each in STRATEGIES if each == asked.beside), None)
+        if strategy is None:
+            raise UserError(
+                f"--beside {asked.beside}: name a performance (.perf), or {', '.join(STRATEGIES)}"
+            )
+        other = _speech(asked, replace(chosen, strategy=strategy))
         found = stack.enter_context(filmed(asked.speech or "", other, asked.rate_hz))
     frames = found.frames[: len(first.frames)]
     frames += (frames[-1],) * (len(first.frames) - len(frames))

@@ -10,7 +10,7 @@ from lipsync.arrays import Array, Indices
 from lipsync.face.frame import Frame
 
 #: Rounds after which a triangle may stay as it is.
-_MOST_ROUNDS = 24
+_MOST_ROUNDS = 200
 #: A triangle keeps this share of its area at least.
 _LEAST_SHARE = 0.02
 #: How far into the lips contact is felt, mm.
@@ -43,13 +43,23 @@ class LipContact:
         half = len(lips) // 2
         self._upper, self._lower = lips[1:half], lips[:half:-1]
         self._gaps = photo.lip_gaps
-        along = np.linspace(0.0, 1.0, len(self._upper) + 2)[1:-1]
-        own_gap = (own_px[self._lower] - own_px[self._upper])[:, 1]
-        model_px = photo.lip_gaps.at(along, photo.own) * photo.px_per_mm
-        self._excess_px = own_gap - model_px
+        corner, other = own_px[lips[0], :2], own_px[lips[half], :2]
+        along = (other - corner) / np.linalg.norm(other - corner)
+        #: From the upper lip to the lower one.
+        self._down = np.array([-along[1], along[0]])
+        share = np.linspace(0.0, 1.0, half + 1)[1:-1]
+        own_gap = self._gap_px(own_px)
+        self._excess_px = own_gap - photo.lip_gaps.at(share, photo.own) * photo.px_per_mm
+        # Where landmarks overlap in the photograph, they may.
+        self._least_px = np.minimum(own_gap, 0.0)
         self._own_gap_mm = max(self._widest_mm(photo.own), 1e-3)
         reach_px = _LIP_MM * photo.px_per_mm
-        self._felt = [_felt_by(own_px, rim, reach_px, side) for rim, side in self._sides()]
+        self._felt = [
+            _felt_by(own_px[:, :2], rim, reach_px, side * self._down) for rim, side in self._sides()
+        ]
+
+    def _gap_px(self, skin_px: Array) -> Array:
+        return np.asarray((skin_px[self._lower, :2] - skin_px[self._upper, :2]) @ self._down)
 
     def _sides(self) -> tuple[tuple[Indices, float], tuple[Indices, float]]:
         return (self._upper, -1.0), (self._lower, 1.0)
@@ -61,21 +71,20 @@ class LipContact:
         """The skin (n, 3) with its lips in contact where they should be; changes it in place."""
         nearer = 1.0 - self._widest_mm(frame.coefficients) / self._own_gap_mm
         closing = self._excess_px * min(1.0, max(0.0, nearer))
-        gap = skin_px[self._lower, 1] - skin_px[self._upper, 1]
-        closing = np.minimum(closing, gap) / 2
+        closing = np.minimum(closing, self._gap_px(skin_px) - self._least_px) / 2
         for felt, way in zip(self._felt, (closing, -closing), strict=True):
-            skin_px[:, 1] += felt @ way
+            skin_px[:, :2] += (felt @ way)[:, None] * self._down
         return skin_px
 
 
-def _felt_by(own_px: Array, rim: Indices, reach_px: float, side: float) -> sparse.csr_array:
-    """(n, n_rim): how far vertices of one lip (side 1: below the rim) go with its rim."""
-    apart = own_px[:, None, :2] - own_px[None, rim, :2]
+def _felt_by(own_px: Array, rim: Indices, reach_px: float, side: Array) -> sparse.csr_array:
+    """(n, n_rim): how far vertices of one lip go with its rim; side (2,): where the lip lies."""
+    apart = own_px[:, None] - own_px[None, rim]
     nearest = np.argmin((apart**2).sum(axis=2), axis=1)
     from_rim = apart[np.arange(len(own_px)), nearest]
     share = np.exp(-((from_rim**2).sum(axis=1)) / reach_px**2)
     # The rim itself, and of the rest what lies on its own side.
-    share[(share < 0.02) | (side * from_rim[:, 1] < 0.0)] = 0.0
+    share[(share < 0.02) | (from_rim @ side < 0.0)] = 0.0
     share[rim] = 1.0
     rows = np.flatnonzero(share)
     shape = (len(own_px), len(rim))
@@ -102,7 +111,7 @@ class Unfolding:
             rows, which = np.unique(corners.ravel(), return_inverse=True)
             counts = np.bincount(which)
             wanted = np.stack([np.bincount(which, column) for column in together.T], axis=1)
-            moves[rows] = 0.5 * (moves[rows] + wanted / counts[:, None])
+            moves[rows] = wanted / counts[:, None]
         return self._rest + moves
 
 

@@ -25,6 +25,10 @@ _FINE = 3
 _LIGHT = np.array([-0.25, 0.35, 0.9]) / np.linalg.norm([-0.25, 0.35, 0.9])
 #: Light between the lips: least, and from which gap to which, mm, as in the page's twin.
 _LEAST_LIGHT, _DARK_MM, _LIGHT_MM = 0.15, 0.9, 6.0
+#: Lips that are no farther apart in a photograph are closed there.
+_CLOSED_MM = 2.0
+#: Nearer lips touch each other; the shade of lips that hardly part, and up to how far apart.
+_SLIT_MM, _SHADE, _PARTED_MM = 0.35, 0.55, 1.6
 #: Behind the teeth, sRGB.
 _DARKNESS = np.array([38.0, 14.0, 14.0], dtype=np.float32)
 #: An inner lip is seen this far into the mouth, mm, before it is in its own shadow.
@@ -59,6 +63,13 @@ class MouthInside:
         self._upper_rows = np.arange(upper + 1)
         self._lower_rows = np.concatenate([np.arange(upper, len(lips_px)), [0]])[::-1]
         self._rest_px = lips_px[:, :2]
+        # Lips that are closed in the photograph have a line of their own where they meet.
+        own_px = np.linalg.norm(
+            self._rest_px[self._lower_rows] - self._rest_px[self._upper_rows], axis=1
+        )
+        is_closed = float(own_px.max()) < _CLOSED_MM * photo.px_per_mm
+        slit_px = _SLIT_MM * photo.px_per_mm
+        self._own_px = own_px + slit_px if is_closed else np.full(len(own_px), slit_px)
 
     def draw_into(
         self, picture: Picture, frame: Frame, lips_px: Array, turned: tuple[Array, Array]
@@ -74,15 +85,19 @@ class MouthInside:
         if (high <= low).any():
             return
         view = picture[low[1] : high[1], low[0] : high[0]]
-        gaps = _Opening(flat, self._upper_rows, self._lower_rows, low, view.shape[:2])
-        if not gaps.cover.any():
+        gaps = _Opening(flat, self._upper_rows, self._lower_rows, self._own_px, low, view.shape[:2])
+        if not gaps.hole.any():
             return
         lips = cv2.remap(
             self._photo.picture, *gaps.nearest_lip(self._rest_px), cv2.INTER_LINEAR
         ).astype(np.float32)
         inside = self._inside(frame, turned, low, view.shape[:2], gaps)
         cover = gaps.cover[..., None]
-        rim = np.where(cover > 0.0, lips, view.astype(np.float32))
+        # Lips that hardly part are seen through nothing: what is between them is their own shade.
+        apart = np.clip(gaps.open_px / (_PARTED_MM * self._photo.px_per_mm), 0.0, 1.0)[..., None]
+        inside = apart * inside + (1 - apart) * (_SHADE * lips)
+        hole = gaps.hole[..., None]
+        rim = hole * lips + (1 - hole) * view.astype(np.float32)
         view[...] = np.clip(cover * inside + (1 - cover) * rim, 0, 255).astype(np.uint8)
 
     def _inside(
@@ -119,6 +134,7 @@ class _Opening:
         lips: Array,
         upper_rows: NDArray[np.int_],
         lower_rows: NDArray[np.int_],
+        own_px: Array,
         low: NDArray[np.int_],
         shape: tuple[int, int],
     ) -> None:
@@ -136,7 +152,12 @@ class _Opening:
         )
         within = (s >= self._s[0][0]) & (s <= self._s[0][-1])
         open_px = np.minimum(t + 0.5, bottom) - np.maximum(t - 0.5, top)
+        self.hole = np.where(within, np.clip(open_px, 0.0, 1.0), 0.0).astype(np.float32)
+        margin = np.interp(s, self._s[0], own_px) / 2
+        top, bottom = top + margin, bottom - margin
+        open_px = np.minimum(t + 0.5, bottom) - np.maximum(t - 0.5, top)
         self.cover = np.where(within, np.clip(open_px, 0.0, 1.0), 0.0).astype(np.float32)
+        self.open_px = np.maximum(0.0, bottom - top)
         self.widest_px = float(np.max(np.where(within, bottom - top, 0.0)))
         self.below_upper_px = t - top
         self._along, self._is_upper = s, (t - top) < (bottom - t)

@@ -6,17 +6,19 @@ warped by its triangles, never painted: each pixel is looked up in the photograp
 """
 
 from dataclasses import fields
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lipservo.display.mouth_inside import MouthInside
 from lipservo.display.lip_contact import LipContact, Mesh, Unfolding
+from lipservo.display.mouth_inside import MouthInside
 from lipservo.display.photo_face import PhotoFace
 from lipservo.display.raster import covered
 from lipsync.arrays import Array, Indices
 from lipsync.errors import check_extra
 from lipsync.face.frame import Frame
+from lipsync.face.model import FaceModel
 from lipsync.markers import INNER_LIP
 from lipsync.twin.head_surface import FACE_RIM, LEFT_EYE, RIGHT_EYE, boundary_loops
 from lipsync.video.face_detection import Picture
@@ -25,6 +27,8 @@ from lipsync.video.face_detection import Picture
 _RINGS = ((0.06, 0.9), (0.16, 0.68), (0.30, 0.42), (0.48, 0.2), (0.70, 0.0))
 #: A head turned farther than this shows what no photograph from the front has, degrees.
 _MOST_POSE_DEG = {"pitch": 10.0, "yaw": 12.0, "roll": 12.0}
+#: The background's map is drawn for one pixel in so many each way.
+_COARSE = 4
 #: What moves less than this is not drawn anew, px.
 _STILL_PX = 0.02
 #: What lids, brows and smile can be asked for without looking like a mask.
@@ -66,11 +70,10 @@ class PhotoDisplay:
         middle = rim_px.mean(axis=0)
         rings = np.vstack([middle + (1 + far) * (rim_px - middle) for far, _ in _RINGS])
         ring_rows = np.vstack([self._rim, first + np.arange(len(rings)).reshape(len(_RINGS), -1)])
-        back = np.concatenate(
-            [_band(*pair) for pair in zip(ring_rows[:-1], ring_rows[1:], strict=True)]
-        )
+        back = np.concatenate([_band(*pair) for pair in pairwise(ring_rows)])
         rest_px = np.vstack([own_px[:, :2], eye_px[:, :2], rings])
         behind = np.vstack([back[::-1], *eye_fans])
+        self._eye_fans = slice(len(back), len(behind))
         self._mesh = Mesh(
             rest_px, np.vstack([behind, faces]), slice(len(behind), len(behind) + len(faces))
         )
@@ -84,11 +87,26 @@ class PhotoDisplay:
         self._box = (slice(low[1], high[1]), slice(low[0], high[0]))
         rows, columns = np.mgrid[self._box].astype(np.float32)
         self._still = np.stack([columns, rows])
+        n_coarse = -(-np.array(self._still.shape[1:]) // _COARSE) + 1
+        rows, columns = (_COARSE * np.mgrid[: n_coarse[0], : n_coarse[1]]).astype(np.float32)
+        self._still_coarse = np.stack([columns + low[0], rows + low[1]])
+        rows, columns = (self._still[::-1] - low[::-1, None, None]).astype(np.float32) / _COARSE
+        self._at_coarse = np.ascontiguousarray(columns), np.ascontiguousarray(rows)
 
     @property
     def mesh(self) -> Mesh:
         """What is warped, at rest."""
         return self._mesh
+
+    @property
+    def own(self) -> Array:
+        """Coefficients of the mouth as it was photographed."""
+        return self._photo.own
+
+    def model_moves_px(self, face: FaceModel, coefficients: Array) -> Array:
+        """(n_points, 2): how far the model's points are from where the photograph has them."""
+        moves = face.markers_mm((coefficients - self._photo.own)[None])[0] - face.mean_mm
+        return np.asarray((moves @ self._photo.matrix.T)[:, :2])
 
     @property
     def size(self) -> tuple[int, int]:
@@ -129,19 +147,48 @@ class PhotoDisplay:
         return self._unfold.unfolded(np.vstack([skin[:, :2], *eyes, rings])), skin[:, 2]
 
     def source_of(self, moved_px: Array) -> NDArray[np.float32]:
-        """(2, rows, columns) of the part that moves: where in the photograph each pixel comes from."""
-        maps = self._still.copy()
+        """(2, rows, columns) of the part that moves: from where in the photograph a pixel comes."""
         rest = self._mesh.rest_px
-        still = (np.abs(moved_px - rest) < _STILL_PX).all(axis=1)
-        triangles = self._mesh.triangles
+        still: NDArray[np.bool_] = (np.abs(moved_px - rest) < _STILL_PX).all(axis=1)
         # Where nothing moves the map is there already; but what lies over what moves is drawn.
-        goes = ~still[triangles].all(axis=1)
-        goes[self._mesh.skin] |= goes.any() and bool((~still[self._eyes]).any())
-        triangles = triangles[goes]
-        corners = moved_px[triangles] - self.corner_px
-        found = covered(corners, *maps.shape[1:])
-        maps[:, found.rows, found.columns] = found.interpolated(corners, rest[triangles])
+        goes: NDArray[np.bool_] = ~still[self._mesh.triangles].all(axis=1)
+        goes[self._mesh.skin] |= not still[self._eyes].all()
+        around = np.flatnonzero(goes[: self._mesh.skin.start])
+        maps = self._still
+        if len(around):  # smooth and wide: a coarse map will do, of all there is
+            maps = self._coarse(moved_px)
+        maps = maps.copy()
+        skin = self._mesh.triangles[self._mesh.skin][goes[self._mesh.skin]]
+        fine = np.vstack([self._mesh.triangles[self._eye_fans], skin])
+        self._draw(maps, moved_px - self.corner_px, rest, fine)
         return maps
+
+    def _coarse(self, moved_px: Array) -> NDArray[np.float32]:
+        """The map of everything, from one pixel in so many each way."""
+        import cv2
+
+        corner = np.array(self.corner_px)
+        maps = self._still_coarse.copy()
+        self._draw(maps, (moved_px - corner) / _COARSE, self._mesh.rest_px, self._mesh.triangles)
+        columns, rows = self._at_coarse
+        offsets = (maps - self._still_coarse).astype(np.float32)
+        wide = [
+            cv2.remap(each, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            for each in offsets
+        ]
+        return np.asarray(self._still + np.stack(wide))
+
+    @staticmethod
+    def _draw(
+        maps: NDArray[np.float32], moved_px: Array, rest_px: Array, triangles: Indices
+    ) -> None:
+        corners = moved_px[triangles]
+        found = covered(corners, *maps.shape[1:])
+        flat = found.rows * maps.shape[2] + found.columns
+        for layer, values in zip(
+            maps, found.interpolated(corners, rest_px[triangles]), strict=True
+        ):
+            layer.reshape(-1)[flat] = values
 
     @property
     def corner_px(self) -> tuple[int, int]:

@@ -50,7 +50,7 @@ def read_photo(path: Path) -> tuple[Picture, float]:
             width, height = image.size
             if width * height > _MOST_PIXELS:
                 raise PhotoError(
-                    f"{path}: {width} x {height} pixels; give at most {_MOST_PIXELS // 10**6} million"
+                    f"{path}: {width} x {height} pixels; {_MOST_PIXELS // 10**6} million at most"
                 )
             if min(width, height) < _LEAST_SIDE_PX:
                 raise PhotoError(

@@ -34,11 +34,13 @@ class Covered:
         slopes = np.linalg.solve(np.where(flat[:, None, None], np.eye(2), sides), rises)
         level = values[:, 0] - (x[:, :1] * slopes[:, 0] + y[:, :1] * slopes[:, 1])
         columns, rows = self.columns.astype(np.float32), self.rows.astype(np.float32)
-        across, down, at_zero = (
-            each.astype(np.float32).T[:, self.triangle]
-            for each in (slopes[:, 0], slopes[:, 1], level)
-        )
-        return np.asarray(across * columns + down * rows + at_zero)
+        found = np.empty((values.shape[2], len(columns)), dtype=np.float32)
+        for k, row in enumerate(found):
+            np.take(slopes[:, 0, k].astype(np.float32), self.triangle, out=row)
+            row *= columns
+            row += np.take(slopes[:, 1, k].astype(np.float32), self.triangle) * rows
+            row += np.take(level[:, k].astype(np.float32), self.triangle)
+        return found
 
 
 def covered(corners_px: Array, height: int, width: int) -> Covered:

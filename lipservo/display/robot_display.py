@@ -78,7 +78,7 @@ def moved_channels(
     rig: Mapping[str, RigServo], positions_deg: Mapping[str, float]
 ) -> dict[tuple[str, str], float]:
     """Degrees in the drawing's directions, by channel and side."""
-    found = {}
+    found: dict[tuple[str, str], float] = {}
     for name, deg in positions_deg.items():
         servo = rig.get(name)
         if servo is None or servo.channel is None:
@@ -115,7 +115,7 @@ class _Canvas:
         jaw_units = _UNIT * self._jaw_mm
         jaw = np.array([[104, 214], [106, 292], [124, 336], [162, 356], [200, 362]], dtype=float)
         jaw = np.vstack([jaw, (400.0, 0.0) + jaw[-2::-1] * (-1.0, 1.0)])
-        self._fill(_curve(jaw) + (0.0, jaw_units), _JAW, _LINE, "skull")
+        self._fill(_curve(jaw) + np.array([0.0, jaw_units]), _JAW, _LINE, "skull")
         half = np.array([[200, 32], [262, 52], [303, 108], [313, 166], [309, 220], [296, 262],
                          [272, 284], [236, 292]], dtype=float)  # fmt: skip
         skull = np.vstack([half, (400.0, 0.0) + half[:0:-1] * (-1.0, 1.0)])
@@ -130,7 +130,8 @@ class _Canvas:
             if ("brow", side) in self._moved:
                 up = -_UNIT * _horn_mm(self._deg("brow", side))
                 brow = _curve(
-                    middle + [[-26, -39 + up], [0, -46 + up], [26, -39 + up]], closed=False
+                    middle + np.array([[-26, -39 + up], [0, -46 + up], [26, -39 + up]]),
+                    closed=False,
                 )
                 self._line(brow, _LINE, 5.0)
 
@@ -177,10 +178,10 @@ class _Canvas:
         self._fill(_ring(above, below), _CAVITY, None)
         gap = max(0.0, mid_lower - mid_upper)
         at = _MOUTH_AT + _UNIT * np.array([-9.0, min(mid_upper, 0.0)])
-        self._fill(_box(*at, _UNIT * 18, _UNIT * min(gap, 5.0)), _TEETH, None)
+        self._fill(_box(at[0], at[1], _UNIT * 18, _UNIT * min(gap, 5.0)), _TEETH, None)
         low = max(0.0, min(gap - 5.0, 3.5))
         at = _MOUTH_AT + _UNIT * np.array([-8.0, mid_lower - low])
-        self._fill(_box(*at, _UNIT * 16, _UNIT * low), _TEETH, None)
+        self._fill(_box(at[0], at[1], _UNIT * 16, _UNIT * low), _TEETH, None)
         self._fill(_ring(above, high), _LIPS, _LIP_LINE)
         self._fill(_ring(below, deep), _LIPS, _LIP_LINE)
 

@@ -9,10 +9,11 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lipservo.display.raster import covered
 from lipservo.display.shipped_faces import TWIN_AT_PX, TWIN_PX_PER_MM, TWIN_SIZE
-from lipsync.arrays import Array
+from lipsync.arrays import Array, Indices
 from lipsync.face.model import load_face
 from lipsync.twin.packed import vertex_normals
 from lipsync.twin.parts import Eyeball
@@ -54,11 +55,11 @@ def twin_picture() -> Array:
     return np.asarray(_srgb(small), dtype=np.float64)
 
 
-def _meshes(twin: Twin) -> list[tuple[Array, Array, Array]]:
+def _meshes(twin: Twin) -> list[tuple[Array, Indices, Array]]:
     """Places, triangles and colours, from the back to the front."""
     parts = {part.name: part for part in twin.parts}
     rest = dict(zip(twin.components, twin.rest.tolist(), strict=True))
-    found = []
+    found: list[tuple[Array, Indices, Array]] = []
     for name in ("neck", "lids_left", "lids_right", "skin"):
         part = parts[name]
         places = part.places_mm.copy()
@@ -70,7 +71,7 @@ def _meshes(twin: Twin) -> list[tuple[Array, Array, Array]]:
     return found
 
 
-def _eye_mesh(eye: Eyeball) -> tuple[Array, Array, Array]:
+def _eye_mesh(eye: Eyeball) -> tuple[Array, Indices, Array]:
     from trimesh.creation import icosphere
 
     ball = icosphere(subdivisions=5, radius=eye.radius_mm)
@@ -84,7 +85,7 @@ def _eye_mesh(eye: Eyeball) -> tuple[Array, Array, Array]:
     return places + eye.centre_mm, np.asarray(ball.faces), colours
 
 
-def _outward(fine: Array, triangles: Array) -> Array:
+def _outward(fine: Array, triangles: Indices) -> NDArray[np.bool_]:
     a, b, c = (fine[triangles[:, corner]] for corner in range(3))
     u, v = b - a, c - a
     return np.asarray(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] < 0.0)
