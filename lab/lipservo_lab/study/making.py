@@ -82,17 +82,19 @@ def held_out(corpus: Corpus, test: frozenset[str], seed: str) -> tuple[Utterance
     return tuple(sentences[i] for i in order)
 
 
-def planned_study(plan: Plan, material: Material) -> tuple[Study, Key]:
-    """The study without its clips. Raises StudyError."""
+def planned_study(
+    plan: Plan, read: Sequence[Utterance], learned: Sequence[Utterance]
+) -> tuple[Study, Key]:
+    """The study without its clips; read, learned: as `Material` has them. Raises StudyError."""
     sentences = [
         Sentence(
             u.name,
             tuple(word.text.lower() for word in spoken_words(u)),
             round(len(u.markers_mm) / u.frame_rate_hz, 3),
         )
-        for u in material.read[: sentences_needed(plan.size, len(plan.methods))]
+        for u in read[: sentences_needed(plan.size, len(plan.methods))]
     ]
-    said = [tuple(w.text.lower() for w in spoken_words(u)) for u in material.learned]
+    said = [tuple(w.text.lower() for w in spoken_words(u)) for u in learned]
     return make_study(
         plan.methods,
         sentences,

@@ -76,7 +76,7 @@ def film(faces, rate_hz, sound, out):
 @pytest.fixture(scope="module")
 def made(material, tmp_path_factory):
     folder = tmp_path_factory.mktemp("made") / "study"
-    study, key = planned_study(plan(), material)
+    study, key = planned_study(plan(), material.read, material.learned)
     write_made_study(folder, study, key, material, film, lambda _done, _of: None)
     return folder
 
@@ -145,7 +145,7 @@ def test_a_film_that_fails_leaves_no_folder(material, tmp_path):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    study, key = planned_study(plan(), material)
+    study, key = planned_study(plan(), material.read, material.learned)
     with pytest.raises(OutputError, match="No space left on device"):
         write_made_study(tmp_path / "s", study, key, material, full, lambda *_: None)
     assert list(tmp_path.iterdir()) == []
@@ -153,14 +153,19 @@ def test_a_film_that_fails_leaves_no_folder(material, tmp_path):
 
 def test_too_few_held_out_sentences_are_said_before_anything_is_filmed(material):
     with pytest.raises(StudyError, match="8 sentences are held out, 12 are needed: 9 to rate"):
-        planned_study(plan(Size(ratings=9, readings=3, sentences=9)), material)
+        planned_study(
+            plan(Size(ratings=9, readings=3, sentences=9)), material.read, material.learned
+        )
 
 
 def test_a_model_that_has_learned_what_is_shown_is_refused(corpus, tmp_path):
     pytest.importorskip("av", reason="PyAV is not installed (extra film)")
     save_model(train(read_grid(corpus).labelled()), tmp_path / "m.npz")
     with pytest.raises(StudyError, match=r"m\.npz: was trained on 8 of the sentences"):
-        run("make", tmp_path / "s", "--corpus", corpus, "--model", tmp_path / "m.npz", "-q")
+        run(
+            "make", tmp_path / "s", "--corpus", corpus, "--model", tmp_path / "m.npz", "-q",
+            "--methods", "recorded,still", "--ratings", 2, "--sentences", 2, "--readings", 2,
+        )  # fmt: skip
     assert not (tmp_path / "s").exists()
 
 

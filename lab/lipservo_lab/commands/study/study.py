@@ -1,10 +1,10 @@
-"""`lipservo study`: people rate mouths. `make`, `serve`, `report`; `rehearse` and `power` before."""
+"""`lipservo study`: `make`, `serve`, `report` one with people; `rehearse`, `power` before."""
 
 import secrets
 from collections.abc import Iterator, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.progress import Progress
@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from lipservo_lab.study.making import Film
 
 _METHODS = "recorded,ears,words,scripted,wei-deng,edge,cohen-massaro,catmull-rom,rhubarb,still"
-_SIZE = (640, 480)
+#: Square, so that the face fills it: a mouth is what is judged.
+_SIZE = (640, 640)
 Folder = Annotated[Path, typer.Argument(help="Folder of the study.")]
 Ratings = Annotated[int, typer.Option(min=0, max=400, help="Clips that a rater rates.")]
 Pairs = Annotated[int, typer.Option(min=0, max=400, help="Pairs that a rater compares.")]
@@ -99,14 +100,10 @@ def make(
         ).labelled()
         test = _test_of(corpus, recordings)
         learned = tuple(u for u in recordings.utterances if u.name not in test)
+        read = held_out(recordings, test, plan.seed)
+        study, key = planned_study(plan, read, learned)
         trained = _model_for(recordings, test, model, progress)
-        material = Material(
-            trained,
-            held_out(recordings, test, plan.seed),
-            learned,
-            faces_of_methods(trained, recordings),
-        )
-        study, key = planned_study(plan, material)
+        material = Material(trained, read, learned, faces_of_methods(trained, recordings))
         film = _film_on(face, landmarker, trained)
         step = progress.add_task("filming", total=len(key.clips))
         write_made_study(
