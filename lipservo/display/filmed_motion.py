@@ -9,8 +9,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import soundfile
 
-from lipservo.commands.run.exported_speech import SpokenSound
 from lipservo.rendering.line_expression import line_expression
+from lipservo.rendering.spoken_sound import SpokenSound
 from lipservo.runtime.motion_options import MotionOptions
 from lipservo.runtime.servos.assembly import load_settings
 from lipservo.runtime.sound import speaker_of

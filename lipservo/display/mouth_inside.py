@@ -219,7 +219,7 @@ def _sprite(photo: PhotoFace, part: Part, own: dict[str, float]) -> _Sprite:
     pixels = np.zeros((height, width, 4), dtype=np.float32)
     pixels[found.rows, found.columns, :3] = painted
     pixels[found.rows, found.columns, 3] = 1.0
-    soft = cv2.blur(pixels, (_FINE, _FINE))
+    soft = np.asarray(cv2.blur(pixels, (_FINE, _FINE)), dtype=np.float32)
     soft[..., :3] /= np.maximum(soft[..., 3:], 1e-6)
     return _Sprite(soft.astype(np.float32), low)
 

@@ -149,9 +149,9 @@ class PhotoDisplay:
     def source_of(self, moved_px: Array) -> NDArray[np.float32]:
         """(2, rows, columns) of the part that moves: from where in the photograph a pixel comes."""
         rest = self._mesh.rest_px
-        still: NDArray[np.bool_] = (np.abs(moved_px - rest) < _STILL_PX).all(axis=1)
+        still = np.asarray((np.abs(moved_px - rest) < _STILL_PX).all(axis=1))
         # Where nothing moves the map is there already; but what lies over what moves is drawn.
-        goes: NDArray[np.bool_] = ~still[self._mesh.triangles].all(axis=1)
+        goes = np.asarray(~still[self._mesh.triangles].all(axis=1))
         goes[self._mesh.skin] |= not still[self._eyes].all()
         around = np.flatnonzero(goes[: self._mesh.skin.start])
         maps = self._still

@@ -75,7 +75,7 @@ class LipGaps:
         """The gaps at other places along the lips, mm."""
         known = np.concatenate([[0.0], self.along, [1.0]])
         gaps = np.concatenate([[0.0], self.gaps_mm(coefficients), [0.0]])
-        return np.interp(along, known, gaps)
+        return np.asarray(np.interp(along, known, gaps))
 
 
 @dataclass(frozen=True, slots=True)

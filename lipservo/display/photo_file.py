@@ -143,7 +143,11 @@ def framed(
         smaller = cv2.resize(
             picture[: 2 * half[1], : 2 * half[0]], half, interpolation=cv2.INTER_AREA
         )
-        return framed(smaller, {n: _scaled(at, 0.5) for n, at in landmarks.items()}, size)
+        return framed(
+            np.asarray(smaller, dtype=np.uint8),
+            {n: _scaled(at, 0.5) for n, at in landmarks.items()},
+            size,
+        )
     middle = np.mean([place[:2] for place in landmarks.values()], axis=0)
     room = np.maximum(np.array([width, height]) - np.array(size) / scale, 0.0)
     corner = np.clip(middle - _MIDDLE * np.array(size) / scale, 0.0, room)
