@@ -29,6 +29,8 @@ REASONS: Final[Mapping[Reason, str]] = {
 }
 _LEAST_DONE = _WRONG_CHECKS = 0.5
 _ALIKE, _HASTY = 0.9, 0.1
+_NAMES = ("zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
+_DIGITS: Final = {str(n): name for n, name in enumerate(_NAMES)}
 #: A share of fewer answers says nothing.
 _FEWEST = 8
 _INVERTED_P = 0.01
@@ -174,7 +176,7 @@ def tables_of(study: Study, key: Key, raters: Mapping[str, RaterRecord]) -> Tabl
     )
 
 
-def _read_sentences(study: Study, key: Key) -> dict[str, tuple[str, ...]]:
+def _read_sentences(study: Study, key: Key) -> dict[str, list[str]]:
     """The words of every sentence that is read without sound."""
     clips = {
         clip
@@ -183,7 +185,10 @@ def _read_sentences(study: Study, key: Key) -> dict[str, tuple[str, ...]]:
         if item.kind == "reading"
         for clip in item.clips
     }
-    return {key.clips[name].sentence: key.clips[name].words for name in sorted(clips)}
+    return {
+        key.clips[name].sentence: words_in(" ".join(key.clips[name].words))
+        for name in sorted(clips)
+    }
 
 
 def _words_read(
@@ -194,12 +199,13 @@ def _words_read(
     others = [words for name, words in sentences.items() if name != clip.sentence]
     by_chance = [words_in_order(typed, words) for words in others]
     chance = float(np.mean(by_chance)) if by_chance else 0.0
-    return words_in_order(typed, clip.words), len(clip.words), chance
+    said = sentences[clip.sentence]
+    return words_in_order(typed, said), len(said), chance
 
 
 def words_in(text: str) -> list[str]:
-    """The words of a text as they are compared: lower case, without punctuation."""
-    return re.findall(r"[\w']+", text.lower())
+    """The words of a text as they are compared: lower case, no punctuation, digits by name."""
+    return [_DIGITS.get(word, word) for word in re.findall(r"[\w']+", text.lower())]
 
 
 def words_in_order(typed: Sequence[str], said: Sequence[str]) -> int:

@@ -116,6 +116,7 @@ def test_strengths_are_those_that_scipy_finds():
 def test_words_count_in_their_order_without_case_and_punctuation():
     said = ("bin", "blue", "at", "f", "two", "now")
 
+    assert words_in("F 2") == ["f", "two"]
     assert words_in_order(words_in("Bin, blue at F two NOW."), said) == 6
     assert words_in_order(words_in("blue bin now"), said) == 2
     assert words_in_order(words_in("I read blue ... and now"), said) == 2
