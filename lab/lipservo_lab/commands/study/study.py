@@ -1,5 +1,6 @@
 """`lipservo study`: `make`, `serve`, `report` one with people; `rehearse`, `power` before."""
 
+import contextlib
 import secrets
 from collections.abc import Iterator, Sequence
 from importlib.resources import files
@@ -238,7 +239,9 @@ def serve(
                 MESSAGES.print(f"study: {address_of(listener, token)}", soft_wrap=True)
 
         app = study_app(StudyDesk(study, answers, minutes_of(study)), folder, token)
-        server_of(app, ready).run([bounded(listener)])
+        # Ctrl-C is how it ends; the server raises it again when every request is answered.
+        with contextlib.suppress(KeyboardInterrupt):
+            server_of(app, ready).run([bounded(listener)])
         if not quiet:
             done = sum(
                 len(each.answers) == len(study.sheets[each.sheet])
