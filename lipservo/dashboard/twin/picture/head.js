@@ -9,8 +9,8 @@ const LOOK_AT_MM = [0, -52, -45];
 const DISTANCE_MM = 640;
 const FIELD_OF_VIEW_DEG = 27;
 /** The same from near: the middle of the mouth, and from how far it is seen. */
-const MOUTH_AT_MM = [0, -76, 5];
-const NEAR_MM = 175;
+const MOUTH_AT_MM = [0, -84, 5];
+const NEAR_MM = 205;
 /** Light reaches the teeth when the lips are open: least, and from which gap to which. */
 const MOUTH_LIGHT = { least: 0.12, fromMm: 0.9, toMm: 5 };
 const IN_MOUTH = ["teeth_upper", "teeth_lower", "mouth"];
