@@ -36,10 +36,14 @@ class RaterRecord:
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """What a file holds. torn: bytes at its end that are no whole line."""
+    """What a file holds. torn: bytes at its end that are no whole line.
+
+    is_simulated: by a rehearsal.
+    """
 
     raters: dict[str, RaterRecord]
     torn: bytes = b""
+    is_simulated: bool = False
 
 
 class AlreadyAnsweredError(StudyError):
@@ -53,7 +57,8 @@ class UnknownRaterError(StudyError):
 def parse_answers(path: Path, content: bytes, identity: str) -> Answers:
     """Read the lines of a study's file. Raises StudyError, naming the line, for a damaged one."""
     *lines, torn = content.split(b"\n")
-    answers = Answers({}, torn)
+    raters: dict[str, RaterRecord] = {}
+    is_simulated = False
     for number, line in enumerate(lines, 1):
         try:
             record = json.loads(line)
@@ -62,14 +67,15 @@ def parse_answers(path: Path, content: bytes, identity: str) -> Answers:
                     f"{path}: holds answers of study {record['study']}, this is {identity}; move "
                     "it away, or name the other study"
                 )
-            _add(answers.raters, record)
+            is_simulated |= "simulated" in record
+            _add(raters, record)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             if isinstance(error, StudyError):
                 raise
             raise StudyError(
                 f"{path}, line {number}: is no record of an answer; take the line out to go on"
             ) from error
-    return answers
+    return Answers(raters, torn, is_simulated)
 
 
 def read_answers(path: Path, identity: str) -> Answers:

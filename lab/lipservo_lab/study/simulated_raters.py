@@ -74,7 +74,7 @@ def simulated_records(
 ) -> Iterator[Record]:
     """The records of a file of answers, as `AnswerFile` writes them; a rater a character."""
     at = now()
-    yield first_record(study.identity)
+    yield {**first_record(study.identity), "simulated": True}
     population = _Population(study, key, taste, numbers)
     for count, character in enumerate(characters):
         name, sheet = f"{character}-{count}", count % len(study.sheets)

@@ -9,6 +9,7 @@ from lipservo_lab.corpus.grid import read_grid
 from lipservo_lab.evaluation.motion.methods import Heard
 from lipservo_lab.learning.motion.face_training import train
 from lipservo_lab.learning.motion.trained_model import save_model
+from lipservo_lab.study.answers import AnswerFile
 from lipservo_lab.study.making import (
     Material,
     Plan,
@@ -116,7 +117,7 @@ def run(*arguments):
 
 def test_simulated_raters_sit_it_and_the_report_finds_them_again(made, tmp_path):
     pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra plots)")
-    answers, page = tmp_path / "rehearsal.jsonl", tmp_path / "report.html"
+    answers, page = tmp_path / "trial.jsonl", tmp_path / "report.html"
     run("rehearse", made, "-o", answers, "--raters", "12")
     report = ("report", made, "--answers", answers, "-o", page, "--no-mixed", "--json", "-q")
     figures = json.loads(run(*report))
@@ -131,6 +132,19 @@ def test_simulated_raters_sit_it_and_the_report_finds_them_again(made, tmp_path)
     assert "A rehearsal" in html
     assert "src=" not in html
     assert "Rhubarb&#x27;s rules" in html
+
+
+def test_a_rehearsal_writes_over_another_one_and_never_over_answers_of_people(made, tmp_path):
+    trial, answers = tmp_path / "trial.jsonl", tmp_path / "answers.jsonl"
+    with AnswerFile(answers, read_study(made).identity) as file:
+        file.join("anna", 1)
+    before = answers.read_bytes()
+
+    run("rehearse", made, "-o", trial, "--raters", 2)
+    run("rehearse", made, "-o", trial, "--raters", 2)
+    with pytest.raises(OutputError):
+        run("rehearse", made, "-o", answers)
+    assert answers.read_bytes() == before
 
 
 def test_a_report_of_nobody_is_a_page_that_says_so(made, tmp_path):

@@ -300,8 +300,8 @@ def report(
         machines = machine_tables(folder / MACHINES_FILE, study, key)
         figures = study_figures(study, key, found, fitted, machines)
         about = f"Study {study.identity}, answers of {file.name}, reported {now()}"
-        is_rehearsal = answers is not None and "rehearsal" in answers.name
-        write_whole(path, report_page(figures, about=about, is_rehearsal=is_rehearsal))
+        page = report_page(figures, about=about, is_rehearsal=given.is_simulated)
+        write_whole(path, page)
     if as_json:
         print_json(figures)
         return
@@ -366,7 +366,7 @@ def rehearse(
     from lipsync.output_file import check_output, write_whole
 
     path = output or folder / "rehearsal.jsonl"
-    check_output(path, replaces=_is_answers, kind="file of answers")
+    check_output(path, replaces=_is_rehearsal, kind="rehearsal")
     study, key = read_study(folder), read_key(folder)
     characters = Crew(raters, lazy, lazy, lazy, inverted).characters
     records = simulated_records(
@@ -380,8 +380,9 @@ def rehearse(
     )
 
 
-def _is_answers(head: bytes) -> bool:
-    return head.startswith(b'{"kind": "study"')
+def _is_rehearsal(head: bytes) -> bool:
+    """What people answered is never written over."""
+    return b'"simulated"' in head.partition(b"\n")[0]
 
 
 def power(
