@@ -81,23 +81,26 @@ class TextSettings:
 
     settled_frames: so many frames after it the path to a frame is settled. n_heads: of the
     network's, the quickest; the one that waits longest adds nothing where words are known.
-    lowest: a phoneme costs no more than this against the likeliest in one frame. pause: of silence
-    between two words.
+    lowest: a phoneme costs no more than this against the likeliest in one frame. silence: of every
+    frame of it: phonemes that begin or end softly are known. pause: of silence between two words.
     left_out: of each word that is left out; again: of going back. escape: of every frame that the
-    escape takes; leave, resume: of going over to it and back. least_frames: of a phoneme.
+    escape takes; leave, resume: of going over to it and back; leave_pause: of going over to it from
+    silence, where other things are said most often. least_frames: of a phoneme.
     late_s, late: a word may begin so much beside its time, if it has one; of each second beyond it.
     """
 
     settled_frames: int = 17
     n_heads: int = 2
     lowest: float = -7.0
+    silence: float = 0.8
     pause: float = 1.0
     left_out: float = 8.0
     again: float = 12.0
     escape: float = 1.2
     leave: float = 20.0
+    leave_pause: float = 12.0
     resume: float = 25.0
-    least_frames: int = 2
+    least_frames: int = 3
     late_s: float = 0.15
     late: float = 100.0
 
@@ -125,6 +128,7 @@ class TextDecoder:
         self._settings = settings
         self._frames_per_s = frames_per_s
         self._pause = np.float32(settings.pause)
+        self._silence = np.float32(settings.silence)
         self._lowest = np.float32(settings.lowest)
         self._late = np.float32(settings.late / frames_per_s)
         self._tolerated = np.float32(settings.late_s * frames_per_s)
@@ -211,6 +215,7 @@ class TextDecoder:
         self._n_heard += 1
         scores = scores[: len(self._delays)]
         relative = np.maximum(scores - scores.max(axis=1, keepdims=True), self._lowest)
+        relative[:, SILENCE_INDEX] -= self._silence
         for head, delay in enumerate(self._delays):
             if delay <= n:
                 self._recent[(n - delay) % length, head] = relative[head]
@@ -246,8 +251,11 @@ class TextDecoder:
         entered[window.firsts] = into_first.take(window.word_of_first)
         found = np.maximum(scores + window.stays, entered)
         found += row.take(window.phonemes)
-        best = np.maximum.reduce(scores)
-        escape = max(front.escape, best - np.float32(settings.leave)) - np.float32(settings.escape)
+        left = max(
+            np.maximum.reduce(scores) - np.float32(settings.leave),
+            np.maximum.reduce(scores.take(window.silences)) - np.float32(settings.leave_pause),
+        )
+        escape = max(front.escape, left) - np.float32(settings.escape)
         if keep:
             best = max(np.maximum.reduce(found), escape)
             found -= best
@@ -271,9 +279,9 @@ class TextDecoder:
         for front, before in zip(fronts[:0:-1], fronts[-2::-1], strict=True):
             if is_heard:
                 path.append(HEARD)
-                best = int(before.scores.argmax())
-                if before.scores[best] - np.float32(self._settings.leave) > before.escape:
-                    is_heard, state = False, best
+                left, source = self._left_from(before)
+                if left > before.escape:
+                    is_heard, state = False, source
                 continue
             path.append(int(front.window.phonemes[state]))
             is_heard, state = self._source(front, before, state)
@@ -285,6 +293,14 @@ class TextDecoder:
             self._place = float(window.first_word + window.words[state])
         self._n_idle = self._n_idle + 1 if self._place >= n_words else 0
         return path[::-1]
+
+    def _left_from(self, front: "_Front") -> tuple[np.float32, int]:
+        """With which score, and from which state of a front, the escape is best gone over to."""
+        best = int(front.scores.argmax())
+        pause = int(front.window.silences[front.scores.take(front.window.silences).argmax()])
+        from_best = front.scores[best] - np.float32(self._settings.leave)
+        from_pause = front.scores[pause] - np.float32(self._settings.leave_pause)
+        return (from_pause, pause) if from_pause > from_best else (from_best, best)
 
     def _source(self, front: "_Front", before: "_Front", state: int) -> tuple[bool, int]:
         """Whether the escape, or which state of the window before, a state was reached from."""
