@@ -211,7 +211,7 @@ def _gap_r(split: _Split, faces: Motions) -> float:
         recorded_mm.append(split.model.lip_gaps_mm(utterance.markers_mm)[: len(scored)][scored])
     gaps_mm = np.array([np.concatenate(made_mm), np.concatenate(recorded_mm)])
     moves = gaps_mm.std(axis=1).min() > 1e-6
-    return float(np.corrcoef(gaps_mm)[0, 1]) if moves else 0.0
+    return float(np.corrcoef(gaps_mm).flat[1]) if moves else 0.0
 
 
 def _robot_rows(
