@@ -56,6 +56,9 @@ class BenchGroup(LazyGroup):
             "calibration": Command(
                 f"{_BENCH}.bench:calibration", "Calibration of simulated robots.", _OTHER
             ),
+            "display": Command(
+                f"{_BENCH}.display:display", "Photographs and films that speak.", _OTHER
+            ),
             "face": Command(f"{_BENCH}.faces:face", "Expression and dashboard.", _OTHER),
             "agent": Command(f"{_BENCH}.agents:agent", "What an agent remembers.", _OTHER),
             "day": Command(f"{_BENCH}.agents:day", "An agent and a face all day.", _OTHER),
