@@ -54,6 +54,7 @@ COMMANDS = MappingProxyType(
         "trace": Command(f"{_RUN}.trace:app", "Compare recorded runs.", _WATCH),
         "bench": Command("", "Measure what the documentation claims.", _LAB),
         "learn": Command("", "Learn models from recordings.", _LAB),
+        "study": Command("", "Ask people which mouth looks right.", _LAB),
         "bridge-process": Command(
             f"{_RUN}.processes:bridge_process", "Own the port; started by daemon.", hidden=True
         ),

@@ -40,6 +40,7 @@ EXTRA_OF = {
     "mediapipe": "lipservo[video]",
     "matplotlib": "lipservo[plots]",
     "rustypot": "lipservo-lab[bench]",
+    "statsmodels": "lipservo-lab[study]",
     "espeakng_loader": "lipservo[say]",
     "piper": "lipservo[piper]",
     "dtaidistance": "lipservo[offline]",
