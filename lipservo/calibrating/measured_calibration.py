@@ -229,7 +229,13 @@ def calibrate_on_servos(
         def move(goal_deg: Array) -> Array:
             reached_deg = face.move(goal_deg)
             passed(reached_deg)
+            setup.watch.arrived(reached_deg)
             return reached_deg
+
+        def measure() -> Array:
+            seen_mm = tracker.measure()
+            setup.watch.seen(tracker.marker_names, seen_mm)
+            return seen_mm
 
         try:
             capture = capture_face(
@@ -237,7 +243,7 @@ def calibrate_on_servos(
                 tracker.marker_names,
                 Robot(
                     move,
-                    tracker.measure,
+                    measure,
                     tracker.arrived,
                     strained=lambda: strained_servo(setup, face.effort),
                 ),
@@ -250,7 +256,7 @@ def calibrate_on_servos(
                 setup,
                 Robot(
                     move,
-                    tracker.measure,
+                    measure,
                     lambda pose, reached_deg: tracker.arrived(n_taken + pose, reached_deg),
                 ),
             )

@@ -19,8 +19,14 @@ from firmware_bridge.gate.ramp import Ramp
 from firmware_bridge.loop.life_cycle import ImmediateStop, LifeCycle
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.stopping import StopLevel
-from lipservo.runtime.servos.driven_face import DrivenFace, DriveOptions, driven_face
+from lipservo.runtime.servos.driven_face import (
+    ControlOptions,
+    DrivenFace,
+    DriveOptions,
+    driven_face,
+)
 from lipservo.runtime.servos.face_stopped import FaceStopped
+from lipservo.runtime.status.silent_board import SilentBoard
 from lipservo.settings.settings import FaceSettings
 from lipsync.arrays import Array
 
@@ -65,17 +71,19 @@ class HeldFace:
         joints: Sequence[str] | None = None,
         from_neutral: bool = True,
         end: StopLevel = StopLevel.SOFT,
+        config: str | None = None,
     ) -> None:
         """bus: not yet entered; None: the face's own. joints: which ones poses speak of.
 
         from_neutral: go there first, else stay in place. end: how the face is left when the block
-        ends well.
+        ends well. config: as its status names it, for a page that watches; None: none does.
         """
+        self._settings, self._config = settings, config
         self.rate_hz = held_rate_hz(settings)
         self._clock = clock
         self._channel = MemoryTargetChannel()
-        how = DriveOptions(rate_hz=self.rate_hz)
-        self._opening = driven_face(settings, clock, self._channel, how, bus)
+        self._bus = bus
+        self._board: SilentBoard | None = None
         self._opened: DrivenFace | None = None
         self._speed_deg_s = speed_deg_s
         names = list(settings.servos)
@@ -189,7 +197,15 @@ class HeldFace:
 
     def _arm(self) -> None:
         with ExitStack() as leaving:
-            self._opened = leaving.enter_context(self._opening)
+            control = ControlOptions()
+            if self._config is not None:
+                watched = SilentBoard.create(self._settings, self._config)
+                self._board = leaving.enter_context(watched)
+                about = {"config": self._config}
+                control = ControlOptions(about=about, watched_fd=self._board.fileno)
+            how = DriveOptions(rate_hz=self.rate_hz, control=control)
+            opening = driven_face(self._settings, self._clock, self._channel, how, self._bus)
+            self._opened = leaving.enter_context(opening)
             self._ticks = self.life.ticks()
             self.life.start()
             bus = self._opened.bus
@@ -273,7 +289,9 @@ class HeldFace:
 
     def _send(self, time_s: float, late: int) -> None:
         self._channel.publish(ServoTargets(time_s, self._goal_deg))
-        self._driven.bridge.tick(time_s, late)
+        report = self._driven.bridge.tick(time_s, late)
+        if self._board is not None:
+            self._board.tell(self._driven.bridge, report)
 
 
 def _filled(columns: Array) -> Array:
