@@ -1,21 +1,10 @@
-"""Calibrations that a page leads: what it is told as JSON lines on stdout, and its orders on stdin.
+"""Calibrations that a page leads: poses made with sliders, and what is seen of those measured."""
 
-The page is another process, which may hang, be closed or die at any moment. So a thread of its own
-writes, and what waits to be written is bounded; another reads, and the newest order counts. What
-moves servos never waits for either.
-"""
-
-import contextlib
-import json
-import os
-import queue
-import sys
-import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -32,60 +21,16 @@ from lipservo.calibrating.guided_calibration import fit_by_eye
 from lipservo.calibrating.measured_calibration import CalibrationResult, with_lags
 from lipservo.runtime.servos.assembly import servo_memories
 from lipservo.runtime.servos.held_face import HeldFace
+from lipservo.terminal.page_line import END, Order, PageLine
 from lipservo.terminal.view import lip_loops_mm
 from lipsync.arrays import Array
 from lipsync.markers import INNER_LIP, OUTER_LIP
 
-Order = Mapping[str, Any]
-_MOST_WAITING: Final = 64
-_LONGEST_ORDER: Final = 4096
-#: What ends the work where the page's server is gone.
-_END: Final[Order] = {"key": "q"}
 #: Poses that `measure` takes beyond those that are planned, roughly: closing steps, the first ones
 #: again, and those to grade by. Seconds that a joint chirps.
 _MORE_POSES: Final = 80
 _CHIRP_S: Final = 14.0
 _S_A_MINUTE: Final = 60.0
-
-
-class PageLine:
-    """Both ways between a step and the page that leads it."""
-
-    def __init__(self) -> None:
-        self._told: queue.Queue[str] = queue.Queue(_MOST_WAITING)
-        self._orders: queue.Queue[Order] = queue.Queue(_MOST_WAITING)
-        for work in (self._write, self._read):
-            threading.Thread(target=work, name="page", daemon=True).start()
-
-    def tell(self, event: str, **content: Any) -> None:
-        """One event, of which the newest counts; left out where nothing is taken any more."""
-        with contextlib.suppress(queue.Full):
-            self._told.put_nowait(json.dumps({"event": event, **content}))
-
-    def finish(self) -> None:
-        """Wait until all that was told is written, a second at most."""
-        until_s = time.monotonic() + 1.0
-        while self._told.unfinished_tasks and time.monotonic() < until_s:
-            time.sleep(0.01)
-
-    def next_order(self, timeout_s: float | None = None) -> Order | None:
-        """The next order; None: none came in time."""
-        with contextlib.suppress(queue.Empty):
-            return self._orders.get(timeout=timeout_s)
-        return None
-
-    def _write(self) -> None:
-        while True:
-            line = self._told.get()
-            with contextlib.suppress(OSError):  # nobody reads: the servos' end is told otherwise
-                os.write(sys.stdout.fileno(), f"{line}\n".encode())
-            self._told.task_done()
-
-    def _read(self) -> None:
-        while line := sys.stdin.readline(_LONGEST_ORDER):
-            with contextlib.suppress(ValueError, queue.Full):
-                self._orders.put_nowait(dict(json.loads(line)))
-        self._orders.put(_END)
 
 
 class PageWatch(Watch):
@@ -182,7 +127,8 @@ def _guide(
         while not session.done:
             robot.lead(session.positions_deg)
             robot.hold_while(partial(show, session))
-            after = _after(session, robot.hold_while(page.next_order) or _END, page)
+            order = robot.hold_while(lambda: page.next_order() or END)
+            after = _after(session, order, page)
             if setup.keep is not None and len(after.made_deg) != len(session.made_deg):
                 keep_poses(after.made_deg, names, setup.keep)
             session = after

@@ -65,7 +65,7 @@ def draw_mouth(
     """
     canvas = np.zeros((MOUTH_ROWS, MOUTH_COLUMNS), dtype=np.int64)
     for loop_mm in lip_loops_mm(markers_mm, rest_mm, layout):
-        places_mm = loop_mm + [0.0, _ABOVE_MIDDLE_MM]
+        places_mm = loop_mm + np.array([0.0, _ABOVE_MIDDLE_MM])
         for start, end in pairwise([*places_mm, places_mm[0]]):
             _draw_line(canvas, start, end)
     character = _ascii if ascii_only else _braille

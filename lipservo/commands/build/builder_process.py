@@ -6,6 +6,7 @@ servos limp, when the page's server does.
 
 import json
 import os
+from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
@@ -20,7 +21,7 @@ from lipsync.errors import UserError
 if TYPE_CHECKING:
     from lipservo.calibrating.calibration_setup import CalibrationSetup
     from lipservo.calibrating.measured_calibration import CalibrationResult
-    from lipservo.calibrating.on_page import PageLine
+    from lipservo.terminal.page_line import PageLine
 
 Request = Mapping[str, Any]
 #: Servos that were found are spoken to at the rate that answers.
@@ -39,7 +40,7 @@ def builder_process(
     write_from_background()
     if os.getppid() != parent:  # it was gone before we asked
         raise typer.Exit(1)
-    from lipservo.calibrating.on_page import PageLine
+    from lipservo.terminal.page_line import PageLine
 
     page = PageLine()
     try:
@@ -83,7 +84,7 @@ def _limits(request: Request, page: "PageLine") -> None:
     from firmware_bridge.stopping import named_by_reason
     from lipservo.runtime.servos.assembly import load_settings
     from lipservo.runtime.servos.driven_face import ControlOptions, DriveOptions, driven_face
-    from lipservo.runtime.servos.limp_servos import LimpServos
+    from lipservo.runtime.servos.limp_servos import STEADY_LOOKS, LimpPose, LimpServos
     from lipservo.runtime.status.silent_board import SilentBoard
 
     config = request["config"]
@@ -103,8 +104,10 @@ def _limits(request: Request, page: "PageLine") -> None:
                 "hands away"
             )
         page.tell("limp", confirmed=report.confirmed)
+        looks: deque[LimpPose] = deque(maxlen=STEADY_LOOKS)
         for time_s, late in driven.life.ticks():
-            seen = servos.look()
+            looks.append(servos.look())
+            seen = servos.steady(looks)
             board.tell(driven.bridge, driven.bridge.tick(time_s, late))
             places = zip(servos.names, seen.positions_deg.tolist(), strict=True)
             page.tell(

@@ -175,8 +175,9 @@ class FirstHour:
             self._step.end()
 
     def name(self, servo_id: int, name: str, positive: str, part: str, *, same: bool) -> None:
-        """What a person says of a servo that was found. same: its first move did what `positive`
-        says.
+        """What a person says of a servo that was found.
+
+        same: its first move did what `positive` says.
         """
         with self._lock, _refusals():
             model = self._model_of(servo_id)

@@ -24,8 +24,9 @@ _COMPLAINS: Final = "lipservo: "
 
 
 class StepProcess:
-    """`lipservo builder-process STEP`, from its start to its end. Every method may be called by any
-    thread, and none waits.
+    """`lipservo builder-process STEP`, from its start to its end.
+
+    Methods may be called by any thread; but for `wait`, none waits.
 
     step: its name. events: the newest of each kind, by name. notes: what it said to a person, the
     newest last. error: why it ended, one line; None: it has not, or ended well.
@@ -128,7 +129,8 @@ class StepProcess:
         return f"the step {how}{last}"
 
     def _read_events(self) -> None:
-        assert self._process is not None and self._process.stdout is not None
+        assert self._process is not None
+        assert self._process.stdout is not None
         while line := self._process.stdout.readline(_LONGEST_LINE):
             try:
                 event = dict(json.loads(line))
@@ -137,7 +139,8 @@ class StepProcess:
                 self._note(line)
 
     def _read_notes(self) -> None:
-        assert self._process is not None and self._process.stderr is not None
+        assert self._process is not None
+        assert self._process.stderr is not None
         while line := self._process.stderr.readline(_LONGEST_LINE):
             self._note(line)
 

@@ -147,7 +147,7 @@ class StepBody(Body):
 
 
 class OrderBody(Body):
-    """Poses by eye: joints to these angles, or a key: \\r keeps the pose, x leaves it out, b q."""
+    """Poses by eye: joints to these angles, or a key: Enter keeps the pose, x leaves it out."""
 
     move: Annotated[dict[_Name, _Number], Field(min_length=1, max_length=64)] | None = None
     key: Literal["\r", "x", "b", "q"] | None = None
