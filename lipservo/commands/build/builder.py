@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lipservo.commands.options import OpenPage
+from lipservo.commands.options import OpenPage, Sim
 from lipservo.terminal.output import MESSAGES, RESULTS
 from lipsync.errors import UserError
 from lipsync.output_file import write_whole
@@ -67,6 +67,7 @@ def new_face(
             "--page", help="Lead through the first hour in a browser, on to the first words."
         ),
     ] = False,
+    sim: Sim = None,
     open_page: OpenPage = False,
 ) -> None:
     """Write the YAML of a face: servos that can be asked are found, hobby servos you name.
@@ -77,10 +78,10 @@ def new_face(
     and limits, calibration and first words as well; a YAML that is there is gone on with.
     """
     if page:
-        _first_hour(output, port or [], open_page=open_page)
+        _first_hour(output, port or [], sim, open_page=open_page)
         return
-    if open_page:
-        raise typer.BadParameter("--open goes with --page")
+    if open_page or sim:
+        raise typer.BadParameter("--open and --sim go with --page")
     from lipservo.runtime.servos.new_face import check_face_file, face_on_buses, parts_of
     from lipservo.settings.settings import parse_face
 
@@ -114,7 +115,7 @@ def new_face(
     RESULTS.print(f"{output}: {len(names)} joints. Next: {then}")
 
 
-def _first_hour(output: Path, ports: Sequence[str], *, open_page: bool) -> None:
+def _first_hour(output: Path, ports: Sequence[str], sim: str | None, *, open_page: bool) -> None:
     """Serve the page until Ctrl-C; then the step that runs lets its servos go."""
     from lipservo.access.token_file import read_token
     from lipservo.commands.run.dashboard import check_dashboard, serve_page
@@ -123,6 +124,8 @@ def _first_hour(output: Path, ports: Sequence[str], *, open_page: bool) -> None:
     check_dashboard()
     if len(ports) > 1:
         raise UserError("--page sets up one bus; several are named in a terminal")
+    if sim not in (None, "pty") or (sim and ports):
+        raise UserError("--sim knows `pty` only, and goes without --port")
     from lipservo.dashboard.child import bound_dashboard
     from lipservo.dashboard.face_link import FaceLink
     from lipservo.dashboard.first_hour.first_hour import FirstHour
@@ -130,7 +133,9 @@ def _first_hour(output: Path, ports: Sequence[str], *, open_page: bool) -> None:
     token_file = access_file(None, open_to_this_computer=False)
     token = read_token(None if token_file is None else str(token_file))
     with (
-        closing(FirstHour(output, next(iter(ports), None), token_file)) as hour,
+        closing(
+            FirstHour(output, next(iter(ports), None), token_file, simulated=bool(sim))
+        ) as hour,
         bound_dashboard(None, token) as bound,
     ):
         link = FaceLink(hour.control_path)

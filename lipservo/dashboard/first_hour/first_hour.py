@@ -52,8 +52,18 @@ Told = dict[str, Any]
 class FirstHour:
     """State of one face that is being made. path: of its YAML, which need not be there yet."""
 
-    def __init__(self, path: Path, port: str | None = None, token_file: Path | None = None) -> None:
-        """port: of the servos; None: chosen on the page. token_file: of the face's servers."""
+    def __init__(
+        self,
+        path: Path,
+        port: str | None = None,
+        token_file: Path | None = None,
+        *,
+        simulated: bool = False,
+    ) -> None:
+        """port: of the servos; None: of the YAML, or chosen on the page. simulated: made here.
+
+        token_file: of the face's servers.
+        """
         if not path.exists():
             check_face_file(path)
         elif load_settings(str(path))[0].buses:
@@ -75,6 +85,8 @@ class FirstHour:
         self._robot_s: dict[str, float] = {}
         self._note: str | None = None
         self._graded: Mapping[str, Any] | None = None
+        if simulated:
+            self._port, self._kind = self._simulate(), "dynamixel"
 
     # ---- what is so ----
 
@@ -101,6 +113,7 @@ class FirstHour:
                 "ends": self._ends,
                 "keeps": self._keep_file().exists(),
                 "step": None if step is None else _told_step(step),
+                "drives": self._socket() is not None,
                 "works": step.step if step is not None and runs else None,
                 "note": self._note,
                 "graded": self._graded,
@@ -109,13 +122,10 @@ class FirstHour:
 
     def control_path(self) -> Path:
         """Where the step that runs is stopped. Raises UserError where none drives servos."""
-        step = self._step
-        if step is not None and step.runs and step.pid is not None:
-            for path in runtime_folder().glob(f"*-{step.pid}{SOCKET_SUFFIX}"):
-                named = read_socket_name(path)
-                if named is not None and named[1] == step.pid:
-                    return path
-        raise UserError("no step of the first hour drives servos now")
+        path = self._socket()
+        if path is None:
+            raise UserError("no step of the first hour drives servos now")
+        return path
 
     # ---- what a person does ----
 
@@ -229,7 +239,14 @@ class FirstHour:
             self._ends.setdefault(servo, {})[end] = deg
 
     def write_limits(self) -> None:
-        """Into the YAML what was set, all or nothing; then into the servos."""
+        """Into the YAML what was set, all or nothing; then into the servos.
+
+        The servos are asked for nothing more before.
+        """
+        step = self._step
+        if step is not None and step.step == "limits" and step.runs:
+            step.end()
+            step.wait()
         with self._lock:
             self._check_idle()
             settings, trouble = self._settings()
@@ -270,6 +287,14 @@ class FirstHour:
             return load_settings(str(self.path))[0], None
         except (UserError, OSError) as error:
             return None, " ".join(str(error).split())
+
+    def _socket(self) -> Path | None:
+        """Of the step that runs; None: it has none, or none yet."""
+        step = self._step
+        if step is None or not step.runs or step.pid is None:
+            return None
+        paths = runtime_folder().glob(f"*-{step.pid}{SOCKET_SUFFIX}")
+        return next((path for path in paths if read_socket_name(path)), None)
 
     def _told_face(self, settings: FaceSettings) -> Told:
         calibration = settings.calibration
@@ -340,7 +365,8 @@ class FirstHour:
 
     def _simulate(self) -> str:
         if self._simulated is None:
-            self._simulated = self._stack.enter_context(simulated_servos(_SIMULATED))
+            made = ("--config", str(self.path)) if self.path.exists() else _SIMULATED
+            self._simulated = self._stack.enter_context(simulated_servos(made))
         return self._simulated.port
 
 

@@ -18,10 +18,11 @@ const beganMs = performance.now();
  * gathers it. While a face is stopped or starts, or its confirmed end stands on the page, servos
  * and dashboard that are gone are no alarm. Pure.
  */
-export function complaint({ frame, ageMs, openMs, phase, status, lastState, servosMs, refusal }) {
+export function complaint({ frame, ageMs, openMs, phase, status, lastState, servosMs, refusal, idle }) {
   if (refusal !== null) return ["bad", refusal];
   if (phase === "gone") return null;
   const isOld = frame !== null && ageMs > OLD_MS;
+  if (idle && !isOld && frame !== null) return null; // of a first hour, between two steps
   if (phase !== "moving" && (isOld || frame === null) && status !== null) return null;
   if (frame === null) {
     return openMs < PATIENT_MS ? null : ["bad", "The dashboard sends nothing. Is it still running?"];
@@ -63,9 +64,12 @@ const ENDED =
   "Start it again at its computer, with `lipservo run` or `lipservo daemon`.";
 
 /** [words, tone] of the head: how the face is, in a few words. Pure. */
-export function headWords({ frame, ageMs, phase, status, word, lastState, refusal }) {
+export function headWords({ frame, ageMs, phase, status, word, lastState, refusal, idle }) {
   if (refusal !== null) return ["not let in", "bad"];
   const isOld = frame === null || ageMs > OLD_MS;
+  if (idle && !isOld && phase === "moving" && (frame.servosGone || status === null)) {
+    return status === null ? ["no servo is driven", "quiet"] : statusWords(status);
+  }
   if (phase === "starting") return ["starting", "warn"];
   if (phase === "stopped") return stopWords("stopped", word);
   if (phase === "gone") {

@@ -134,7 +134,7 @@ class StepBody(Body):
     eye_distance_mm: measure; play: speak.
     """
 
-    step: Literal["find", "nudge", "limits", "jog", "by_eye", "measure", "drawn", "speak"]
+    step: Literal["find", "nudge", "limits", "jog", "set_up", "by_eye", "measure", "drawn", "speak"]
     id: int | None = None
     clear: bool = False
     may_jump: bool = False

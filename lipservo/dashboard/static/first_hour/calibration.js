@@ -2,6 +2,7 @@
 import { escaped, shown, spoken } from "../words.js";
 import { about, draw, markers, mouth, write } from "./dom.js";
 
+const KEYS = { keep: "\r", back: "b", skip: "x", finish: "q" }; // as `calibrate guided` takes them
 const SEND_MS = 120; // of a slider that is dragged
 
 export class Calibration {
@@ -89,7 +90,7 @@ export class Calibration {
       '<div class="eye"><figure><figcaption>Wanted: <b class="name"></b><span class="what"></span></figcaption><div class="wanted"></div></figure>' +
         `<figure><figcaption>${state.simulated ? "The robot's mouth, computed" : "The robot, as its encoders say"}</figcaption><div class="made">${state.simulated ? "" : "<face-robot></face-robot>"}</div></figure></div>` +
         `<div class="sliders">${names.map((name) => slider(name, state.face.servos[name])).join("")}</div>` +
-        '<div class="buttons end"><button type="button" class="act first" data-key="\r">It looks like that: next</button><button type="button" class="act" data-key="b">Back</button><button type="button" class="act" data-key="x">Leave it out</button><button type="button" class="act" data-key="q">Finish</button></div>' +
+        '<div class="buttons end"><button type="button" class="act first" data-key="keep">It looks like that: next</button><button type="button" class="act" data-key="back">Back</button><button type="button" class="act" data-key="skip">Leave it out</button><button type="button" class="act" data-key="finish">Finish</button></div>' +
         '<ol class="poses"></ol>',
     );
     const find = (selector) => this.body.querySelector(selector);
@@ -169,7 +170,7 @@ export class Calibration {
     clearTimeout(this.timer);
     await this.send();
     document.activeElement?.blur();
-    this.hour.post("order", { key });
+    this.hour.post("order", { key: KEYS[key] });
   }
 
   measure(form, accept) {

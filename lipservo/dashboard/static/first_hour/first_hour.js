@@ -11,6 +11,7 @@ import { Servos } from "./servos.js";
 
 const LIVELY_MS = 200; // while something moves, or is turned by hand
 const CALM_MS = 700;
+const BEGINS_MS = 2500; // a step has a socket before its first answer comes
 const HERE = "/api/first-hour";
 
 /** What the sections need: to post, to say what went wrong, and the last state. */
@@ -19,6 +20,7 @@ export class Hour {
     this.show = show;
     this.state = null;
     this.failure = "";
+    this.idleMs = performance.now();
   }
 
   async post(path, body = {}) {
@@ -46,7 +48,9 @@ export class Hour {
 
   take(state) {
     this.state = state;
-    face.idle = state.works === null; // no servo is driven, and no face answers: that is no alarm
+    // That no face answers is no alarm then, nor that one without a live board writes none.
+    if (!state.drives) this.idleMs = performance.now();
+    face.idle = face.status !== null || performance.now() - this.idleMs < BEGINS_MS;
     this.show();
   }
 
@@ -81,7 +85,7 @@ class FirstHour extends HTMLElement {
     this.hour = new Hour(() => this.update());
     this.innerHTML =
       '<ol class="hour-steps" aria-label="steps"></ol>' +
-      '<p class="note bad failure" role="alert" hidden></p><p class="note quiet told" role="status" hidden></p>';
+      '<p class="note bad failure" role="alert" hidden></p><p class="note warn told" role="status" hidden></p>';
     this.steps = this.querySelector(".hour-steps");
     this.failure = this.querySelector(".failure");
     this.told = this.querySelector(".told");
@@ -99,6 +103,9 @@ class FirstHour extends HTMLElement {
       });
       return { section, host };
     });
+    this.spent = document.createElement("p");
+    this.spent.className = "hint spent";
+    this.append(this.spent);
     this.chosen = null;
     this.hour.poll();
   }
@@ -110,9 +117,9 @@ class FirstHour extends HTMLElement {
     this.failure.hidden = !wrong;
     if (this.failure.textContent !== wrong) this.failure.textContent = wrong;
     if (state === null) return;
-    const told = [state.note ? `${state.note[0].toUpperCase()}${state.note.slice(1)}.` : "", minutes(state.robot_min)].join(" ").trim();
-    this.told.hidden = !told;
-    if (this.told.textContent !== told) this.told.textContent = told;
+    this.told.hidden = !state.note;
+    write(this.told, state.note ? `${state.note[0].toUpperCase()}${state.note.slice(1)}.` : "");
+    write(this.spent, minutes(state.robot_min));
     const now = sectionOf(state);
     if (this.now !== now) this.chosen = null; // what goes on comes first
     this.now = now;
