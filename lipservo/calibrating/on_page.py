@@ -125,8 +125,8 @@ def _guide(
 
     try:
         while not session.done:
-            robot.lead(session.positions_deg)
             robot.hold_while(partial(show, session))
+            robot.lead(session.positions_deg)
             order = robot.hold_while(lambda: page.next_order() or END)
             after = _after(session, order, page)
             if setup.keep is not None and len(after.made_deg) != len(session.made_deg):

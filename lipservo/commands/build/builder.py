@@ -132,12 +132,8 @@ def _first_hour(output: Path, ports: Sequence[str], sim: str | None, *, open_pag
 
     token_file = access_file(None, open_to_this_computer=False)
     token = read_token(None if token_file is None else str(token_file))
-    with (
-        closing(
-            FirstHour(output, next(iter(ports), None), token_file, simulated=bool(sim))
-        ) as hour,
-        bound_dashboard(None, token) as bound,
-    ):
+    made = FirstHour(output, next(iter(ports), None), token_file, simulated=sim is not None)
+    with closing(made) as hour, bound_dashboard(None, token) as bound:
         link = FaceLink(hour.control_path)
         serve_page(bound, link, token, open_page=open_page, hour=hour)
 

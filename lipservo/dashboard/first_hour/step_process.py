@@ -12,6 +12,8 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
+from firmware_bridge.stopping import ExitStatus
+
 _MOST_NOTES: Final = 40
 #: Of a line that a step writes; one that is longer is none of ours.
 _LONGEST_LINE: Final = 1 << 18
@@ -120,8 +122,8 @@ class StepProcess:
         self._is_over.set()
 
     def _why(self, status: int, *, signalled: bool) -> str | None:
-        if status == 0 or (signalled and not self._has_complained):
-            return None
+        if status in (0, ExitStatus.STOPPED_EARLY) or (signalled and not self._has_complained):
+            return None  # a person's stop is no error: what servos confirmed is told beside STOP
         if self._has_complained:
             return self.notes[-1]
         last = f": {self.notes[-1]}" if self.notes else ""

@@ -3,13 +3,14 @@ import { escaped, shown, spoken } from "../words.js";
 import { about, draw, markers, mouth, write } from "./dom.js";
 
 const KEYS = { keep: "\r", back: "b", skip: "x", finish: "q" }; // as `calibrate guided` takes them
+const STICKS_MS = 4000;
 const SEND_MS = 120; // of a slider that is dragged
 
 export class Calibration {
   static title = "Calibration";
 
   constructor(hour, body) {
-    Object.assign(this, { hour, body, moves: {}, timer: null });
+    Object.assign(this, { hour, body, moves: {}, sent: {}, timer: null });
     body.addEventListener("click", (event) => this.click(event.target.closest("button")));
     body.addEventListener("input", (event) => this.slide(event.target));
     body.addEventListener("change", (event) => event.target.name === "tracker" && this.choose());
@@ -108,7 +109,9 @@ export class Calibration {
   place(name, deg) {
     const line = this.body.querySelector(`.slider[data-servo="${name}"]`);
     const input = line.querySelector("input");
-    if (name in this.moves || document.activeElement === input) return;
+    const sent = this.sent[name]; // until the robot's side says the same, the slider stays
+    if (name in this.moves || (sent && sent.deg !== deg && performance.now() - sent.ms < STICKS_MS)) return;
+    delete this.sent[name];
     if (Number(input.value) !== deg) input.value = deg;
     write(line.querySelector("output"), `${shown(deg, 1)}°`);
   }
@@ -123,6 +126,7 @@ export class Calibration {
 
   async send() {
     const move = { ...this.moves };
+    for (const [name, deg] of Object.entries(move)) this.sent[name] = { deg, ms: performance.now() };
     this.moves = {};
     this.timer = null;
     if (Object.keys(move).length) await this.hour.post("order", { move });

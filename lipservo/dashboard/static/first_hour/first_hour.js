@@ -6,7 +6,7 @@ import { escaped } from "../words.js";
 import { write } from "./dom.js";
 import { Calibration } from "./calibration.js";
 import { FirstWords } from "./first_words.js";
-import { Limits } from "./limits.js";
+import { hasOwnLimits, Limits } from "./limits.js";
 import { Servos } from "./servos.js";
 
 const LIVELY_MS = 200; // while something moves, or is turned by hand
@@ -71,7 +71,8 @@ export function sectionOf(state) {
   if (state.face === null) return 0;
   if (Object.keys(state.ends).length) return 1;
   if (state.face.calibration) return 3;
-  return state.robot_min.set_up || state.robot_min.jog ? 2 : 1;
+  const found = Object.values(state.face.servos).some(hasOwnLimits);
+  return found || state.robot_min.set_up || state.robot_min.jog ? 2 : 1;
 }
 
 /** What a person has done, in robot minutes by step, as a sentence; "" before the first. Pure. */

@@ -6,6 +6,11 @@ const HAND_DEG = [-10, -2, 2, 10]; // of a simulated hand
 const AROUND_DEG = 10;
 const ENDS = { min: "Set as min", neutral: "Neutral", max: "Set as max" };
 
+/** Whether limits are no more the careful ones of `new-face`: 10 degrees, of hobby servos 9. Pure. */
+export function hasOwnLimits({ min_deg, max_deg }) {
+  return !(min_deg === -max_deg && (max_deg === 10 || max_deg === 9));
+}
+
 export class Limits {
   static title = "Limits";
 
@@ -20,8 +25,8 @@ export class Limits {
 
   summary(state) {
     if (state.face === null) return "";
-    const wide = Object.values(state.face.servos).filter((each) => each.max_deg - each.min_deg !== 20).length;
-    return `${wide} of ${Object.keys(state.face.servos).length} joints have limits of their own`;
+    const found = Object.values(state.face.servos).filter(hasOwnLimits).length;
+    return `${found} of ${Object.keys(state.face.servos).length} joints have limits of their own`;
   }
 
   update(state) {
