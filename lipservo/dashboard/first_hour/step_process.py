@@ -98,9 +98,15 @@ class StepProcess:
         except OSError as error:
             self._over(f"cannot be started: {error.strerror}")
             return
-        self._process = process
+        with process:
+            self._process = process
+            signalled = self._follow(process)
+        self._over(self._why(process.returncode, signalled=signalled))
+
+    def _follow(self, process: "subprocess.Popen[bytes]") -> bool:
+        """Until it has ended and all it said is read; whether it was asked to end."""
         readers = [
-            threading.Thread(target=read, name=f"step {self.step}", daemon=True)
+            threading.Thread(target=read, args=[process], name=f"step {self.step}", daemon=True)
             for read in (self._read_events, self._read_notes)
         ]
         for each in readers:
@@ -110,10 +116,13 @@ class StepProcess:
             if not signalled and (self._must_end.is_set() or not self._is_wanted()):
                 process.send_signal(signal.SIGTERM)
                 signalled = True
-            self._must_end.wait(_LOOK_S) if not signalled else time.sleep(_LOOK_S)
+            if signalled:
+                time.sleep(_LOOK_S)
+            else:
+                self._must_end.wait(_LOOK_S)
         for each in readers:
             each.join(1.0)
-        self._over(self._why(process.returncode, signalled=signalled))
+        return signalled
 
     def _over(self, error: str | None) -> None:
         self.error = error
@@ -130,20 +139,18 @@ class StepProcess:
         how = f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
         return f"the step {how}{last}"
 
-    def _read_events(self) -> None:
-        assert self._process is not None
-        assert self._process.stdout is not None
-        while line := self._process.stdout.readline(_LONGEST_LINE):
+    def _read_events(self, process: "subprocess.Popen[bytes]") -> None:
+        assert process.stdout is not None
+        while line := process.stdout.readline(_LONGEST_LINE):
             try:
                 event = dict(json.loads(line))
                 self.events[str(event.pop("event"))] = event
             except (ValueError, KeyError, TypeError):
                 self._note(line)
 
-    def _read_notes(self) -> None:
-        assert self._process is not None
-        assert self._process.stderr is not None
-        while line := self._process.stderr.readline(_LONGEST_LINE):
+    def _read_notes(self, process: "subprocess.Popen[bytes]") -> None:
+        assert process.stderr is not None
+        while line := process.stderr.readline(_LONGEST_LINE):
             self._note(line)
 
     def _note(self, line: bytes) -> None:

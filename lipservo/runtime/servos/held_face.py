@@ -5,8 +5,10 @@ tracker does so in `hold`, or in `hold_while`, so that the servos hear something
 """
 
 import math
+import queue
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, wait
 from contextlib import ExitStack
 from typing import Any, Self, TypeVar
 
@@ -31,6 +33,8 @@ from lipservo.settings.settings import FaceSettings
 from lipsync.arrays import Array
 
 Answer = TypeVar("Answer")
+#: Calls a function in the thread that speaks to the servos.
+Here = Callable[[Callable[[], Any]], Any]
 
 #: Slow enough to watch and to stop; no joint is in a hurry here.
 SPEED_DEG_S = 30.0
@@ -38,6 +42,8 @@ SPEED_DEG_S = 30.0
 _STILL_DEG, _STILL_S = 0.18, 0.2
 #: Longer than any servo needs that is not held up.
 _SETTLE_S = 1.5
+#: A job that waits for the servos looks so often whether they are held at all.
+_LOOK_S = 0.2
 #: Chirps to 12 Hz need four samples a period.
 _DRIVE_RATE_HZ = 50.0
 #: A servo's goals and places are asked for twice in a tick while it is driven.
@@ -145,16 +151,67 @@ class HeldFace:
         answers: list[Answer] = []
         errors: list[BaseException] = []
 
-        def wait() -> None:
+        def run() -> None:
             try:
                 answers.append(ask())
             except BaseException as error:
                 errors.append(error)
 
-        waiting = threading.Thread(target=wait, daemon=True)
+        waiting = threading.Thread(target=run, daemon=True)
         waiting.start()
         while waiting.is_alive():
             self._tick()
+        if errors:
+            raise errors[0]
+        return answers[0]
+
+    def work(self, job: Callable[[Here], Answer]) -> Answer:
+        """Stay until `job`, in a thread of its own, has an answer; its errors are raised.
+
+        job: gets a function that calls another one here, between two ticks, and returns its answer:
+        for all that speaks to the servos. What takes long besides holds up no tick and no stop.
+        """
+        calls: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = queue.SimpleQueue()
+        is_over = threading.Event()
+
+        def here(call: Callable[[], Any]) -> Any:
+            done: Future[Any] = Future()
+            calls.put((call, done))
+            while not is_over.is_set():
+                if wait([done], _LOOK_S).done:
+                    return done.result()
+            raise RuntimeError("the face is held no more")
+
+        def next_call() -> None:
+            while True:
+                try:
+                    call, done = calls.get_nowait()
+                except queue.Empty:
+                    return
+                try:
+                    done.set_result(call())
+                except Exception as error:  # of the job's own doing: raised there
+                    done.set_exception(error)
+                    if isinstance(error, FaceStopped):
+                        raise
+
+        answers: list[Answer] = []
+        errors: list[BaseException] = []
+
+        def run() -> None:
+            try:
+                answers.append(job(here))
+            except BaseException as error:
+                errors.append(error)
+
+        working = threading.Thread(target=run, daemon=True)
+        working.start()
+        try:
+            while working.is_alive():
+                next_call()
+                self._tick()
+        finally:
+            is_over.set()
         if errors:
             raise errors[0]
         return answers[0]

@@ -95,7 +95,7 @@ class FirstHour extends HTMLElement {
       host.className = "card hour-section";
       host.innerHTML =
         `<div class="card-head"><h2><b class="badge">${n + 1}</b> ${Section.title}</h2><small class="summary"></small>` +
-        '<button type="button" class="act small open"></button></div><div class="body"></div>';
+        '<button type="button" class="act small open" hidden></button></div><div class="body"></div>';
       this.append(host);
       const section = new Section(this.hour, host.querySelector(".body"), this.dataset.warning);
       host.querySelector(".open").addEventListener("click", () => {
@@ -103,6 +103,10 @@ class FirstHour extends HTMLElement {
         this.update();
       });
       return { section, host };
+    });
+    // A step that cannot be stopped over its socket, as none drives servos yet, is ended.
+    window.addEventListener("face-stop", () => {
+      if (this.hour.state?.works && !this.hour.state.drives) this.hour.post("end");
     });
     this.spent = document.createElement("p");
     this.spent.className = "hint spent";
