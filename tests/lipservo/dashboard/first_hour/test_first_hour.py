@@ -135,7 +135,7 @@ def test_a_step_at_a_port_that_is_not_there_says_so_in_one_line(path):
         hour.control_path()
 
 
-def test_a_step_that_nobody_wants_is_ended(path):
+def test_a_step_that_nobody_wants_is_ended():
     ended = []
     step = StepProcess(
         "find",
