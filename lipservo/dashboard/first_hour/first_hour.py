@@ -124,7 +124,7 @@ class FirstHour:
         """Where the step that runs is stopped. Raises UserError where none drives servos."""
         path = self._socket()
         if path is None:
-            raise UserError("no step of the first hour drives servos now")
+            raise UserError("No step of the first hour drives servos now")
         return path
 
     # ---- what a person does ----

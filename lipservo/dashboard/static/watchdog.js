@@ -1,5 +1,5 @@
 // The head of the page: state in words, and a banner when something that matters is gone.
-import { face, frameAgeMs, OLD_MS, onStatus } from "./link.js";
+import { face, facts, frameAgeMs, OLD_MS, onStatus } from "./link.js";
 import { isLimp, isReleased, kept } from "./stop.js";
 import { isStopped, stateWords, statusWords } from "./words.js";
 
@@ -18,7 +18,7 @@ const beganMs = performance.now();
  * gathers it. While a face is stopped or starts, or its confirmed end stands on the page, servos
  * and dashboard that are gone are no alarm. Pure.
  */
-export function complaint({ frame, ageMs, openMs, phase, status, lastState, servosMs, refusal, idle }) {
+export function complaint({ frame, ageMs, openMs, phase, status, lastState, servosMs, refusal, idle, isFirstHour, trouble }) {
   if (refusal !== null) return ["bad", refusal];
   if (phase === "gone") return null;
   const isOld = frame !== null && ageMs > OLD_MS;
@@ -36,6 +36,9 @@ export function complaint({ frame, ageMs, openMs, phase, status, lastState, serv
     ];
   }
   if (phase !== "moving") return null;
+  if (isFirstHour && status === null && frame.servosGone && [null, ...AT_END].includes(lastState)) {
+    return ["warn", `${trouble ?? "No step drives servos now"}; go on at First hour.`];
+  }
   if (frame.servosGone && AT_END.includes(lastState)) {
     if (status !== null && servosMs < ENDING_MS) return null;
     if (lastState === "ended") return ["warn", ENDED];
@@ -105,6 +108,7 @@ function look() {
   const nowMs = performance.now();
   const seen = {
     ...face, ageMs: frameAgeMs(), openMs: nowMs - beganMs, servosMs: nowMs - face.lastServosMs, word: kept(),
+    isFirstHour: facts.firstHour,
   };
   const wrong = complaint(seen);
   banner.hidden = wrong === null;

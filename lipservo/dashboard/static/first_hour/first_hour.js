@@ -83,6 +83,7 @@ export function minutes(robotMin) {
 
 class FirstHour extends HTMLElement {
   connectedCallback() {
+    face.idle = true;
     this.hour = new Hour(() => this.update());
     this.innerHTML =
       '<ol class="hour-steps" aria-label="steps"></ol>' +
@@ -162,6 +163,5 @@ class FirstHour extends HTMLElement {
   }
 }
 
-face.idle = true;
 window.firstHour = { sectionOf, minutes, facts };
 customElements.define("first-hour", FirstHour);
