@@ -6,6 +6,7 @@ servos limp, when the page's server does.
 
 import json
 import os
+import sys
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -137,7 +138,14 @@ def _set_up(request: Request, _page: "PageLine") -> None:
     """The servos' own limits, as the YAML has them now."""
     from lipservo.commands.build.setup_servos import setup_servos
 
-    setup_servos(port=request["port"], config=request["config"], dry_run=False)
+    with open(os.devnull) as nobody:
+        sys.stdin = nobody  # who would be asked to plug one servo in alone
+        try:
+            setup_servos(port=request["port"], config=request["config"], dry_run=False)
+        except typer.Abort:
+            raise UserError(
+                "not every servo answers at its own id, so none was set up: check power and cable"
+            ) from None
 
 
 def _setup(request: Request, page: "PageLine") -> "CalibrationSetup":

@@ -15,6 +15,7 @@ from typing import Any, Final
 
 from lipservo_client.protocol import FaceError
 
+from calibration.files.calibration_file import load_calibration
 from firmware_bridge.bus_kinds import bus_kind, bus_names, kind_at
 from firmware_bridge.errors import BusError
 from firmware_bridge.process.runtime_folder import (
@@ -47,6 +48,8 @@ _FOR_A_PERSON: Final = frozenset({"limits", "jog", "by_eye"})
 _SIMULATED: Final = ("--servos", "4", "--first-id", "11", "--baud-rate", "1000000")
 _S_A_MINUTE: Final = 60.0
 Told = dict[str, Any]
+#: When a file was written last, and how long it is; None: it is not there.
+Stamp = tuple[int, int] | None
 
 
 class FirstHour:
@@ -85,6 +88,9 @@ class FirstHour:
         self._robot_s: dict[str, float] = {}
         self._note: str | None = None
         self._graded: Mapping[str, Any] | None = None
+        #: What stands in both files, and which state of the file that was.
+        self._read: tuple[Stamp, tuple[FaceSettings | None, str | None]] = None, (None, None)
+        self._calibration: tuple[Stamp, str] = None, ""
         if simulated:
             self._port, self._kind = self._simulate(), "dynamixel"
 
@@ -258,6 +264,8 @@ class FirstHour:
             with _refusals():
                 found = {name: _limits_of(name, ends, settings) for name, ends in whole.items()}
                 with_ranges(self.path, found).write()
+            for made in ("by_eye", "measure"):  # poses of other limits, and of another neutral
+                self._keep_file(made).unlink(missing_ok=True)
             self._ends = {}
         if settings.capabilities.set_up:
             self.start("set_up")
@@ -281,12 +289,15 @@ class FirstHour:
 
     def _settings(self) -> tuple[FaceSettings | None, str | None]:
         """The face of the YAML; None before it is there, or with why it cannot be read."""
-        if not self.path.exists():
-            return None, None
-        try:
-            return load_settings(str(self.path))[0], None
-        except (UserError, OSError) as error:
-            return None, " ".join(str(error).split())
+        stamp = _stamp(self.path)
+        if self._read[0] != stamp:
+            self._read = stamp, (None, None)
+            if stamp is not None:
+                try:
+                    self._read = stamp, (load_settings(str(self.path))[0], None)
+                except (UserError, OSError) as error:
+                    self._read = stamp, (None, " ".join(str(error).split()))
+        return self._read[1]
 
     def _socket(self) -> Path | None:
         """Of the step that runs; None: it has none, or none yet."""
@@ -297,14 +308,25 @@ class FirstHour:
         return next((path for path in paths if read_socket_name(path)), None)
 
     def _told_face(self, settings: FaceSettings) -> Told:
-        calibration = settings.calibration
-        file = None if calibration is None else self.path.with_name(calibration)
         return {
             "name": settings.name,
             "servos": {name: _told_servo(each) for name, each in settings.servos.items()},
             "has_place": settings.capabilities.place,
-            "calibration": calibration if file is not None and file.exists() else None,
+            "calibration": settings.calibration if self._is_calibrated(settings) else None,
         }
+
+    def _is_calibrated(self, settings: FaceSettings) -> bool:
+        """Whether the calibration that the YAML names is of these limits."""
+        if settings.calibration is None:
+            return False
+        file = self.path.with_name(settings.calibration)
+        stamp = _stamp(file)
+        if stamp is not None and self._calibration[0] != stamp:
+            try:
+                self._calibration = stamp, load_calibration(file).face_checksum
+            except UserError:
+                self._calibration = stamp, ""
+        return stamp is not None and self._calibration[1] == settings.checksum
 
     def _yaml(self, joints: list[FoundJoint]) -> str:
         kind = bus_kind(self._kind or "")
@@ -376,6 +398,14 @@ def known_ports() -> list[Told]:
 
     found = [port for port in list_ports.comports() if port.vid is not None]
     return [{"port": port.device, "what": port.description} for port in sorted(found)]
+
+
+def _stamp(path: Path) -> Stamp:
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_size
 
 
 def _limits_of(name: str, ends: Mapping[str, float], settings: FaceSettings) -> dict[str, float]:

@@ -4,12 +4,13 @@ import json
 
 import pytest
 from lipservo_client.protocol import FaceError
+from places import ROOT
 
 from lipservo.dashboard.first_hour.first_hour import FirstHour
 from lipservo.dashboard.first_hour.step_process import StepProcess
 from lipservo.runtime.servos.new_face import FoundJoint, face_yaml
-from lipservo.settings.found_limits import turned_values
-from lipservo.settings.settings import load_face
+from lipservo.settings.found_limits import turned_values, with_ranges
+from lipservo.settings.settings import load_face, load_shipped_face
 from lipsync.errors import UserError
 
 
@@ -94,6 +95,19 @@ def test_limits_that_nobody_set_are_not_written(path):
         hour.set_end("jaw", "min")
     with pytest.raises(FaceError, match="set min and max of a joint first"):
         hour.write_limits()
+
+
+def test_a_calibration_of_other_limits_is_none(path):
+    shipped = load_shipped_face("face_jaw")
+    path.write_text(ROOT.joinpath("config/face_jaw.yaml").read_text())
+    made = path.with_name(shipped.calibration)
+    made.write_text(ROOT.joinpath("config", shipped.calibration).read_text())
+    hour = FirstHour(path)
+    assert hour.state()["face"]["calibration"] == shipped.calibration
+
+    with_ranges(path, {next(iter(shipped.servos)): {"max_deg": 9.0}}).write()
+
+    assert hour.state()["face"]["calibration"] is None
 
 
 def test_a_neutral_shown_by_hand_moves_zero_and_leaves_the_ends_of_the_servo_where_they_are():
