@@ -380,7 +380,7 @@ class FirstHour:
                 self._moved.add(int(nudged["id"]))
             if (graded := step.events.get("graded")) is not None:
                 self._graded = graded
-            if step.step in _FOR_A_PERSON and time.monotonic() - self._seen_s >= PRESENCE_S:
+            if step.was_left:
                 self._note = (
                     "nobody had this page open, so the servos were let go; what was kept is kept"
                 )

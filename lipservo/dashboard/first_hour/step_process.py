@@ -31,7 +31,8 @@ class StepProcess:
     Methods may be called by any thread; but for `wait`, none waits.
 
     step: its name. events: the newest of each kind, by name. notes: what it said to a person, the
-    newest last. error: why it ended, one line; None: it has not, or ended well.
+    newest last. error: why it ended, one line; None: it has not, or ended well. was_left: ended since
+    nobody wanted it any more.
     """
 
     def __init__(
@@ -47,6 +48,7 @@ class StepProcess:
         self.events: dict[str, Mapping[str, Any]] = {}
         self.notes: deque[str] = deque(maxlen=_MOST_NOTES)
         self.error: str | None = None
+        self.was_left = False
         self.began_s = time.monotonic()
         self.seconds = 0.0
         self._request = json.dumps(request)
@@ -113,7 +115,8 @@ class StepProcess:
             each.start()
         signalled = False
         while process.poll() is None:
-            if not signalled and (self._must_end.is_set() or not self._is_wanted()):
+            self.was_left = self.was_left or not self._is_wanted()
+            if not signalled and (self._must_end.is_set() or self.was_left):
                 process.send_signal(signal.SIGTERM)
                 signalled = True
             if signalled:

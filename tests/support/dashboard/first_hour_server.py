@@ -61,7 +61,9 @@ def served(path, *options):
             )
             # Nobody reads the rest, and a pipe that is full would hold the server up.
             threading.Thread(target=process.stderr.read, daemon=True).start()
-            yield Server(address, process)
+            server = Server(address, process)
+            with server.client:
+                yield server
         finally:
             process.terminate()
             try:
