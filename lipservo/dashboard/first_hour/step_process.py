@@ -31,8 +31,8 @@ class StepProcess:
     Methods may be called by any thread; but for `wait`, none waits.
 
     step: its name. events: the newest of each kind, by name. notes: what it said to a person, the
-    newest last. error: why it ended, one line; None: it has not, or ended well. was_left: ended since
-    nobody wanted it any more.
+    newest last. error: why it ended, one line; None: it has not, or ended well. was_left: nobody
+    wanted it any more.
     """
 
     def __init__(

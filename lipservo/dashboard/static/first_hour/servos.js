@@ -114,7 +114,7 @@ export class Servos {
       `<label>A longer pulse<select class="field" name="positive">${WORDS.map((word) => `<option>${word}</option>`).join("")}</select></label>` +
       '<button class="act">Add</button></form>' +
       `<datalist id="joint-names">${NAMES.map((name) => `<option value="${name}">`).join("")}</datalist>` +
-      `<form data-form="face" class="fields"><label>Which ${escaped(board)}<input class="field" name="board" placeholder="the usual one"></label>` +
+      `<form data-form="face" class="fields"><label>The board's ${escaped(board)}<input class="field" name="board" placeholder="the usual one"></label>` +
       `<button class="act first"${state.wired.length ? "" : " disabled"}>Write ${escaped(state.file.split("/").at(-1))}</button></form>`
     );
   }
