@@ -29,17 +29,17 @@ _N_TYPED_POSES = 24
 _FORWARD_WORDS = ("protrudes", "retracts")
 
 
+@dataclass(frozen=True, slots=True)
 class Watch:
-    """Who follows a calibration besides the terminal; by itself nobody, a page overrides these."""
+    """Who follows a calibration besides the terminal; by itself nobody.
 
-    def progress(self, what: str, done: int, total: int) -> None:
-        """So many poses are captured, or joints chirped; more than `total` may be."""
+    progress: what is done, how many of it, of how many; more may be. arrived: where the mouth's
+    encoders stand, (n_servos,). seen: the markers' names, and their places there, (n_markers, 3).
+    """
 
-    def arrived(self, reached_deg: Array) -> None:
-        """A pose stands; (n_servos,), the mouth's encoders."""
-
-    def seen(self, marker_names: tuple[str, ...], markers_mm: Array) -> None:
-        """What the tracker saw there; (n_markers, 3), NaN for lost points."""
+    progress: Callable[[str, int, int], object] = lambda *_: None
+    arrived: Callable[[Array], object] = lambda _: None
+    seen: Callable[[tuple[str, ...], Array], object] = lambda *_: None
 
 
 @dataclass(frozen=True, slots=True)

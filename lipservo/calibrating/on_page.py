@@ -33,8 +33,8 @@ _CHIRP_S: Final = 14.0
 _S_A_MINUTE: Final = 60.0
 
 
-class PageWatch(Watch):
-    """Tells a page how far `measure` is, and what the tracker sees."""
+class PageWatch:
+    """Tells a page how far `measure` is, and what the tracker sees: the methods of a `Watch`."""
 
     def __init__(self, page: PageLine, setup: CalibrationSetup) -> None:
         self._page = page
@@ -42,6 +42,7 @@ class PageWatch(Watch):
         self._n_poses = setup.n_poses + _MORE_POSES
         self._chirps_s = _CHIRP_S * len(self._names) if setup.lags else 0.0
         self._began_s = time.monotonic()
+        self.watch = Watch(self.progress, self.arrived, self.seen)
 
     def progress(self, what: str, done: int, total: int) -> None:
         """Poses, then chirps."""

@@ -165,7 +165,7 @@ def _setup(request: Request, page: "PageLine") -> "CalibrationSetup":
         accept=bool(request.get("accept")),
         config=config,
     )
-    return replace(setup, watch=PageWatch(page, setup))
+    return replace(setup, watch=PageWatch(page, setup).watch)
 
 
 def _by_eye(request: Request, page: "PageLine") -> None:
