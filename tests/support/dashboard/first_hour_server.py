@@ -62,7 +62,7 @@ def served(path, *options):
             # Nobody reads the rest, and a pipe that is full would hold the server up.
             threading.Thread(target=process.stderr.read, daemon=True).start()
             server = Server(address, process)
-            with server.client:
+            with contextlib.closing(server.client):
                 yield server
         finally:
             process.terminate()
