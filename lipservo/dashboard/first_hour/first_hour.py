@@ -92,7 +92,9 @@ class FirstHour:
         self._read: tuple[Stamp, tuple[FaceSettings | None, str | None]] = None, (None, None)
         self._calibration: tuple[Stamp, str] = None, ""
         if simulated:
-            self._port, self._kind = self._simulate(), "dynamixel"
+            self._port = self._simulate()
+        if self._port is not None and not path.exists():
+            self.choose_port(self._port, "dynamixel" if simulated else None, simulated=False)
 
     # ---- what is so ----
 

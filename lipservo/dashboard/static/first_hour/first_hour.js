@@ -24,7 +24,9 @@ export class Hour {
   }
 
   async post(path, body = {}) {
+    if (path === "start" && this.starts) return false; // the second click of a double click
     this.failure = "";
+    this.starts = path === "start";
     try {
       this.take(await postJson(`${HERE}/${path}`, body, { patienceMs: 25_000 }));
       return true;
@@ -32,6 +34,8 @@ export class Hour {
       this.failure = error.message;
       this.show();
       return false;
+    } finally {
+      this.starts = false;
     }
   }
 
