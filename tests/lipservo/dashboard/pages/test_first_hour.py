@@ -1,11 +1,14 @@
 """From the box to the first words in a browser alone, on simulated servos."""
 
+import contextlib
+
 import pytest
 from first_hour_server import served
 
 from calibration.files.calibration_file import load_calibration
 from lipservo.settings.settings import load_face
 
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 #: Minutes of a real browser, and of servos that move as fast as servos do.
 pytestmark = pytest.mark.slow
 PATIENCE_MS = 600_000
@@ -108,22 +111,44 @@ def measure(page):
     page.locator("[data-do=start]").wait_for()
 
 
+#: What was shown as said, and how far any joint's encoder has gone, since the face was started.
+WATCHED = """() => {
+  window.heard = new Set();
+  const ends = [];
+  window.wentDeg = () => Math.max(0, ...ends.map(([low, high]) => high - low));
+  setInterval(() => {
+    const { status, frame } = dashboard;
+    if (status?.word != null) heard.add(status.words[status.word]);
+    frame?.encodersDeg.forEach((deg, n) => {
+      if (deg !== null && status?.speaking) {
+        ends[n] = [Math.min(ends[n]?.[0] ?? deg, deg), Math.max(ends[n]?.[1] ?? deg, deg)];
+      }
+    });
+  }, 30);
+}"""
+SPOKEN_MS = 20_000
+
+
 def speak(page):
-    """Words that were shown as they were said, and how far the jaw's encoder went meanwhile."""
+    """Words that were shown as they were said, and how far a joint went meanwhile, degrees.
+
+    Simulated servos of a busy computer may not answer just then; a person says it once more.
+    """
     page.uncheck("[name=play]")  # a computer that tests has no loudspeaker
     page.click("[data-do=start]")
-    page.fill("face-say input", "Good morning, I am the robot.")
-    page.wait_for_function("Object.values(dashboard.status?.servos ?? {}).includes('driven')")
-    page.evaluate(
-        "() => { window.heard = new Set(); window.jaw = []; setInterval(() => {"
-        " const { status, frame } = dashboard;"
-        " if (status?.word != null) heard.add(status.words[status.word]);"
-        " if (frame?.encodersDeg[0] != null) jaw.push(frame.encodersDeg[0]); }, 30); }"
-    )
-    page.click("face-say button")
-    # A status comes twice a second, and a word may be shorter: some of them are seen.
-    page.wait_for_function("heard.size > 1 && Math.max(...jaw) - Math.min(...jaw) > 2")
-    return page.evaluate("[...heard]"), page.evaluate("Math.max(...jaw) - Math.min(...jaw)")
+    page.locator("face-say input").wait_for()
+    page.evaluate(WATCHED)
+    for _ in range(PATIENCE_MS // SPOKEN_MS):
+        page.wait_for_function(
+            "Object.values(dashboard.status?.servos ?? {}).every((state) => state === 'driven')"
+        )
+        page.fill("face-say input", "Good morning, I am the robot.")
+        page.click("face-say button")
+        with contextlib.suppress(sync_api.TimeoutError):
+            # A status comes twice a second, and a word may be shorter: some of them are seen.
+            page.wait_for_function("heard.size > 1 && wentDeg() > 2", timeout=SPOKEN_MS)
+            break
+    return page.evaluate("[...heard]"), page.evaluate("wentDeg()")
 
 
 def test_from_the_box_to_the_first_words_in_the_page_alone(page, path):
@@ -144,9 +169,10 @@ def test_from_the_box_to_the_first_words_in_the_page_alone(page, path):
     assert measured.grade.lip_rms_mm < 1.0
     assert measured.closing.closes
 
-    words, jaw_deg = speak(page)
-    assert set(words) <= set("Good morning I am the robot".split())
-    assert jaw_deg > 2.0
+    words, went_deg = speak(page)
+    assert set(words) <= {"Good", "morning", "I", "am", "the", "robot"}
+    assert len(words) > 1
+    assert went_deg > 2.0
     page.click("[data-do=end]")
     page.locator("[data-do=start]").wait_for()
     told = page.inner_text(".spent")
