@@ -136,8 +136,7 @@ def test_a_servo_of_the_neck_is_no_mouth():
 
 
 def test_a_step_at_a_port_that_is_not_there_says_so_in_one_line(path):
-    hour = FirstHour(path, "/dev/no_such_port")
-    hour.choose_port("/dev/no_such_port", "dynamixel", simulated=False)
+    hour = FirstHour(path, "/dev/no_such_port")  # who is there is asked at once
 
     hour._step.wait()
 
