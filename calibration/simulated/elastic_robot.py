@@ -247,7 +247,8 @@ def _interpolation(mesh: Delaunay, across: NDArray[np.bool_], flat: Array, point
 
 #: Lips are soft themselves: a pair gives way by so much.
 _LIP_MM_PER_N = 0.1
-_SWEEPS = 120
+#: Robots of seeds 2000 to 2011 need 4.
+_ROUNDS = 30
 #: Moves after which two thirds of the warming is done.
 _WARMING_MOVES = 30.0
 
@@ -384,18 +385,23 @@ class ElasticFace:
         return np.asarray(self.draw.jaw_rad_per_nmm * np.outer(by_rad, by_rad[-N_PAIRS:]))
 
     def _lip_forces_n(self, free_gaps_mm: Array) -> Array:
-        """(n, N_PAIRS) >= 0, such that no gap is below 0 and only lips that meet push."""
+        """(n, N_PAIRS) >= 0, such that no gap is below 0 and only lips that meet push.
+
+        By active sets: pairs that pull are let go, pairs that overlap are pushed, until neither is.
+        """
         force_n = np.zeros_like(free_gaps_mm)
-        gaps_mm = free_gaps_mm.copy()
-        meet = np.flatnonzero((free_gaps_mm < 0.0).any(axis=1))
-        force, gaps = force_n[meet], gaps_mm[meet]
-        for _ in range(_SWEEPS):
-            for i in range(N_PAIRS):
-                new = np.maximum(0.0, force[:, i] - gaps[:, i] / self._compliance[i, i])
-                gaps += (new - force[:, i])[:, None] * self._compliance[i]
-                force[:, i] = new
-        force_n[meet] = force
-        return force_n
+        rows = np.flatnonzero((free_gaps_mm < 0.0).any(axis=1))
+        free_mm = free_gaps_mm[rows]
+        meet = free_mm < 0.0
+        for _ in range(_ROUNDS):
+            both = meet[:, :, None] & meet[:, None]
+            pushes = np.where(both, self._compliance, np.eye(N_PAIRS))
+            force_n[rows] = np.linalg.solve(pushes, np.where(meet, -free_mm, 0.0)[..., None])[..., 0]
+            gaps_mm = free_mm + force_n[rows] @ self._compliance
+            before, meet = meet, np.where(meet, force_n[rows] > 0.0, gaps_mm < 0.0)
+            if (meet == before).all():
+                break
+        return np.maximum(force_n, 0.0)
 
 
 def _rows(n: int, at: NDArray[np.int_]) -> Array:
