@@ -325,7 +325,13 @@ class ElasticFace:
             self._seen @ (inverse @ np.kron(np.eye(3), (rod.n_per_mm * rod.patch)[:, None]))
             for rod in draw.rods
         ]
-        self._foam_answer = self._seen @ (inverse * np.tile(skin.foam, 3))
+        # What hangs on the jaw goes by (cos - 1) and sin of its turn, each times a constant.
+        foam_answer = self._seen @ (inverse * np.tile(skin.foam, 3))
+        ways = _turned(skin.places_mm - draw.axis_mm, np.array([np.pi, np.pi / 2])) * (
+            skin.jaw_share[:, None]
+        )
+        level, aside = ways.transpose(0, 2, 1).reshape(2, -1) @ foam_answer.T
+        self._jaw_answers = np.stack([-level / 2, aside - level / 2])
         self._gap_mm = skin.places_mm[:N_PAIRS, 1] - skin.places_mm[N_PAIRS : 2 * N_PAIRS, 1]
         self._push_answer = self._seen @ pushes + self._jaw_yields()
         self._compliance = self._push_answer[-N_PAIRS:] + _LIP_MM_PER_N * np.eye(N_PAIRS)
@@ -364,10 +370,8 @@ class ElasticFace:
 
     def _free(self, horns_deg: Array, jaw_rad: Array) -> Array:
         """(n, n_seen): dots and gaps, the lips not stopping each other."""
-        skin = self.draw.skin
-        carried = _turned(skin.places_mm - self.draw.axis_mm, jaw_rad) * skin.jaw_share[:, None]
-        flat = carried.transpose(0, 2, 1).reshape(len(jaw_rad), -1)
-        values = flat @ self._foam_answer.T
+        turns = np.stack([np.cos(jaw_rad) - 1.0, np.sin(jaw_rad)], axis=1)
+        values = turns @ self._jaw_answers
         for rod, answer in zip(self.draw.rods, self._rod_answers, strict=True):
             angle = np.deg2rad(horns_deg[:, rod.joint])[:, None]
             pulled = rod.arm_mm * (np.sin(angle) * rod.along + (1.0 - np.cos(angle)) * rod.over)
