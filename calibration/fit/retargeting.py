@@ -288,8 +288,21 @@ class Retargeting:
         return poses_deg
 
     def targets_mm(self, from_rest: Array) -> Array:
-        """(n, n_components) -> (n, n_markers, 3): the robot's own shapes there."""
-        return self.mouth.seen_mm(self.poses_deg(from_rest))
+        """(n, n_components) -> (n, n_markers, 3): the robot's own shapes there.
+
+        Closed lips just meet in them: what pressing does to a shape is an error of it.
+        """
+        return self.mouth.seen_mm(replace(self, press_mm=0.0).poses_deg(from_rest))
+
+    def held_back_mm(self, from_rest: Array) -> float:
+        """How far lips stay behind because joints are moved no farther than they are known to pay.
+
+        rms over frames (n, n_components) and lips, by the learnt face.
+        """
+        free = replace(self, mouth=replace(self.mouth, doubt_mm_per_deg=None))
+        lips = list(self.mouth.names.shape_features.lips)
+        behind_mm = (free.targets_mm(from_rest) - self.targets_mm(from_rest))[:, lips]
+        return float(np.sqrt(np.mean(np.sum(behind_mm**2, axis=2))))
 
     def at_gap(self, from_rest: Array, gap_mm: float) -> Array:
         """(1, n_components) -> (1, n_servos): the shape, its lips so high apart in the middle."""
