@@ -327,8 +327,9 @@ class ElasticFace:
         ]
         # What hangs on the jaw goes by (cos - 1) and sin of its turn, each times a constant.
         foam_answer = self._seen @ (inverse * np.tile(skin.foam, 3))
-        ways = _turned(skin.places_mm - draw.axis_mm, np.array([np.pi, np.pi / 2])) * (
-            skin.jaw_share[:, None]
+        ways = (
+            _turned(skin.places_mm - draw.axis_mm, np.array([np.pi, np.pi / 2]))
+            * (skin.jaw_share[:, None])
         )
         level, aside = ways.transpose(0, 2, 1).reshape(2, -1) @ foam_answer.T
         self._jaw_answers = np.stack([-level / 2, aside - level / 2])
@@ -400,7 +401,9 @@ class ElasticFace:
         for _ in range(_ROUNDS):
             both = meet[:, :, None] & meet[:, None]
             pushes = np.where(both, self._compliance, np.eye(N_PAIRS))
-            force_n[rows] = np.linalg.solve(pushes, np.where(meet, -free_mm, 0.0)[..., None])[..., 0]
+            force_n[rows] = np.linalg.solve(pushes, np.where(meet, -free_mm, 0.0)[..., None])[
+                ..., 0
+            ]
             gaps_mm = free_mm + force_n[rows] @ self._compliance
             before, meet = meet, np.where(meet, force_n[rows] > 0.0, gaps_mm < 0.0)
             if (meet == before).all():
