@@ -28,7 +28,12 @@ from calibration.simulated.robot import RobotDraw, SimulatedRobot, draw_robot, t
 from calibration.simulated.servos import SimulatedServos
 from lipservo.calibrating.within_speeds import spoken_frames
 from lipservo.settings.settings import FaceSettings, load_shipped_face
-from lipservo_lab.bench.calibration.hard_captures import FaultCount, count_faults, fault_figures
+from lipservo_lab.bench.calibration.hard_captures import (
+    FaultCount,
+    count_faults,
+    count_measured_faults,
+    fault_figures,
+)
 from lipservo_lab.bench.calibration.intervals import median_interval
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array
@@ -183,7 +188,9 @@ def own_robot(model: FaceWithAnimPhos, seed: int) -> OwnRobot:
         figures = measure_seed(model, settings, seed)
     except CalibrationError as error:
         refused = str(error)
-    faults = count_faults(model, draw_robot(rest_mm, servos.names, seed), servos, seed)
+    draw = draw_robot(rest_mm, servos.names, seed)
+    faults = count_faults(model, draw, servos, seed)
+    faults |= count_measured_faults(model, draw, servos, seed)
     return OwnRobot(seed, figures, refused, faults)
 
 

@@ -22,6 +22,7 @@ from lipservo_lab.bench.calibration.elastic_draws import draw_elastic_robot
 from lipservo_lab.bench.calibration.hard_captures import (
     FaultCount,
     count_faults,
+    count_measured_faults,
     fault_figures,
     refusals,
 )
@@ -120,7 +121,9 @@ def elastic_robot(model: FaceWithAnimPhos, seed: int) -> ElasticRobot:
     draw, servos = draw_elastic_robot(model.markers_mm(model.rest[None])[0], seed)
     face = ElasticFace(draw)
     with_worse = refusals(model, face, servos, seed)
-    return ElasticRobot(seed, score, refused, with_worse, count_faults(model, face, servos, seed))
+    faults = count_faults(model, face, servos, seed)
+    faults |= count_measured_faults(model, face, servos, seed)
+    return ElasticRobot(seed, score, refused, with_worse, faults)
 
 
 def elastic_figures(robots: Sequence[ElasticRobot]) -> dict[str, object]:
