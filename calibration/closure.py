@@ -6,6 +6,7 @@ quadratic of its joints; so the opening that a face asks for is compared with th
 the regression gives, and joints are turned by what is missing. NumPy only: it runs in every tick.
 """
 
+import math
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -16,7 +17,7 @@ from lipsync.arrays import Array, Indices
 #: Speaker's gaps up to the first are closed, up to so much more blended from pressed to open, so
 #: that angles do not jump; and corrected whole up to there, then less and less.
 CLOSED_GAP_MM, BLEND_MM, _CORRECTED_MM = 1.0, 0.8, 2.6
-_ROUNDS = 2
+_FADES_MM = _CORRECTED_MM - CLOSED_GAP_MM - BLEND_MM
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,25 +64,22 @@ class Closure:
         return np.asarray((1.0 - closes) * opened_mm - closes * self.press_mm)
 
     def corrected_deg(self, from_rest: Array, poses_deg: Array, low: Array, high: Array) -> Array:
-        """(k, n_components) and their poses (k, n_servos) -> the same with the lips as asked."""
-        between_mm = self.speaker_rest_mm + from_rest @ self.speaker_mm.T
-        apart_mm = np.sqrt((between_mm * between_mm).sum(axis=1))
-        near = (apart_mm < _CORRECTED_MM).nonzero()[0]
-        if not len(near):  # lips far apart: most of the ticks
-            return poses_deg
+        """(k, n_components) and their poses (k, n_servos) -> the same with the lips as asked.
+
+        Frame by frame with plain numbers: live there is one, and NumPy takes longer for it.
+        """
         poses_deg = poses_deg.copy()
-        for row in near.tolist():
-            # Frame by frame with plain numbers: live there is one, and NumPy takes longer for it.
-            apart = float(apart_mm[row])
-            share = min((_CORRECTED_MM - apart) / (_CORRECTED_MM - CLOSED_GAP_MM - BLEND_MM), 1.0)
-            asked_mm, turns_deg = self.asked_mm(from_rest[row], apart), share * self.turns_deg
-            pose_deg = poses_deg[row]
-            for _ in range(_ROUNDS):
-                moved = pose_deg - self.at_deg
-                open_mm = self.gaps_mm + (self.slopes + self.crossed @ moved) @ moved
-                turned_deg = pose_deg + turns_deg @ (asked_mm - open_mm)
-                pose_deg = np.minimum(np.maximum(turned_deg, low), high)
-            poses_deg[row] = pose_deg
+        for row, x in enumerate(from_rest):
+            between_mm = self.speaker_rest_mm + self.speaker_mm @ x
+            apart_mm = math.sqrt(between_mm @ between_mm)
+            if apart_mm >= _CORRECTED_MM:  # most of the ticks
+                continue
+            share = min((_CORRECTED_MM - apart_mm) / _FADES_MM, 1.0)
+            moved = poses_deg[row] - self.at_deg
+            open_mm = self.gaps_mm + (self.slopes + self.crossed @ moved) @ moved
+            missing_mm = share * (self.asked_mm(x, apart_mm) - open_mm)
+            turned_deg = poses_deg[row] + self.turns_deg @ missing_mm
+            poses_deg[row] = np.minimum(np.maximum(turned_deg, low), high)
         return poses_deg
 
 
