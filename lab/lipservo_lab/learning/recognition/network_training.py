@@ -36,7 +36,9 @@ from lipsync.recognition.features import FeatureScale
 from lipsync.recognition.network import NetworkWeights, load_weights, save_weights
 
 _N_VISEMES = len(VISEME_CLASSES)
-_STATE, _LOG, _BEST = "state.pt", "log.jsonl", "best.npz"
+#: Files of a run's folder.
+STATE = "state.pt"
+_LOG, _BEST = "log.jsonl", "best.npz"
 #: Of the figures of a check: what the best weights have most of.
 SCORE = "score"
 
@@ -126,7 +128,7 @@ def train_network(
     )
     optimizer = torch.optim.AdamW(network.parameters(), weight_decay=plan.weight_decay)
     learner = _Learner(network, average, optimizer)
-    state, about = folder / _STATE, _about(arrays, plan, start, taught)
+    state, about = folder / STATE, _about(arrays, plan, start, taught)
     if state.exists():
         learner.load(state, about)
     _shorten_log(folder / _LOG, learner.step)
@@ -198,16 +200,16 @@ _NOT_LEARNT = ("n_threads", "log_every", "check_every")
 
 def _shorten_log(path: Path, step: int) -> None:
     """Take out what an interrupted run wrote after the state that it goes on from."""
-    if not path.exists():
-        return
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True) if path.exists() else []
     kept = []
-    for line in path.read_text(encoding="utf-8").splitlines(keepends=True):
+    for line in lines:
         try:
             is_kept = line.endswith("\n") and json.loads(line)["step"] <= step
         except (ValueError, LookupError, TypeError):
             is_kept = False  # torn by the interruption
         kept += [line] if is_kept else []
-    write_whole(path, "".join(kept))
+    if kept != lines:
+        write_whole(path, "".join(kept))
 
 
 def _learn(

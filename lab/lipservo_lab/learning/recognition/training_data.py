@@ -229,6 +229,19 @@ class TrainingPlan:
             channels=len(weights.entry.bias),
         )
 
+    def shaped(
+        self, channels: int | None, dilations: tuple[int, ...], delays: tuple[int, ...]
+    ) -> "TrainingPlan":
+        """Another shape; None and empty leave what is. Heads of other delays weigh alike."""
+        weights = self.head_weights if not delays else tuple(1.0 / len(delays) for _ in delays)
+        return replace(
+            self,
+            channels=channels or self.channels,
+            dilations=dilations or self.dilations,
+            delays=delays or self.delays,
+            head_weights=weights,
+        )
+
 
 def draw_windows(
     arrays: Sequence[TrainingArray], plan: TrainingPlan, rng: np.random.Generator
