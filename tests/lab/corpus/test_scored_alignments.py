@@ -83,7 +83,7 @@ def test_every_scored_talker_has_a_fixed_alignment():
 
 @pytest.mark.skipif(not CORPORA.is_dir(), reason="no corpora")
 def test_alignments_of_the_scored_are_what_they_were():
-    """One utterance of each corpus; all of them: `bench recognition`, key alignment.moved."""
+    """One utterance of each corpus; all of them: `bench recognition --yardstick`."""
     pytest.importorskip("pocketsphinx")
     hashes = read_hashes(SPEAKERS / "scored_alignments.txt")
     for corpus in ("librispeech", "speechocean762", "picovoice_commands"):

@@ -9,10 +9,10 @@
 
 import itertools
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import typer
 from rich.table import Table
@@ -27,6 +27,9 @@ from lipservo.terminal.output import (
     progress_bar,
 )
 from lipsync.recognition.network import DEFAULT_WEIGHTS, find_weights
+
+if TYPE_CHECKING:
+    from lipservo_lab.corpus.alignment_cache import AlignedUtterance
 
 Speakers = Annotated[str, typer.Option(help="Only these, with commas between.")]
 Limit = Annotated[
@@ -87,6 +90,14 @@ def recognition(
         ),
     ] = None,
     cache: Cache = None,
+    yardstick: Annotated[
+        Path | None,
+        typer.Option(
+            help="Hashes of the alignments that it is to be judged by: those that have moved since "
+            "are counted; a file that is not there is written.",
+            show_default=False,
+        ),
+    ] = None,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes that align.")] = None,
     as_json: Json = False,
@@ -124,6 +135,8 @@ def recognition(
         if text == "another":
             heard.clear()
             figures |= leaving_figures(utterances, alignments, make, count)
+    if yardstick is not None:
+        figures["alignments_moved"] = _alignments_moved(yardstick, alignments.values())
     for utterance in alignments.values():
         if utterance.error:
             MESSAGES.print(f"not aligned: {utterance.name}: {utterance.error}", soft_wrap=True)
@@ -137,6 +150,20 @@ def recognition(
         "late_s": late_s,
     }
     _print({**figures, **settings, "machine": machine_class()}, as_json=as_json)
+
+
+def _alignments_moved(yardstick: Path, alignments: Iterable["AlignedUtterance"]) -> int:
+    """How many are not what they were; writes the file where there is none."""
+    from lipservo_lab.corpus.scored_alignments import hash_lines, moved, read_hashes
+    from lipsync.output_file import write_whole
+
+    if not yardstick.exists():
+        write_whole(yardstick, hash_lines(alignments))
+        return 0
+    names = moved(alignments, read_hashes(yardstick))
+    for name in names:
+        MESSAGES.print(f"alignment has moved: {name}", soft_wrap=True)
+    return len(names)
 
 
 def listening(

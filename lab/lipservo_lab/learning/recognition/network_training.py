@@ -170,26 +170,22 @@ def _about(
     taught: Taught | None,
 ) -> str:
     """What a state is of, as JSON: a run that goes on must agree in all of it."""
+    learnt = [part for each in arrays for part in (each.features, each.targets)]
+    shape = {key: value for key, value in asdict(plan).items() if key not in _NOT_LEARNT}
+    about = {
+        **shape,
+        "corpus": _digest(learnt),
+        "start": _digest([] if start is None else [start.output]),
+        "teacher": _digest([] if taught is None else [taught.posteriors]),
+    }
+    return json.dumps(about)
+
+
+def _digest(arrays: Sequence[NDArray[np.generic]]) -> str:
     digest = hashlib.blake2b(digest_size=8)
     for each in arrays:
-        digest.update(np.ascontiguousarray(each.features[::_DIGEST_STEP]))
-        digest.update(np.ascontiguousarray(each.targets[::_DIGEST_STEP]))
-    begun = hashlib.blake2b(digest_size=8)
-    if start is not None:
-        begun.update(np.ascontiguousarray(start.output))
-    teacher = hashlib.blake2b(digest_size=8)
-    if taught is not None:
-        teacher.update(np.ascontiguousarray(taught.posteriors[::_DIGEST_STEP]))
-    shape = {key: value for key, value in asdict(plan).items() if key not in _NOT_LEARNT}
-    return json.dumps(
-        {
-            **shape,
-            "corpus": digest.hexdigest(),
-            "start": begun.hexdigest(),
-            "teacher": teacher.hexdigest(),
-        },
-        default=list,
-    )
+        digest.update(each[::_DIGEST_STEP].tobytes())
+    return digest.hexdigest()
 
 
 #: A state is told from others by every so manyth frame: a corpus that differs does so in many.

@@ -59,9 +59,11 @@ def taught_by(
             kept.append(replace(recording, labels=labels))
             posteriors.append(heard.astype(np.float16))
         progress(number)
-    labels = [each.labels for each in kept] or [np.zeros(0, np.int64)]
-    said = posteriors or [np.zeros((0, len(PHONEMES)), np.float16)]
-    taught = Taught(np.concatenate(labels), np.concatenate(said))
+    nothing = np.zeros(0, np.int64)
+    taught = Taught(
+        np.concatenate([nothing, *(each.labels for each in kept)]),
+        np.concatenate([np.zeros((0, len(PHONEMES)), np.float16), *posteriors]),
+    )
     return TaughtRecordings(tuple(kept), taught, len(recordings) - len(kept))
 
 
