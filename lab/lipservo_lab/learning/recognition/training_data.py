@@ -233,12 +233,14 @@ class TrainingPlan:
         self, channels: int | None, dilations: tuple[int, ...], delays: tuple[int, ...]
     ) -> "TrainingPlan":
         """Another shape; None and empty leave what is. Heads of other delays weigh alike."""
-        weights = self.head_weights if not delays else tuple(1.0 / len(delays) for _ in delays)
+        delays, weights = delays or self.delays, self.head_weights
+        if delays != TrainingPlan().delays:
+            weights = tuple(1.0 / len(delays) for _ in delays)
         return replace(
             self,
             channels=channels or self.channels,
             dilations=dilations or self.dilations,
-            delays=delays or self.delays,
+            delays=delays,
             head_weights=weights,
         )
 
