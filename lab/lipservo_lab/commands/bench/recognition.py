@@ -137,6 +137,8 @@ def recognition(
             figures |= leaving_figures(utterances, alignments, make, count)
     if yardstick is not None:
         figures["alignments_moved"] = _alignments_moved(yardstick, alignments.values())
+    if not as_json:
+        del figures["visible_error_table"]
     for utterance in alignments.values():
         if utterance.error:
             MESSAGES.print(f"not aligned: {utterance.name}: {utterance.error}", soft_wrap=True)
