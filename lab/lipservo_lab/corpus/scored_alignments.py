@@ -8,10 +8,11 @@ alignments themselves are labels of corpora, which are not handed on.
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 
 from lipservo_lab.corpus.alignment_cache import AlignedUtterance, CacheError
+from lipsync.output_file import write_whole
 
 _NOT_ALIGNED = "-"
 
@@ -23,12 +24,6 @@ def alignment_hash(aligned: AlignedUtterance) -> str:
     return hashlib.sha256(json.dumps([aligned.beams, aligned.phones]).encode()).hexdigest()[:16]
 
 
-def hash_lines(alignments: Iterable[AlignedUtterance]) -> str:
-    """The file's text, by name."""
-    lines = (f"{each.name} {alignment_hash(each)}\n" for each in alignments)
-    return "".join(sorted(lines))
-
-
 def read_hashes(path: Path) -> dict[str, str]:
     """The hash by the utterance's name. Raises CacheError for a file that is none of hashes."""
     try:
@@ -38,10 +33,15 @@ def read_hashes(path: Path) -> dict[str, str]:
         raise CacheError(f"{path}: no file of NAME HASH a line ({error})") from error
 
 
-def moved(alignments: Iterable[AlignedUtterance], hashes: Mapping[str, str]) -> list[str]:
-    """Names of the utterances whose alignment is not the one that was fixed; others are passed."""
-    return [
-        each.name
-        for each in alignments
-        if each.name in hashes and hashes[each.name] != alignment_hash(each)
-    ]
+def fix_alignments(path: Path, alignments: Iterable[AlignedUtterance]) -> list[str]:
+    """Names of the utterances whose alignment is not the one that was fixed.
+
+    Those that the file at `path` has not are fixed now: they are added to it. Raises CacheError for
+    a file of something else, OutputError for one that cannot be written.
+    """
+    fixed = read_hashes(path) if path.exists() else {}
+    found = {each.name: alignment_hash(each) for each in alignments}
+    if found.keys() - fixed.keys():
+        lines = (f"{name} {digest}\n" for name, digest in sorted((found | fixed).items()))
+        write_whole(path, "".join(lines))
+    return [name for name, digest in found.items() if fixed.get(name, digest) != digest]

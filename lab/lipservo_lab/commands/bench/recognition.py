@@ -9,10 +9,10 @@
 
 import itertools
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 import typer
 from rich.table import Table
@@ -27,9 +27,6 @@ from lipservo.terminal.output import (
     progress_bar,
 )
 from lipsync.recognition.network import DEFAULT_WEIGHTS, find_weights
-
-if TYPE_CHECKING:
-    from lipservo_lab.corpus.alignment_cache import AlignedUtterance
 
 Speakers = Annotated[str, typer.Option(help="Only these, with commas between.")]
 Limit = Annotated[
@@ -94,7 +91,7 @@ def recognition(
         Path | None,
         typer.Option(
             help="Hashes of the alignments that it is to be judged by: those that have moved since "
-            "are counted; a file that is not there is written.",
+            "are counted, new ones are added to the file.",
             show_default=False,
         ),
     ] = None,
@@ -111,6 +108,7 @@ def recognition(
         speaker_groups,
         told_texts,
     )
+    from lipservo_lab.corpus.scored_alignments import fix_alignments
     from lipservo_lab.evaluation.recognition.benchmark import leaving_figures, measure
     from lipservo_lab.evaluation.recognition.conditions import parse_condition
 
@@ -136,7 +134,10 @@ def recognition(
             heard.clear()
             figures |= leaving_figures(utterances, alignments, make, count)
     if yardstick is not None:
-        figures["alignments_moved"] = _alignments_moved(yardstick, alignments.values())
+        names = fix_alignments(yardstick, alignments.values())
+        figures["alignments_moved"] = len(names)
+        for name in names:
+            MESSAGES.print(f"alignment has moved: {name}", soft_wrap=True)
     if not as_json:
         del figures["visible_error_table"]
     for utterance in alignments.values():
@@ -152,20 +153,6 @@ def recognition(
         "late_s": late_s,
     }
     _print({**figures, **settings, "machine": machine_class()}, as_json=as_json)
-
-
-def _alignments_moved(yardstick: Path, alignments: Iterable["AlignedUtterance"]) -> int:
-    """How many are not what they were; writes the file where there is none."""
-    from lipservo_lab.corpus.scored_alignments import hash_lines, moved, read_hashes
-    from lipsync.output_file import write_whole
-
-    if not yardstick.exists():
-        write_whole(yardstick, hash_lines(alignments))
-        return 0
-    names = moved(alignments, read_hashes(yardstick))
-    for name in names:
-        MESSAGES.print(f"alignment has moved: {name}", soft_wrap=True)
-    return len(names)
 
 
 def listening(
