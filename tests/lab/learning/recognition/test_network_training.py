@@ -16,6 +16,7 @@ from lipservo_lab.learning.recognition.augmentation import LabelledSamples
 from lipservo_lab.learning.recognition.training_data import (
     NO_TARGET,
     Taught,
+    TrainingArray,
     TrainingError,
     TrainingPlan,
     delayed,
@@ -438,6 +439,34 @@ def test_what_is_left_out_is_not_even_read(plan, speaker, tmp_path):
 
     assert weights.delays == plan.delays
     assert list(read_alignments(tmp_path / "alignments.jsonl")) == ["one"]
+
+
+@pytest.mark.usefixtures("training")
+def test_each_corpus_counts_alike_in_the_score_however_long_it_is(plan, small_arrays):
+    from lipservo_lab.learning.recognition.training_run import checked
+
+    arrays, scale = small_arrays
+    weights = random_weights(n_channels=8, dilations=(1, 2), delays=(2, 7))
+    long, short = arrays[0], TrainingArray(arrays[0].features[:90], arrays[0].targets[:90])
+    conditions = {"clean": long, "corpus_long": long, "corpus_short": short}
+    found = checked(replace(weights, scale=scale), conditions, plan)
+    each = [found[f"corpus_{name}_delay2_viseme_speech"] for name in ("long", "short")]
+
+    assert each[0] != each[1]
+    assert found["score"] == pytest.approx(sum(each) / 2)
+    assert "score" not in checked(weights, {"clean": long}, plan)
+
+
+@pytest.mark.usefixtures("training")
+def test_a_folder_that_holds_a_run_is_not_taken_up_unless_that_is_asked_for(
+    plan, speaker, tmp_path
+):
+    from lipservo_lab.learning.recognition.training_run import TrainingRun, run_training
+
+    (tmp_path / "state.pt").write_bytes(b"of another run")
+    with pytest.raises(TrainingError, match="holds a run already; go on with --resume"):
+        run_training(TrainingRun((speaker,), tmp_path, plan=plan), lambda *_: None)
+    assert (tmp_path / "state.pt").read_bytes() == b"of another run"
 
 
 @pytest.mark.usefixtures("training")
