@@ -8,7 +8,7 @@ a whole, to where the mouth is expected, and it is joined sooner than at the pho
 """
 
 import math
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +25,7 @@ from lipsync.animpho.trajectory import (
 )
 from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits
 from lipsync.arrays import Array
-from lipsync.expectation.expectation import Expectation, PhonemeTrack, context_at, track_of
+from lipsync.expectation.expectation import PhonemeTrack, context_at, track_of
 from lipsync.motion.tick_plan import PAUSE_S, RESTING_S, TICK_S, TickPlan
 from lipsync.phonemes import PHONEMES, SILENCE, stand_in
 
@@ -82,6 +82,8 @@ def span_at(
 #: shorter. A shorter rest of a phone than `_SHORTEST_S` is begun as if it were as long.
 JOINED_S = 0.02
 _SHORTEST_S = 0.04
+#: What is left of an AnimPho is planned anew so often: then more is known of what is expected.
+REPLANNED_S = 0.04
 #: The expectation at a phone's end is asked for so much before: there it is still that phone's.
 _BEFORE_THE_END_S = 1e-6
 
@@ -108,15 +110,18 @@ class UnitMotion:
     def __init__(
         self,
         units: AnimPhoUnits,
-        expectation: Expectation,
+        expected: Callable[[Array, float], Array],
         known_s: float,
         costs: SelectionCosts | None = None,
     ) -> None:
-        """known_s: how far beyond its tick a decision may look, s."""
+        """expected: faces (n, n_components) at times (n,), by what is known until an instant.
+
+        known_s: how far beyond its tick a decision may look, s.
+        """
         self._units = units
         self._known_phonemes = units.known_phonemes
         self._selection = GuidedSelection(units, costs)
-        self._expectation = expectation
+        self._expected = expected
         self._known_s = known_s
         self.reset()
 
@@ -148,7 +153,11 @@ class UnitMotion:
         known = (span.phoneme, end_s, *context[0])
         if known == last.known and (
             span.phoneme is None
-            or (span.onset_s <= last.begun_s and time_s <= last.trajectory.end_s)
+            or (
+                span.onset_s <= last.begun_s
+                and time_s <= last.trajectory.end_s
+                and time_s - TICK_S < last.trajectory.start_s + REPLANNED_S - 1e-9
+            )
         ):
             return last
         begin_s = time_s - TICK_S
@@ -172,12 +181,7 @@ class UnitMotion:
         """(r, n_components): what is expected at the sample times to come, as far as known."""
         shares = np.arange(joint.n_passed, SAMPLES_PER_ANIMPHO) / (SAMPLES_PER_ANIMPHO - 1)
         times_s = np.minimum(span.start_s + shares * joint.phone_s, span.end_s - _BEFORE_THE_END_S)
-        found = [context_at(self._track, float(t), known_until_s) for t in times_s]
-        return self._expectation.faces(
-            np.array([phonemes for phonemes, _ in found]),
-            np.array([since_s for _, since_s in found]),
-            np.maximum(0.0, known_until_s - times_s),
-        )
+        return self._expected(times_s, known_until_s)
 
     def _joined(self, chosen: int, target: Array, joint: Joint, begin_s: float) -> Trajectory:
         """From the mouth as it is to the end of the chosen AnimPho, moved to its target."""

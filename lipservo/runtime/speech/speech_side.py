@@ -9,7 +9,7 @@ import numpy as np
 from firmware_bridge.gate.joint_plan import JointPlan
 from firmware_bridge.loop.targets import TargetChannel
 from lipservo.runtime.servos.assembly import Face
-from lipservo.runtime.speech.expression import expression_servos, make_expression
+from lipservo.runtime.speech.expression import make_expression
 from lipservo.runtime.speech.phoneme_sources import RecognizedPhonemes, SpokenPhonemes
 from lipservo.runtime.speech.speech import PUBLISH_PERIOD_S, LipGapOffset, Speech, SpeechOptions
 from lipservo.runtime.status.live_board import MOST_PEAKS, LiveBoard, expression_values
@@ -38,7 +38,7 @@ class AdjustableMouth:
     def __init__(self, synthesizer: Synthesizer) -> None:
         self._live = synthesizer if isinstance(synthesizer, FinishedSynthesizer) else None
         self._strength = 1.0 if self._live is None else self._live.strength
-        self._gain = 1.0
+        self._gain, self._valence = 1.0, 0.0
         self._due_s = 0.0
 
     def change(self, settings: Mapping[str, float]) -> None:
@@ -51,13 +51,18 @@ class AdjustableMouth:
         for name in self._live.adjustable & settings.keys() - {"strength"}:
             self._live.adjust(name, settings[name])
 
-    def follow(self, now_s: float, gain: float) -> None:
-        """Move so much livelier, at monotonic `now_s`."""
-        if now_s < self._due_s or abs(gain - self._gain) < _SMALLEST_CHANGE:
+    def follow(self, now_s: float, gain: float, valence: float) -> None:
+        """Move so much livelier, and look as glad, -1 to 1, at monotonic `now_s`."""
+        change = max(abs(gain - self._gain), abs(valence - self._valence))
+        if self._live is None or now_s < self._due_s or change < _SMALLEST_CHANGE:
             return
         self._due_s = now_s + _EVERY_S
-        self._gain = gain
-        self._set_strength()
+        if gain != self._gain:
+            self._gain = gain
+            self._set_strength()
+        if valence != self._valence:
+            self._valence = valence
+            self._live.smile(valence)
 
     def _set_strength(self) -> None:
         if self._live is not None:
@@ -247,7 +252,8 @@ class SpeechSide:
             self.voice.advance(now_s)
         self.speech.advance(now_s)
         if self._mouth is not None and self.speech.expression is not None:
-            self._mouth.follow(now_s, self.speech.expression.mouth_gain)
+            affect = self.speech.expression
+            self._mouth.follow(now_s, affect.mouth_gain, affect.valence)
         if self._board is not None:
             self._board.tell(now_s, self.speech)
 
@@ -307,21 +313,16 @@ def make_speech_side(
     channel: TargetChannel,
     *,
     start_s: float,
-    is_watchable: bool = True,
     board: LiveBoard | None = None,
 ) -> SpeechSide:
     """Everything between an entered source and the targets of a face's servos.
 
     start_s: the servos come on for so long, and nothing is said until they follow.
-    is_watchable: somebody may look on whose twin has eyes; where nobody can, a face that is only a
-    mouth has no expression.
     """
     names: Sequence[str] = list(face.settings.servos)
     mouth, rest = AdjustableMouth(synthesizer), face.model.rest
-    expression = None
-    if is_watchable or expression_servos(face.settings):
-        expression = make_expression(face.settings, face.folder)
-    voice = None if expression is None else expression.voice
+    expression = make_expression(face.settings, face.folder)
+    voice = expression.voice
     offset_mm = face.settings.motion.lip_gap_offset_mm or 0.0
     lip_gap = LipGapOffset(face.model, offset_mm, PUBLISH_PERIOD_S)
     watched = None if board is None else SpeechBoard(board, rest)
