@@ -197,9 +197,9 @@ class TrackingSettings(Strict):
 class MotionSettings(Strict):
     """Every one of them may be absent; the command line goes before it.
 
-    weights: `default`, `grid`, or a file, from the folder of the YAML. stage: 1 opens and rounds the
-    mouth for viewers at 3 m. low_latency: for puppeteers,
-    goals within 150 ms of the sound, less precise.
+    weights: `default`, `grid`, or a file, from the folder of the YAML. stage: 1 opens and rounds
+    the mouth for viewers at 3 m. low_latency: for puppeteers, goals within 150 ms of the sound,
+    less precise.
     """
 
     strategy: Strategy | None = None

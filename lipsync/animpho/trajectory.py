@@ -28,14 +28,18 @@ def translate(animpho: Array, start: Array) -> Array:
     return np.asarray(animpho + (start - animpho[0]))
 
 
-def remaining(animpho: Array, share: float) -> Array:
-    """What is left of an AnimPho after a share of it, 0 to below 1, at five times anew: (5, n)."""
+def remaining(animphos: Array, share: float) -> Array:
+    """What is left of AnimPhos (..., 5, n_components) after a share of them, at five times anew.
+
+    share: 0 to below 1.
+    """
     if share <= 0.0:
-        return animpho
+        return animphos
     at = np.linspace(share, 1.0, SAMPLES_PER_ANIMPHO) * (SAMPLES_PER_ANIMPHO - 1)
     number = np.minimum(at.astype(np.int64), SAMPLES_PER_ANIMPHO - 2)
     part = (at - number)[:, None]
-    return np.asarray((1.0 - part) * animpho[number] + part * animpho[number + 1])
+    left = (1.0 - part) * animphos[..., number, :] + part * animphos[..., number + 1, :]
+    return np.asarray(left)
 
 
 def blend(connected: Array, chosen: Array, joined_by: float = 1.0) -> Array:

@@ -189,13 +189,12 @@ def closed_share(spans_s: Sequence[tuple[float, float]], time_s: float) -> float
 DEFAULT_LOOKAHEAD_S = 0.1
 LONGEST_LOOKAHEAD_S = 1.0
 STRONGEST = 1.5
-#: Chosen on inner splits (decisions/0028).
+#: Chosen on inner splits (decisions/0068). Components beyond the first four have twice the share.
 DEFAULT_UNIT_SHARE = 0.25
+N_COARSE, FINE_SHARE = 4, 2.0
 
 
-#: Corners of rounded lips are at most this share of their distance at rest apart; on a stage, which
-#: viewers see from 3 m, at most the second, and the mouth goes so much farther than the speaker's.
-ROUNDED_SHARE, STAGE_ROUNDED_SHARE = 9.0, 0.72
+#: On a stage, which viewers see from 3 m, a mouth goes so much farther than the speaker's.
 STAGE_STRENGTH = 1.3
 
 #: A window shows the face so long after its frame, and where a closure is complete. Finer steps
@@ -293,6 +292,8 @@ class FinishedSynthesizer:
         self._bilabial_s = _tightest_s(model, BILABIALS)
         self._labiodental_s = _tightest_s(model, LABIODENTALS)
         self._units = units
+        self._shares = np.ones(model.n_components)
+        self._shares[N_COARSE:] = FINE_SHARE
         self._strength = EasedSetting(strength, STRONGEST)
         self._unit_share = EasedSetting(unit_share, 1.0)
         self._stage = EasedSetting(stage, 1.0)
@@ -419,19 +420,17 @@ class FinishedSynthesizer:
         """The face (n_components,) with its corners rounded, 0 to 1, and smiling."""
         if self._width is None:
             return face
-        stage = self._stage.at(time_s)
-        share = ROUNDED_SHARE + stage * (STAGE_ROUNDED_SHARE - ROUNDED_SHARE)
         moved = min(1.0, self._strength.at(time_s))
-        face = self._width.rounded(face, share, moved * rounding)
+        face = self._width.rounded(face, self._stage.at(time_s) * moved * rounding)
         return self._width.smiling(face, moved * (1.0 - rounding) * self._valence.at(time_s))
 
     def _mixed(self, face: Array, units: "UnitMotion", time_s: float) -> Array:
-        """The weighted mean of a face (n_components,) and that of the AnimPhos."""
-        of_units = units.at(time_s, self._inner.track)
+        """The face (n_components,) with its share of AnimPhos, larger in the finer components."""
+        departure = units.at(time_s, self._inner.track)
         share = self._unit_share.at(time_s)
-        if of_units is None or share == 0.0:
+        if departure is None or share == 0.0:
             return face
-        return face + share * (of_units - face)
+        return face + np.minimum(1.0, share * self._shares) * departure
 
     def _decide(self, time_s: float, last: _Finish) -> _Finish:
         """Rest and closures of the tick that ends at `time_s`, from what is known then."""

@@ -19,7 +19,9 @@ from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import PlayoutRequest
 from lipsync.audio.source import AudioSource
 from lipsync.face.frame import Frame, Synthesizer
+from lipsync.face.model import FaceModel
 from lipsync.motion.finishing import STRONGEST, FinishedSynthesizer, lip_gap_of
+from lipsync.motion.rounding import ROUNDED, ROUNDING_S, lip_width_of
 from lipsync.phonemes import PHONEMES, SILENCE, LiveRecognizer
 from lipsync.recognition.own_noise import ServoSpeeds
 
@@ -152,13 +154,24 @@ class OwnVoice:
             self._speech.cut_off(now_s, self._rest)
 
 
-class SpeechBoard:
-    """Writes to a `LiveBoard` what is shown."""
+#: Lips of the page's head round so much before their sound, and this quickly, s: the middle of a
+#: cubic of `ROUNDING_S`.
+_ROUNDING_LEAD_S: Final = ROUNDING_S / 2.0
+_ROUNDING_TIME_S: Final = 0.03
 
-    def __init__(self, board: LiveBoard, rest: Array) -> None:
-        """rest: the face (n_components,) of a mouth at rest."""
+
+class SpeechBoard:
+    """Writes to a `LiveBoard` what is shown.
+
+    The page's head is drawn: its lips round where those of the talker, and so of the robot, hardly
+    do (`lipsync.motion.rounding`).
+    """
+
+    def __init__(self, board: LiveBoard, face: FaceModel) -> None:
         self._board = board
-        self._rest = rest
+        self._rest = face.rest
+        self._width = lip_width_of(face)
+        self._rounding = 0.0
         self._numbers = {phoneme: number for number, phoneme in enumerate(PHONEMES)}
         self._told_s = 0.0
 
@@ -177,12 +190,22 @@ class SpeechBoard:
             is_cut_off=is_cut_off,
             is_speech=heard is not None and heard.at(sound_s).is_speech,
             arousal=0.0 if expression is None else expression.arousal,
-            coefficients=self._rest if is_cut_off else frame.coefficients,
+            coefficients=self._rest if is_cut_off else self._rounded(frame, speech),
             expression=expression_values()
             if expression is None
             else expression_values(expression.expression),
         )
         self._told_s = max(self._told_s, sound_s)
+
+    def _rounded(self, frame: Frame, speech: Speech) -> Array:
+        """The frame's face (n_components,), its lips rounded for W, UW and their likes."""
+        if self._width is None:
+            return frame.coefficients
+        event = speech.event_at(frame.time_s + _ROUNDING_LEAD_S)
+        wanted = float(event is not None and PHONEMES.index(event.phoneme) in ROUNDED)
+        passed_s = max(0.0, frame.time_s - self._told_s)
+        self._rounding += (1.0 - math.exp(-passed_s / _ROUNDING_TIME_S)) * (wanted - self._rounding)
+        return self._width.rounded(frame.coefficients, self._rounding)
 
 
 #: Full speed is told three times, a tenth of a second apart, since nobody acknowledges it.
@@ -325,7 +348,7 @@ def make_speech_side(
     voice = expression.voice
     offset_mm = face.settings.motion.lip_gap_offset_mm or 0.0
     lip_gap = LipGapOffset(face.model, offset_mm, PUBLISH_PERIOD_S)
-    watched = None if board is None else SpeechBoard(board, rest)
+    watched = None if board is None else SpeechBoard(board, face.model)
     quiet_s = start_s + _MARGIN_S if start_s else 0.0
     if not isinstance(source, Playout):
         heard = RecognizedPhonemes(source, recognizer, voice)
