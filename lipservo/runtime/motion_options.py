@@ -214,8 +214,13 @@ def make_synthesizer(
             return LiveSynthesizer(face, expectation, style, soft=_soft_of(file, face, options))
         from lipsync.animpho.selection import STRATEGIES as SELECTIONS
         from lipsync.animpho.synthesizer import PublishedSynthesizer
-        from lipsync.animpho.units import read_animphos
+        from lipsync.animpho.units import ANIMPHO_PART, read_animphos
 
+        if not file.has(ANIMPHO_PART):
+            raise ModelError(
+                f"{file.name}: holds no AnimPhos for strategy {options.strategy}; take --strategy "
+                f"{LIVE_STRATEGY}, or train it again with `lipservo learn face`"
+            )
         units = read_animphos(file, face)
         if options.strategy == UNIT_STRATEGY:
             expectation = read_expectation(file, face.n_components)

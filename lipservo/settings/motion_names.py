@@ -11,7 +11,7 @@ MeasuredEngine = Literal["network", "energy", "pocketsphinx"]
 Strategy = Literal["expected", "animpho", "priority", "naive"]
 
 STRATEGIES: Final[tuple[Strategy, ...]] = get_args(Strategy)
-DEFAULT_STRATEGY: Final[Strategy] = "expected"
+DEFAULT_STRATEGY: Final[Strategy] = "animpho"
 #: What each strategy lets its user set; the paper's plays what was recorded, in its own time.
 STYLE_NAMES: Final = ("lookahead_ms", "strength", "stage", "smoothness", "unit_share")
 #: The most that each may be; the least is 0. `lipsync.motion.live_synthesizer` says why.

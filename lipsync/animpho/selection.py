@@ -15,8 +15,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.animpho.trajectory import remaining
-from lipsync.animpho.units import AnimPhoUnits
+from lipsync.animpho.trajectory import left_samples
+from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits
 from lipsync.arrays import Array
 
 Indices = NDArray[np.int64]
@@ -156,33 +156,62 @@ class Joint:
     previous: int | None
 
 
+@dataclass(frozen=True, slots=True)
+class _Candidates:
+    """L(p): samples (k, 5 n_components) about their means, as where an AnimPho lies costs nothing.
+
+    products: (k, 25), of the samples with each other over the components.
+    """
+
+    indices: Indices
+    samples: Array
+    products: Array
+
+
 class GuidedSelection:
-    """The AnimPho of a phoneme that costs least."""
+    """The AnimPho of a phoneme that costs least.
+
+    All costs are squares of what is linear in the samples x (5, n_components) of an AnimPho, so
+    their sum is x' M x + v x, with one M (5, 5) and one v for all candidates: two products.
+    """
 
     def __init__(self, units: AnimPhoUnits, costs: SelectionCosts | None = None) -> None:
         self._units = units
-        self._costs = costs or SelectionCosts()
+        costs = costs or SelectionCosts()
+        near = [1.0 / SAMPLES_PER_ANIMPHO] * SAMPLES_PER_ANIMPHO
+        self._weights = np.array([*near, costs.position, costs.speed_s2])
+        self._unconnected_cost = costs.unconnected
         self._unconnected = np.ones(len(units))
+        self._candidates = {p: _candidates(units, p) for p in units.known_phonemes}
 
     def choose(self, phoneme: str, target: Array, joint: Joint) -> int:
         """The AnimPho of a known phoneme for what is left of a phone; its number.
 
         target: (5, n_components), from now until the phone's end.
         """
-        candidates = self._units.of_phoneme(phoneme)
-        left = remaining(self._units.samples[candidates], joint.share)
-        means, centre = left.mean(axis=1), target.mean(axis=0)
-        left -= means[:, None]
-        apart = left - (target - centre)
-        cost = np.einsum("ksn,ksn->k", apart, apart) / len(target)
-        # Eq. (1), squared, of position and of speed.
-        apart = left[:, 0] - (joint.position - centre)
-        cost += self._costs.position * np.einsum("kn,kn->k", apart, apart)
-        apart = (left[:, 1] - left[:, 0]) / joint.spacing_s - joint.speed
-        cost += self._costs.speed_s2 * np.einsum("kn,kn->k", apart, apart)
+        candidates = self._candidates[phoneme]
+        centre = target.mean(axis=0)
+        left = left_samples(joint.share)
+        moved = left - left.mean(axis=0)
+        step = (left[1] - left[0]) / joint.spacing_s
+        # Nearness; eq. (1), of position and of speed: rows that should vanish, each by its weight.
+        seen = np.vstack([moved, moved[:1], step])
+        wanted = np.vstack([target - centre, joint.position - centre, joint.speed])
+        weighted = seen.T * self._weights
+        squares, products = weighted @ seen, weighted @ wanted
+        cost = candidates.products @ squares.ravel() - candidates.samples @ (2.0 * products.ravel())
         if joint.previous is not None:
             followers = self._units.successors[joint.previous]
             self._unconnected[followers] = 0.0
-            cost += self._costs.unconnected * self._unconnected[candidates]
+            cost += self._unconnected_cost * self._unconnected[candidates.indices]
             self._unconnected[followers] = 1.0
-        return int(candidates[np.argmin(cost)])
+        return int(candidates.indices[np.argmin(cost)])
+
+
+def _candidates(units: AnimPhoUnits, phoneme: str) -> _Candidates:
+    indices = units.of_phoneme(phoneme)
+    samples = units.samples[indices]
+    samples = samples - samples.mean(axis=1, keepdims=True)
+    products = np.einsum("ksn,ktn->kst", samples, samples)
+    k = len(indices)
+    return _Candidates(indices, samples.reshape(k, -1), products.reshape(k, -1))

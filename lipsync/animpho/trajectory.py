@@ -28,18 +28,13 @@ def translate(animpho: Array, start: Array) -> Array:
     return np.asarray(animpho + (start - animpho[0]))
 
 
-def remaining(animphos: Array, share: float) -> Array:
-    """What is left of AnimPhos (..., 5, n_components) after a share of them, at five times anew.
+def left_samples(share: float) -> Array:
+    """(5, 5): samples of what is left of an AnimPho after a share of it, 0 to below 1, by its own.
 
-    share: 0 to below 1.
+    Five times anew, by straight lines between its own.
     """
-    if share <= 0.0:
-        return animphos
     at = np.linspace(share, 1.0, SAMPLES_PER_ANIMPHO) * (SAMPLES_PER_ANIMPHO - 1)
-    number = np.minimum(at.astype(np.int64), SAMPLES_PER_ANIMPHO - 2)
-    part = (at - number)[:, None]
-    left = (1.0 - part) * animphos[..., number, :] + part * animphos[..., number + 1, :]
-    return np.asarray(left)
+    return np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(SAMPLES_PER_ANIMPHO)))
 
 
 def blend(connected: Array, chosen: Array, joined_by: float = 1.0) -> Array:

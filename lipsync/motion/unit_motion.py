@@ -22,7 +22,7 @@ from lipsync.animpho.trajectory import (
     blend,
     choose_connected,
     ease,
-    remaining,
+    left_samples,
     sample_derivatives,
     translate,
 )
@@ -112,6 +112,9 @@ JOINED_S = 0.02
 _SHORTEST_S = 0.04
 #: What is left of an AnimPho is planned anew so often: then more is known of what is expected.
 REPLANNED_S = 0.04
+#: Of what is left of a phone the expectation is asked for so much later; between, straight lines.
+_TARGETS = np.array([0.0, 0.5, 1.0])
+_BETWEEN = np.array([[1, 0, 0], [0.5, 0.5, 0], [0, 1, 0], [0, 0.5, 0.5], [0, 0, 1]])
 #: Sums of the same times differ by less.
 _ROUNDING_S = 1e-9
 #: The expectation at a phone's end is asked for so much before: there it is still that phone's.
@@ -209,21 +212,19 @@ class UnitMotion:
         share = max(0.0, (begin_s - span.start_s) / phone_s)
         left_s = (1.0 - share) * phone_s
         spacing_s = left_s / (SAMPLES_PER_ANIMPHO - 1)
-        times_s = begin_s + spacing_s * np.arange(SAMPLES_PER_ANIMPHO)
-        times_s = np.minimum(times_s, span.end_s - _BEFORE_THE_END_S)
-        target = self._expected(times_s, begin_s + TICK_S + self._known_s)
+        times_s = np.minimum(begin_s + left_s * _TARGETS, span.end_s - _BEFORE_THE_END_S)
+        target = _BETWEEN @ self._expected(times_s, begin_s + TICK_S + self._known_s)
         away, speed = last.at(begin_s)
         position = target[0] + away
-        joint = Joint(
-            share, position, speed + (target[1] - target[0]) / spacing_s, spacing_s, previous
-        )
+        velocity = speed + (target[1] - target[0]) / spacing_s
+        joint = Joint(share, position, velocity, spacing_s, previous)
         chosen = self._selection.choose(span.phoneme, target, joint)
-        units = self._units
+        units, left = self._units, left_samples(share)
         connected = chosen if previous is None else choose_connected(units, previous, chosen)
-        moved = remaining(units.samples[chosen], share)
-        moved = moved + (target - moved).mean(axis=0)
+        moved = left @ units.samples[chosen]
+        moved += (target - moved).mean(axis=0)
         joined = blend(
-            translate(remaining(units.samples[connected], share), position),
+            translate(left @ units.samples[connected], position),
             moved,
             min(1.0, JOINED_S / left_s),
         )

@@ -14,9 +14,9 @@ from rich.progress import Progress
 from rich.table import Table
 
 from lipservo.commands.options import Json, Landmarker, Quiet, SkipBad, UnitShare
+from lipservo.settings.motion_names import DEFAULT_STRATEGY
 from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json, progress_bar
 from lipsync.errors import check_extra
-from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 
 if TYPE_CHECKING:
     from lipservo_lab.bench.motion_figures import Question
@@ -51,7 +51,7 @@ def measure_video(
         figures = foreign_figures(clips, tracker, model, advance)
     answer = {
         **figures,
-        "default_strategy": LIVE_STRATEGY,
+        "default_strategy": DEFAULT_STRATEGY,
         "machine": machine_class(),
         "wall_s": round(time.perf_counter() - began_s, 1),
     }
@@ -169,7 +169,6 @@ def motion(
     from lipservo_lab.bench.pictures.line_plots import LINE_PICTURES
     from lipservo_lab.bench.pictures.motion_plots import PICTURES
     from lipservo_lab.learning.motion.trained_model import load_trained_model
-    from lipsync.motion.live_synthesizer import LIVE_STRATEGY
     from lipsync.offline.line_methods import DEFAULT_METHOD
 
     began_s = time.perf_counter()
@@ -190,7 +189,7 @@ def motion(
                 "--offline and --plots"
             )
         _measure_left_out(
-            corpus, asked, strategy or LIVE_STRATEGY, limit, skip_bad=skip_bad, as_json=as_json,
+            corpus, asked, strategy or DEFAULT_STRATEGY, limit, skip_bad=skip_bad, as_json=as_json,
             quiet=quiet,
         )  # fmt: skip
         return
@@ -203,7 +202,7 @@ def motion(
         )
     seconds = time.perf_counter() - began_s
     answer["published_derivatives"] = published_derivatives
-    default = DEFAULT_METHOD if offline else LIVE_STRATEGY
+    default = DEFAULT_METHOD if offline else DEFAULT_STRATEGY
     answer |= {"default_strategy": default, "machine": machine_class(), "seconds": seconds}
     if as_json:
         print_json(answer)
