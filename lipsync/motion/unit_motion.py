@@ -42,9 +42,8 @@ _USUAL_MS: Final = {
     "AW": 220, SILENCE: 80,
 }  # fmt: skip
 _USUAL_S: Final = [_USUAL_MS[phoneme] / 1e3 for phoneme in PHONEMES]
-#: Of how much the last two phones took more or less than usual, this phone is taken to have half,
-#: and never more than twice as much.
-_PACE_EXPONENT: Final = 0.5
+#: The last two phones took at most so many times as long as usual, or as short; of that pace, in
+#: logarithms, half is believed of the next.
 _MOST_PACE: Final = 2.0
 #: Where its end is later than is known it is a recorded frame later than that.
 LONGER_S = 0.04
@@ -103,7 +102,7 @@ def guessed_s(phonemes: list[int], times_s: list[float]) -> float:
             took_s += begun_s - ended_s
     pace = took_s / usual_s if usual_s else 1.0
     pace = min(_MOST_PACE, max(1.0 / _MOST_PACE, pace))
-    return _USUAL_S[phonemes[2]] * pace**_PACE_EXPONENT
+    return _USUAL_S[phonemes[2]] * math.sqrt(pace)
 
 
 #: Of what is left of a phone it takes this long to become its AnimPho, s, or all of it where it is

@@ -149,7 +149,7 @@ def score_model(model: TrainedModel, corpus: Corpus, asked: Question, track: Tra
 
 
 def paper_rows(model: TrainedModel, corpus: Corpus) -> dict[str, list[Row]]:
-    """Tables 2 and 3 and Figure 6 of the paper; case 2 with our recogniser and with pocketsphinx.
+    """Figures 1 and 6 and Tables 2 and 3 of the paper; with our recogniser and with pocketsphinx.
 
     Raises MissingExtraError without the extra `align`.
     """
