@@ -9,6 +9,13 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
+PYTEST := $(BIN)/python -m pytest
+SLOW := -m "slow and not campaign"
+# Tests of processes share the processors with each other. What failed is tried once more alone, and
+# the log shows both: docs/decisions/0066-failed-tests-once-more-alone.md.
+once_more_alone = || { [ $$? = 1 ] && echo "=== what failed beside others, once more alone ===" \
+	&& $(PYTEST) --last-failed --last-failed-no-failures none $(1); }
+
 .PHONY: run test traces docs check agents campaign format clean
 
 run: $(VENV)/.installed
@@ -16,7 +23,7 @@ run: $(VENV)/.installed
 
 # Half of what the tests of processes do is waiting: two workers a core.
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest --numprocesses $$((2 * $$(getconf _NPROCESSORS_ONLN))) --dist loadfile --no-loadscope-reorder --durations 15
+	$(PYTEST) --numprocesses $$((2 * $$(getconf _NPROCESSORS_ONLN))) --dist loadfile --no-loadscope-reorder --durations 15 $(call once_more_alone)
 
 traces: $(VENV)/.installed-dev
 	$(BIN)/python tests/support/make_reference_traces.py
@@ -41,7 +48,7 @@ check: $(VENV)/.installed-dev
 	$(BIN)/python -m build --wheel --outdir dist . >/dev/null
 	$(BIN)/check-wheel-contents dist
 	$(BIN)/python -m pytest --durations 15 -m packaging
-	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile --durations 15 -m "slow and not campaign"
+	$(PYTEST) --numprocesses 2 --dist loadfile --durations 15 $(SLOW) $(call once_more_alone,$(SLOW))
 
 # An import that fails would be a skipped test, so they are imported first.
 AGENTS := .venv-agents

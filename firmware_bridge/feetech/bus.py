@@ -1,5 +1,6 @@
 """A face full of Feetech servos as one `ServoBus`, and how often it can be written and read."""
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Final, Self
 
@@ -82,15 +83,18 @@ class FeetechBus:
         open_transport: Callable[[], Transport],
         *,
         strict: bool = True,
+        period_s: float = math.inf,
     ) -> None:
         """strict: every servo must answer before the first goal.
 
-        Else it is enough that one does, and all that are critical.
+        Else it is enough that one does, and all that are critical. period_s: of the ticks. A servo
+        whose goals were withheld follows by at most its way of one of them, however late it comes.
         """
         self._servos = tuple(servos)
         self._ids = [servo.joint.servo_id for servo in servos]
         self._open_transport = open_transport
         self._strict = strict
+        self._period_s = period_s
         self._dialect = dialect = servos[0].model.dialect
         self._mounting = Mounting(servos)
         self._present = PresentState(servos)
@@ -151,7 +155,7 @@ class FeetechBus:
             cache.goals = np.where(taken, pulses, cache.goals)
         # Whose goals were withheld for a while follows at its own top speed.
         self._behind = (self._behind | torque.doubted) & (torque.doubted | torque.driven)
-        reach = np.trunc(self._top_pulses_s * (self._sent_s - since_s))
+        reach = np.trunc(self._top_pulses_s * min(self._sent_s - since_s, self._period_s))
         near = np.clip(cache.goals, self._sent - reach, self._sent + reach)
         goals = np.where(self._behind, near, cache.goals)
         self._behind &= torque.doubted | (goals != cache.goals)

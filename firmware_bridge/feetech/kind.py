@@ -44,7 +44,7 @@ class FeetechKind(BusKind):
         from firmware_bridge.serial_servos.serial_transport import SameAdapter
 
         opener = SameAdapter(settings.port, settings.baud_rate)
-        return FeetechBus(servos, opener, strict=strict)
+        return FeetechBus(servos, opener, strict=strict, period_s=1.0 / wiring.rate_hz)
 
     def slowness(self, wiring: Wiring, rate_hz: float) -> str | None:
         """By the bytes of a tick."""

@@ -127,10 +127,13 @@ CLEARS_MIDDLE: Final = False
 
 
 def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
-    """The first rate at which anybody answers, and the model of every id there."""
-    rates = dict.fromkeys([first_rate, *baud_rates().values()])
+    """The first rate at which anybody answers, and the model of every id there.
+
+    Each rate is tried twice: a computer that stood still for a moment has heard no answer.
+    """
+    rates = list(dict.fromkeys([first_rate, *baud_rates().values()]))
     with unhurried_line(port, first_rate) as line:
-        for rate in rates:
+        for rate in rates * 2:
             line.baud_rate = rate
             found = line.scan()
             if found:

@@ -157,7 +157,7 @@ class LifeCycle:
         self._told_up_to = bridge.n_trouble_changes
         self._trouble_since_s: float | None = None
         self._told_trouble = False
-        self._was_plugged = True
+        self._was_plugged, self._was_silent = True, False
         self._n_given_up = len(bridge.given_up)
         self._health_due_s = clock.now() + _HEALTH_EVERY_S
         self._n_remarks = 0
@@ -428,6 +428,15 @@ class LifeCycle:
                 _LOG.info("the port is back")
             else:
                 _LOG.warning("the port of the servos is gone")
+        if bridge.state is FaceState.SILENT and not self._was_silent:
+            self._was_silent = True
+            _LOG.warning(
+                "no motion comes from speech (the computer is too busy, or it hangs): "
+                "the servos are let go until it comes"
+            )
+        elif bridge.state is FaceState.DRIVEN and self._was_silent:
+            self._was_silent = False
+            _LOG.info("motion comes again")
         if len(bridge.given_up) != self._n_given_up:
             for index, why in list(bridge.given_up.items())[self._n_given_up :]:
                 if self._lifeline is not None:

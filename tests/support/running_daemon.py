@@ -58,7 +58,10 @@ def running(port, folder, *arguments, errors=None):
         ) as process:
             process.said, process.out = said, folder / "out.txt"
             try:
-                assert systemd.recv(100) == b"READY=1"
+                try:
+                    assert systemd.recv(100) == b"READY=1"
+                except TimeoutError:
+                    raise AssertionError(f"it never said READY: {said.read_text()}") from None
                 (process.control,) = Path(os.environ["XDG_RUNTIME_DIR"], "lipservo").glob("*.sock")
                 yield process
             finally:

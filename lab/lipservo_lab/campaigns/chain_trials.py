@@ -216,6 +216,7 @@ def _feetechs(case: Case) -> ChainStage:
         servos,
         lambda: MemoryTransport(chain, clock, BAUD_RATE, tap=auditor.see),
         strict=case.strict,
+        period_s=1.0 / case.rate_hz,
     )
     return ChainStage(
         case,

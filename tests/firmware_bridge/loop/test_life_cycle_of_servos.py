@@ -178,3 +178,24 @@ def test_where_one_servo_never_answers_a_start_ends_soon_and_nobody_holds():
 
     assert face.clock.now() - begun_s < 2.0
     assert [servo["torque_enable"] for servo in face.chain.servos] == [0] * 10
+
+
+def test_the_log_says_why_a_face_is_let_go_whose_speech_side_hangs():
+    robot = Robot(stops=[(20.0, "soft")])
+    publish = robot.channel.publish
+
+    def hang():
+        robot.channel.publish = lambda _targets: None
+
+    def recover():
+        robot.channel.publish = publish
+
+    robot.live(60.0, {2.0: hang, 12.0: recover})
+
+    silence, again = (
+        [i for i, line in enumerate(robot.log) if words in line]
+        for words in ("no motion comes from speech", "motion comes again")
+    )
+    assert len(silence) == len(again) == 1
+    assert silence < again
+    assert not any(any(torque) for time_s, torque, _ in robot.seen if 9.0 < time_s < 12.0)

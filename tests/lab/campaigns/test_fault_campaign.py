@@ -59,6 +59,14 @@ def test_a_servo_that_was_not_heard_when_the_face_froze_stands_as_soon_as_it_is(
     assert outcome.counts["moved_frozen"] == 0
 
 
+@pytest.mark.slow
+def test_a_goal_that_was_withheld_is_made_up_for_by_a_period_s_way_at_most():
+    """A tick that waited for spoilt answers lasted longer, and a freeze came with it."""
+    outcome = play(Case("feetech", "spoilt", 1, 10, 50.0, True, StopLevel.FREEZE))
+
+    assert outcome.counts["steps_above_clamp"] == 0
+
+
 @pytest.mark.parametrize("bus", CAMPAIGN_BUSES)
 def test_the_campaign_has_every_fault_of_its_simulator(bus):
     kinds = trials_of(bus).kinds
