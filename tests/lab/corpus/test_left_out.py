@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from lipservo_lab.corpus.utterance import Corpus, CorpusError, Utterance, Word
+
 from lipsync.markers import MARKERS_47
 
 SAID = {"a": "bin blue now", "b": "bin red now", "c": "set blue soon"}
