@@ -190,7 +190,7 @@ DEFAULT_LOOKAHEAD_S = 0.1
 LONGEST_LOOKAHEAD_S = 1.0
 STRONGEST = 1.5
 #: Chosen on inner splits (decisions/0068). Components beyond the first four have twice the share.
-DEFAULT_UNIT_SHARE = 0.75
+DEFAULT_UNIT_SHARE = 0.5
 N_COARSE, FINE_SHARE = 4, 2.0
 
 

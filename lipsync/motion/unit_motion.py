@@ -195,16 +195,23 @@ class UnitMotion:
         previous, begun_s = last.animpho, time_s
         if span.phoneme == last.phoneme and span.onset_s <= last.begun_s:
             previous, begun_s = last.previous, last.begun_s
-        chosen, trajectory = self._joined(span, begin_s, last.trajectory, previous)
+        # Where nothing new is known what is left of a_t is planned anew, and a_t stays.
+        kept = last.animpho if known == last.known and goes_on else None
+        chosen, trajectory = self._joined(span, begin_s, last.trajectory, previous, kept)
         return _Stretch(trajectory, known, span.phoneme, begun_s, chosen, previous)
 
     def _joined(
-        self, span: PhoneSpan, begin_s: float, last: Trajectory, previous: int | None
+        self,
+        span: PhoneSpan,
+        begin_s: float,
+        last: Trajectory,
+        previous: int | None,
+        kept: int | None,
     ) -> tuple[int, Trajectory]:
         """The AnimPho for what is left of a phone, and its departures from what is expected.
 
         Eq. (3) to (5), less the target: the mouth begins where it is and becomes the AnimPho, moved
-        to the target's mean.
+        to the target's mean. previous: a_{t-1}; kept: a_t, None to choose it.
         """
         assert span.phoneme is not None
         phone_s = max(span.end_s, begin_s + _SHORTEST_S) - span.start_s
@@ -215,11 +222,14 @@ class UnitMotion:
         target = _BETWEEN @ self._expected(times_s, begin_s + TICK_S + self._known_s)
         away, speed = last.at(begin_s)
         position = target[0] + away
-        velocity = speed + (target[1] - target[0]) / spacing_s
-        joint = Joint(share, position, velocity, spacing_s, previous)
-        chosen = self._selection.choose(span.phoneme, target, joint)
         units, left = self._units, left_samples(share)
-        connected = chosen if previous is None else choose_connected(units, previous, chosen)
+        if kept is None:
+            velocity = speed + (target[1] - target[0]) / spacing_s
+            joint = Joint(share, position, velocity, spacing_s, previous)
+            chosen = self._selection.choose(span.phoneme, target, joint)
+            connected = chosen if previous is None else choose_connected(units, previous, chosen)
+        else:
+            chosen = connected = kept
         moved = left @ units.samples[chosen]
         moved += (target - moved).mean(axis=0)
         joined = blend(
