@@ -45,6 +45,6 @@ def _bars(path: Path, rows: Rows, label: str, printed: tuple[float, float]) -> N
     axis.set_xticks(range(len(rows)), [str(row[first]) for row in rows], fontsize=8)
     axis.set_ylim(0.0, 1.0)
     axis.set_ylabel(label)
-    axis.legend(fontsize=8)
+    figure.legend(loc="outside upper center", ncols=1 + len(names), fontsize=8)
     save_picture(figure, path)
     plt.close(figure)

@@ -299,7 +299,8 @@ def guided_misses(model: TrainedModel, phones: Sequence[PhonemeEvent]) -> float:
         part_s = (event.end_s - event.start_s) / len(parts)
         for number, part in enumerate(parts):
             spacing_s = part_s / (SAMPLES_PER_ANIMPHO - 1)
-            times_s = event.start_s + number * part_s + spacing_s * np.arange(SAMPLES_PER_ANIMPHO)
+            begin_s = event.start_s + number * part_s
+            times_s = begin_s + spacing_s * np.arange(float(SAMPLES_PER_ANIMPHO))
             known_s = event.start_s + DEFAULT_LOOKAHEAD_S
             target = model.expectation.faces_after(track, times_s, known_s)
             speed = (target[1] - target[0]) / spacing_s
