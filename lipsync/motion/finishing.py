@@ -123,12 +123,13 @@ def planned(
     time_s: float,
     known_until_s: float,
 ) -> Amount:
-    """What the amount does from `time_s` on. Once begun, a closure is completed before it ends.
+    """What the amount does from `time_s` on. Once begun, a closure is completed, and held.
 
     moments_s: for each phoneme that closes, when after its onset it is tightest.
     """
-    if now.goal == 1.0 and time_s < now.start_s + now.duration_s:
-        return now
+    shut_s = now.start_s + now.duration_s
+    if now.goal == 1.0 and time_s < shut_s + HOLD_S - _ROUNDING_S:
+        return replace(now, touched_s=max(shut_s, time_s))
     if _is_due(now.touched_s, moments_s, track, time_s, known_until_s):
         goal, duration_s, touched_s = 1.0, CLOSING_S, time_s + CLOSING_S
     else:
