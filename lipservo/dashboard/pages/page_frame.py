@@ -17,6 +17,7 @@ STATIC_URL: Final = "/static"
 #: Of each page: where it is, and what it is called.
 PLACES: Final = {
     "/": "Live",
+    "/show": "Show",
     "/servos": "Servos",
     "/calibrate": "Calibrate",
     "/lines": "Lines",

@@ -11,6 +11,7 @@ from lipservo.dashboard.face_link import FaceLink
 from lipservo.dashboard.pages.calibrate_page import calibrate_page, read_calibration
 from lipservo.dashboard.pages.page_facts import GROUPS, page_facts
 from lipservo.dashboard.pages.page_frame import card, command, grid, html, page_frame
+from lipservo.dashboard.pages.show_page import SHOW_SCRIPTS, show_page
 from lipservo.dashboard.twin.element import HEAD_PATH, Twin
 from lipservo.settings.found_limits import WARNING
 
@@ -50,6 +51,7 @@ def build_pages(link: FaceLink) -> None:
     link: the face; a page that is opened is told of the face that answers then.
     """
     _add(link, "/", _LIVE_SCRIPTS, _live)
+    _add(link, "/show", SHOW_SCRIPTS, _show)
     _add(link, "/servos", _SERVOS_SCRIPTS, _servos)
     _add(link, "/calibrate", (), _calibrate)
     _add(link, "/lines", _LINES_SCRIPTS, _lines)
@@ -91,6 +93,11 @@ async def _live(_status: Status, _config: str | None) -> None:
                 html("<face-say></face-say>")
             with card("Look", "drag, and the robot looks there", "look"):
                 html("<face-look></face-look>")
+
+
+async def _show(_status: Status, _config: str | None) -> None:
+    ui.add_head_html(_EARLY)
+    show_page()
 
 
 def _legend() -> str:
