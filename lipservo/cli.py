@@ -55,6 +55,11 @@ COMMANDS = MappingProxyType(
         "bench": Command("", "Measure what the documentation claims.", _LAB),
         "learn": Command("", "Learn models from recordings.", _LAB),
         "study": Command("", "Ask people which mouth looks right.", _LAB),
+        "builder-process": Command(
+            f"{_BUILD}.builder_process:builder_process",
+            "One step of the first hour; started by new-face --page.",
+            hidden=True,
+        ),
         "bridge-process": Command(
             f"{_RUN}.processes:bridge_process", "Own the port; started by daemon.", hidden=True
         ),
