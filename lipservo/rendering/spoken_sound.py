@@ -25,7 +25,7 @@ from lipsync.phonemes import PhonemeEvent
 from lipsync.recognition.fallback import FallbackRecognizer
 from lipsync.recognition.recognizers import make_recognizer
 from lipsync.recognition.scripted import ScriptedPhonemes
-from lipsync.text_to_speech.pronunciation import pronounced
+from lipsync.text_to_speech.pronunciation import spoken_words
 from lipsync.textgrid import read_phonemes
 
 
@@ -59,7 +59,7 @@ class SpokenSound:
         """Told the text. Raises PronunciationError."""
         recognizer = make_recognizer(self.motion.engine, None, self.motion.weights)
         if self.text:
-            recognizer.tell(pronounced(self.text))
+            recognizer.tell(spoken_words(self.text))
         return recognizer
 
     def frames(self, times_s: Sequence[float] | Array) -> list[Frame]:
