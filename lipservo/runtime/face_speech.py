@@ -14,7 +14,7 @@ from lipsync.audio.playout import Playout
 from lipsync.audio.source import AudioSource
 from lipsync.face.frame import Synthesizer
 from lipsync.recognition.recognizers import make_recognizer, no_recognizer
-from lipsync.text_to_speech.pronunciation import pronounced
+from lipsync.text_to_speech.pronunciation import spoken_words
 
 #: In place of who listens, of what it has learned and of the strategy, where all was rendered.
 _NOBODY: Final = "none"
@@ -45,7 +45,7 @@ class FaceSpeech:
             )
             synthesizer = make_synthesizer(face.model, motion, requested.request.model)
             if text := requested.request.sound.text:
-                self.recognizer.tell(pronounced(text))
+                self.recognizer.tell(spoken_words(text))
         else:
             self.recognizer = no_recognizer()
         self.source = source

@@ -498,6 +498,7 @@ class KnownPhonemes:
         self._going_on: PlayingStream | None = None
         self._told: SpokenText | None = None
         self._looked_up_s = 0.0
+        self._began_s = 0.0  # to be said, the stream that goes on, without a gap since
 
     def is_silent(self, start_s: float, end_s: float) -> None:
         """Between them nothing is said, and nobody is listened to."""
@@ -516,10 +517,20 @@ class KnownPhonemes:
             or start_s < self._looked_up_s + (_LOOKED_UP_S if told is self._told else _TOLD_S)
         ):
             return
+        goes_on = playing is self._going_on
         if self._going_on is not None:
             self.cut(start_s)
         if playing is not None and (playing.stream.phonemes or told is not None):
-            self._stretches.extend(playing.known_from(start_s))
+            stretches = playing.known_from(start_s)
+            if not goes_on:
+                self._began_s = start_s
+            elif stretches and stretches[0][2][0].start_s < start_s:
+                # A phoneme that is being said stays one.
+                _, end_s, events = stretches[0]
+                first_s = max(self._began_s, events[0].start_s)
+                self.cut(first_s)
+                stretches[0] = (first_s, end_s, events)
+            self._stretches.extend(stretches)
             self._going_on, self._told, self._looked_up_s = playing, told, start_s
 
     def cut(self, cut_s: float) -> None:

@@ -81,23 +81,26 @@ class TextSettings:
 
     settled_frames: so many frames after it the path to a frame is settled. n_heads: of the
     network's, the quickest; the one that waits longest adds nothing where words are known.
-    lowest: a phoneme costs no more than this against the likeliest in one frame. pause: of silence
-    between two words.
+    lowest: a phoneme costs no more than this against the likeliest in one frame. silence: of every
+    frame of it: phonemes that begin or end softly are known. pause: of silence between two words.
     left_out: of each word that is left out; again: of going back. escape: of every frame that the
-    escape takes; leave, resume: of going over to it and back. least_frames: of a phoneme.
+    escape takes; leave, resume: of going over to it and back; leave_pause: of going over to it from
+    silence, where other things are said most often. least_frames: of a phoneme.
     late_s, late: a word may begin so much beside its time, if it has one; of each second beyond it.
     """
 
     settled_frames: int = 17
     n_heads: int = 2
     lowest: float = -7.0
+    silence: float = 0.8
     pause: float = 1.0
     left_out: float = 8.0
     again: float = 12.0
     escape: float = 1.2
     leave: float = 20.0
+    leave_pause: float = 12.0
     resume: float = 25.0
-    least_frames: int = 2
+    least_frames: int = 3
     late_s: float = 0.15
     late: float = 100.0
 
@@ -125,6 +128,7 @@ class TextDecoder:
         self._settings = settings
         self._frames_per_s = frames_per_s
         self._pause = np.float32(settings.pause)
+        self._silence = np.float32(settings.silence)
         self._lowest = np.float32(settings.lowest)
         self._late = np.float32(settings.late / frames_per_s)
         self._tolerated = np.float32(settings.late_s * frames_per_s)
@@ -211,6 +215,7 @@ class TextDecoder:
         self._n_heard += 1
         scores = scores[: len(self._delays)]
         relative = np.maximum(scores - scores.max(axis=1, keepdims=True), self._lowest)
+        relative[:, SILENCE_INDEX] -= self._silence
         for head, delay in enumerate(self._delays):
             if delay <= n:
                 self._recent[(n - delay) % length, head] = relative[head]
@@ -246,8 +251,11 @@ class TextDecoder:
         entered[window.firsts] = into_first.take(window.word_of_first)
         found = np.maximum(scores + window.stays, entered)
         found += row.take(window.phonemes)
-        best = np.maximum.reduce(scores)
-        escape = max(front.escape, best - np.float32(settings.leave)) - np.float32(settings.escape)
+        left = max(
+            np.maximum.reduce(scores) - np.float32(settings.leave),
+            np.maximum.reduce(scores.take(window.silences)) - np.float32(settings.leave_pause),
+        )
+        escape = max(front.escape, left) - np.float32(settings.escape)
         if keep:
             best = max(np.maximum.reduce(found), escape)
             found -= best
@@ -271,9 +279,9 @@ class TextDecoder:
         for front, before in zip(fronts[:0:-1], fronts[-2::-1], strict=True):
             if is_heard:
                 path.append(HEARD)
-                best = int(before.scores.argmax())
-                if before.scores[best] - np.float32(self._settings.leave) > before.escape:
-                    is_heard, state = False, best
+                left, source = self._left_from(before)
+                if left > before.escape:
+                    is_heard, state = False, source
                 continue
             path.append(int(front.window.phonemes[state]))
             is_heard, state = self._source(front, before, state)
@@ -285,6 +293,14 @@ class TextDecoder:
             self._place = float(window.first_word + window.words[state])
         self._n_idle = self._n_idle + 1 if self._place >= n_words else 0
         return path[::-1]
+
+    def _left_from(self, front: "_Front") -> tuple[np.float32, int]:
+        """With which score, and from which state of a front, the escape is best gone over to."""
+        best = int(front.scores.argmax())
+        pause = int(front.window.silences[front.scores.take(front.window.silences).argmax()])
+        from_best = front.scores[best] - np.float32(self._settings.leave)
+        from_pause = front.scores[pause] - np.float32(self._settings.leave_pause)
+        return (from_pause, pause) if from_pause > from_best else (from_best, best)
 
     def _source(self, front: "_Front", before: "_Front", state: int) -> tuple[bool, int]:
         """Whether the escape, or which state of the window before, a state was reached from."""
@@ -311,19 +327,6 @@ class TextDecoder:
             return True, state
         candidates = window.ends[:, source]
         return False, int(candidates[scores[candidates].argmax()]) + shift
-
-
-@dataclass(frozen=True, slots=True)
-class _CompiledWord:
-    """States of a word: silence before it, then its pronunciations one after the other."""
-
-    first_state: int
-    phonemes: NDArray[np.int64]
-    stays: Array32
-    kinds: NDArray[np.int8]
-    ends: NDArray[np.int64]
-    start_frame: float
-    label: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -376,104 +379,144 @@ _ESCAPED_WORDS_PER_FRAME: Final = 0.02
 _IDLE_S: Final = 1.0
 
 
+@dataclass(frozen=True, slots=True)
+class _Words:
+    """Words as states in one row; each is silence, then its pronunciations one after the other.
+
+    States and words keep their numbers when those before them are dropped. phonemes, stays, kinds,
+    words: of each state. firsts, word_of_first: the states that a pronunciation begins with.
+    silences (n_words,), ends (4, n_words), start_frames (n_words,): of each word.
+    """
+
+    phonemes: NDArray[np.int64]
+    stays: Array32
+    kinds: NDArray[np.int8]
+    words: NDArray[np.int64]
+    firsts: NDArray[np.int64]
+    word_of_first: NDArray[np.int64]
+    silences: NDArray[np.int64]
+    ends: NDArray[np.int64]
+    start_frames: Array32
+
+    def part(self, first: int, end: int) -> "_Words":
+        """The words from one until another, by their numbers."""
+        states = slice(*np.searchsorted(self.words, (first, end)))
+        firsts = slice(*np.searchsorted(self.word_of_first, (first, end)))
+        words = slice(first - int(self.words[0]), end - int(self.words[0]))
+        return _Words(
+            self.phonemes[states], self.stays[states], self.kinds[states], self.words[states],
+            self.firsts[firsts], self.word_of_first[firsts],
+            self.silences[words], self.ends[:, words], self.start_frames[words],
+        )  # fmt: skip
+
+
 class _WordGraph:
-    """The words told, as states; those long said are dropped."""
+    """The words told; laid out when they are, so that in a tick a window is cut out of them."""
 
     def __init__(self, settings: TextSettings) -> None:
         self._settings = settings
-        self._words: deque[_CompiledWord] = deque()
-        self._first_word = 0
-        self._end_state = 0
+        self._labels: list[str] = []
+        self._words = _end(0, 0)
+        self._first_word = 0  # of the window, which does not go back
         self._window: _Window | None = None
 
     @property
     def n_words(self) -> int:
         """How many were told, those dropped among them."""
-        return self._first_word + len(self._words)
+        return int(self._words.words[-1])
 
     def append(self, words: Sequence[PronouncedWord], frames_per_s: int) -> None:
-        for word in words:
-            compiled = _compiled(word, self._end_state, self._settings.least_frames, frames_per_s)
-            self._words.append(compiled)
-            self._end_state += len(compiled.phonemes)
-        self._window = None
+        """More words; those that the window has left behind are dropped."""
+        end_state = int(self._words.silences[-1])
+        parts = [self._words.part(self._first_word, self.n_words)]
+        for number, word in enumerate(words, self.n_words):
+            least_frames = self._settings.least_frames
+            parts.append(_compiled(word, number, end_state, least_frames, frames_per_s))
+            end_state += len(parts[-1].phonemes)
+        self._labels = [*self._labels_from(self._first_word), *(word.label for word in words)]
+        self._lay_out(*parts, _end(self.n_words + len(words), end_state))
 
     def drop_after(self, number: int) -> None:
         """Forget the words behind one."""
-        while self._words and self.n_words - 1 > number:
-            self._end_state = self._words.pop().first_state
+        first, end = int(self._words.words[0]), max(self._first_word, min(number + 1, self.n_words))
+        end_state = int(self._words.silences[end - first])
+        del self._labels[end - first :]
+        self._lay_out(self._words.part(first, end), _end(end, end_state))
+
+    def _lay_out(self, *parts: _Words) -> None:
+        self._words = _Words(
+            *(
+                np.concatenate([getattr(part, name) for part in parts], axis=-1)
+                for name in _Words.__slots__
+            )
+        )
         self._window = None
 
     def around(self, place: int) -> tuple[tuple[str, ...], int]:
         """The labels of the words around one, and which of them it is."""
-        labels = tuple(self._words[n].label for n in range(min(_WINDOW, len(self._words))))
-        return labels, place - self._first_word
+        labels = self._labels_from(self._first_word)
+        return tuple(labels[:_WINDOW]), place - self._first_word
+
+    def _labels_from(self, number: int) -> list[str]:
+        return self._labels[number - int(self._words.words[0]) :]
 
     def window(self, place: int) -> _Window:
         """The words around a place; after the last one silence is a word."""
-        first = max(self._first_word, min(place, self.n_words) - _BEHIND)
-        if self._window is not None and self._window.first_word == first:
-            return self._window
-        while self._first_word < first:
-            self._words.popleft()
-            self._first_word += 1
-        words = [self._words[n] for n in range(min(_WINDOW, len(self._words)))]
-        if len(words) == len(self._words):
-            words.append(_end(self._end_state))
-        self._window = _window_of(words, first, min(place, self.n_words) - first, self._settings)
+        first = self._first_word = max(self._first_word, min(place, self.n_words) - _BEHIND)
+        if self._window is None or self._window.first_word != first:
+            end = first + _WINDOW
+            words = self._words.part(first, end if end < self.n_words else self.n_words + 1)
+            self._window = _window_of(words, min(place, self.n_words) - first, self._settings)
         return self._window
 
 
-def _end(first_state: int) -> _CompiledWord:
-    one = np.zeros(1, np.int64)
-    return _CompiledWord(
-        first_state, one + SILENCE_INDEX, np.zeros(1, np.float32),
-        np.full(1, _SILENT, np.int8), np.zeros(MOST_PRONUNCIATIONS, np.int64), np.nan,
+def _end(number: int, first_state: int) -> _Words:
+    none, one = np.zeros(0, np.int64), np.zeros(1, np.int64)
+    return _Words(
+        one + SILENCE_INDEX, np.zeros(1, np.float32), np.full(1, _SILENT, np.int8), one + number,
+        none, none,
+        one + first_state, np.full((MOST_PRONUNCIATIONS, 1), first_state),
+        np.full(1, np.nan, np.float32),
     )  # fmt: skip
 
 
 def _compiled(
-    word: PronouncedWord, first_state: int, least_frames: int, frames_per_s: int
-) -> _CompiledWord:
+    word: PronouncedWord, number: int, first_state: int, least_frames: int, frames_per_s: int
+) -> _Words:
     phonemes, stays, kinds, ends = [SILENCE_INDEX], [np.float32(0.0)], [_SILENT], []
     for pronunciation in word.pronunciations[:MOST_PRONUNCIATIONS]:
         kinds += [_FIRST] + [_WITHIN] * (len(pronunciation) * least_frames - 1)
         for phoneme in pronunciation:
             phonemes += [_INDEX[phoneme]] * least_frames
             stays += [_NEVER] * (least_frames - 1) + [np.float32(0.0)]
-        ends.append(len(phonemes) - 1)
+        ends.append(first_state + len(phonemes) - 1)
     ends += [ends[0]] * (MOST_PRONUNCIATIONS - len(ends))
+    firsts = first_state + np.flatnonzero(np.array(kinds) == _FIRST)
     start = np.nan if word.start_s is None else word.start_s * frames_per_s
-    return _CompiledWord(
-        first_state, np.array(phonemes), np.array(stays, np.float32), np.array(kinds, np.int8),
-        np.array(ends), start, word.label,
+    return _Words(
+        np.array(phonemes), np.array(stays, np.float32), np.array(kinds, np.int8),
+        np.full(len(phonemes), number), firsts, np.full(len(firsts), number),
+        np.full(1, first_state), np.array(ends)[:, None], np.full(1, start, np.float32),
     )  # fmt: skip
 
 
-def _window_of(
-    words: Sequence[_CompiledWord], first_word: int, place: int, settings: TextSettings
-) -> _Window:
-    lengths = [len(word.phonemes) for word in words]
-    silences = np.cumsum([0, *lengths[:-1]])
-    kinds = np.concatenate([word.kinds for word in words])
-    of_state = np.repeat(np.arange(len(words)), lengths)
-    firsts = np.flatnonzero(kinds == _FIRST)
-    start_frames = np.array([word.start_frame for word in words], np.float32)
+def _window_of(words: _Words, place: int, settings: TextSettings) -> _Window:
+    first_word, first_state = int(words.words[0]), int(words.silences[0])
     return _Window(
         first_word,
-        words[0].first_state,
-        len(kinds),
-        np.concatenate([word.phonemes for word in words]),
-        np.concatenate([word.stays for word in words]),
-        kinds,
-        of_state,
-        silences,
-        firsts,
-        of_state[firsts],
-        np.array([word.ends for word in words]).T + silences,
-        _between(len(words), place, settings),
-        start_frames,
-        bool(np.isfinite(start_frames).any()),
+        first_state,
+        len(words.phonemes),
+        words.phonemes,
+        words.stays,
+        words.kinds,
+        words.words - first_word,
+        words.silences - first_state,
+        words.firsts - first_state,
+        words.word_of_first - first_word,
+        words.ends - first_state,
+        _between(len(words.silences), place, settings),
+        words.start_frames,
+        bool(np.isfinite(words.start_frames).any()),
     )
 
 

@@ -72,6 +72,18 @@ def pronounced(text: str, language: str = DEFAULT_LANGUAGE) -> tuple[PronouncedW
     return tuple(_by_espeak(written, language))
 
 
+def spoken_words(text: str) -> tuple[PronouncedWord, ...]:
+    """The words of an English text that is known to be said.
+
+    Raises PronunciationError as `pronounced`, and for a text without a word.
+    """
+    if words := pronounced(text):
+        return words
+    raise PronunciationError(
+        f"text {text[:40]!r} has no word that English pronounces; give what is said, or no text"
+    )
+
+
 def pronounced_units(
     spoken: SpokenText, language: str = DEFAULT_LANGUAGE
 ) -> tuple[PronouncedWord, ...]:

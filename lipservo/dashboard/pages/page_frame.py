@@ -19,6 +19,7 @@ FIRST_HOUR: Final = "/first-hour"
 PLACES: Final = {
     FIRST_HOUR: "First hour",
     "/": "Live",
+    "/show": "Show",
     "/servos": "Servos",
     "/calibrate": "Calibrate",
     "/lines": "Lines",

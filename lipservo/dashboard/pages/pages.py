@@ -11,6 +11,7 @@ from nicegui import ui
 from lipservo.dashboard.face_link import FaceLink
 from lipservo.dashboard.pages.calibrate_page import calibrate_page, read_calibration
 from lipservo.dashboard.pages.page_facts import GROUPS, page_facts
+<<<<<<< HEAD
 from lipservo.dashboard.pages.page_frame import (
     FIRST_HOUR,
     STATIC_URL,
@@ -20,6 +21,10 @@ from lipservo.dashboard.pages.page_frame import (
     html,
     page_frame,
 )
+=======
+from lipservo.dashboard.pages.page_frame import card, command, grid, html, page_frame
+from lipservo.dashboard.pages.show_page import SHOW_SCRIPTS, show_page
+>>>>>>> main
 from lipservo.dashboard.twin.element import HEAD_PATH, Twin
 from lipservo.settings.found_limits import WARNING
 
@@ -60,6 +65,7 @@ def build_pages(link: FaceLink, making: Path | None = None) -> None:
     link: the face; a page that is opened is told of the face that answers then. making: the YAML of
     a face in its first hour, which need not be there yet.
     """
+<<<<<<< HEAD
     _add(link, making, "/", _LIVE_SCRIPTS, _live)
     _add(link, making, "/servos", _SERVOS_SCRIPTS, _servos)
     _add(link, making, "/calibrate", (), _calibrate)
@@ -67,6 +73,14 @@ def build_pages(link: FaceLink, making: Path | None = None) -> None:
     _add(link, making, "/settings", _SETTINGS_SCRIPTS, _settings)
     if making is not None:
         _add(link, making, FIRST_HOUR, _FIRST_HOUR_SCRIPTS, _first_hour)
+=======
+    _add(link, "/", _LIVE_SCRIPTS, _live)
+    _add(link, "/show", SHOW_SCRIPTS, _show)
+    _add(link, "/servos", _SERVOS_SCRIPTS, _servos)
+    _add(link, "/calibrate", (), _calibrate)
+    _add(link, "/lines", _LINES_SCRIPTS, _lines)
+    _add(link, "/settings", _SETTINGS_SCRIPTS, _settings)
+>>>>>>> main
 
 
 def _add(
@@ -117,6 +131,11 @@ async def _live(_status: Status, _config: str | None) -> None:
                 html("<face-say></face-say>")
             with card("Look", "drag, and the robot looks there", "look"):
                 html("<face-look></face-look>")
+
+
+async def _show(_status: Status, _config: str | None) -> None:
+    ui.add_head_html(_EARLY)
+    show_page()
 
 
 def _legend() -> str:

@@ -80,6 +80,23 @@ def test_a_voice_that_does_not_say_the_text_is_heard_and_the_text_taken_up_after
     assert runs(labels)[-4:] == ["F", "IH", "SH", "SIL"]
 
 
+def test_a_phoneme_that_begins_softly_is_no_silence_where_it_is_known():
+    posteriors = said(["SIL", "SIL", "B", "IH", "G", *SILENCE])
+    begins = slice(16, 22)
+    for head, delay in enumerate(FORMAT.delays):
+        soft = slice(begins.start + delay, begins.stop + delay)
+        posteriors[soft, head] = 0.002
+        posteriors[soft, head, PHONEMES.index("SIL")] = 0.55
+        posteriors[soft, head, PHONEMES.index("B")] = 0.35
+    assert followed(posteriors, [BIG])[begins] == ["B"] * 6
+
+
+def test_where_a_pause_ends_in_other_words_than_the_text_has_they_are_heard_from_the_first_on():
+    phones = ["SIL", "B", "IH", "G", *SILENCE, "W", "ER", "L", "IY", "S", "UW", "V", *SILENCE]
+    labels = followed(said(phones, sure=0.35), [BIG, SEEK, FISH])
+    assert labels[8 * 7 : 8 * 14] == ["heard"] * 56
+
+
 def test_a_text_that_comes_late_is_taken_up_where_the_voice_is():
     phones = [
         "SIL",

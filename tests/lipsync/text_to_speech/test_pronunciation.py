@@ -7,7 +7,7 @@ import pytest
 
 from lipsync.phonemes import SILENCE, VISEME_OF
 from lipsync.spoken_text import LONGEST_TEXT
-from lipsync.text_to_speech.pronunciation import PronunciationError, pronounced
+from lipsync.text_to_speech.pronunciation import PronunciationError, pronounced, spoken_words
 
 
 def labels(text):
@@ -36,6 +36,12 @@ def test_marks_of_ssml_and_emoji_are_not_said():
 @pytest.mark.parametrize("text", ["", "  ", "😀🎉", "--- ...", "\x00\ud800"])
 def test_a_text_without_words_has_none(text):
     assert pronounced(text) == ()
+
+
+@pytest.mark.parametrize("text", ["😀", "Привет мир", "<speak/>"])
+def test_a_text_that_is_said_has_a_word(text):
+    with pytest.raises(PronunciationError, match="has no word that English pronounces"):
+        spoken_words(text)
 
 
 def test_a_text_of_a_megabyte_is_refused_in_one_line():

@@ -22,7 +22,7 @@ from lipservo_lab.bench.motion_figures import (
     question,
 )
 from lipservo_lab.bench.readability.robot_lips import ROBOT, calibrated_robot, shown_markers_mm
-from lipservo_lab.corpus.utterance import Corpus, Utterance
+from lipservo_lab.corpus.utterance import Corpus, Utterance, speech_frames
 from lipservo_lab.evaluation.motion.methods import Heard, Method
 from lipservo_lab.evaluation.motion.motion_scores import Listen, Part, check_scorable, true_phonemes
 from lipservo_lab.evaluation.motion.offline_methods import OfflineMethod, OfflineModels
@@ -148,7 +148,8 @@ def reading_rows(
 def headline(rows: Sequence[Row]) -> dict[str, object]:
     """Scores of the first reader on recorded motion and on the default's at 100 ms, by split.
 
-    robot_...: of the lips that the robot shows, by the reader that sees lips only.
+    robot_...: of the lips that the robot shows, by the reader that sees lips only. gap_r_...: of
+    the sentences with known words.
     """
     found: dict[str, object] = {}
     for row in rows:
@@ -160,6 +161,8 @@ def headline(rows: Sequence[Row]) -> dict[str, object]:
         key = f"{RECORDED}_{split}" if phonemes is None else f"{split}_{phonemes}"
         if row["face"] == OWN_FACE and row["reader"] == COMPONENT_READER.name:
             found[key] = row["score"]
+            if split == KNOWN and phonemes is not None:
+                found[f"gap_r_{phonemes}"] = row["gap_r"]
         elif row["face"] == ROBOT and row["reader"] == LIP_READER.name:
             found[f"robot_{key}"] = row["score"]
     return found
@@ -189,9 +192,26 @@ def _made_rows(
             if faces is None or method.looks_ahead:
                 sentences = track(f"{what}, {method.name}", list(split.read))
                 faces = made_faces(split.model, sentences, method, lookahead_ms / 1e3, listen)
+            gap_r = _gap_r(split, faces)
             for kind in READERS:
                 seen = seen_motions(split.model, faces, kind)
-                yield _row(split, kind, seen, phonemes, method.name, lookahead_ms)
+                yield _row(split, kind, seen, phonemes, method.name, lookahead_ms, gap_r=gap_r)
+
+
+def _gap_r(split: _Split, faces: Motions) -> float:
+    """Correlation of the lip gap with the recorded one, in the frames that `bench motion` scores.
+
+    0 for a gap that does not move.
+    """
+    made_mm, recorded_mm = [], []
+    for utterance in split.read:
+        gaps_mm = split.model.lip_gaps_mm(split.model.markers_mm(faces[utterance.name]))
+        scored = speech_frames(utterance, split.part.words)[: len(gaps_mm)]
+        made_mm.append(gaps_mm[: len(scored)][scored])
+        recorded_mm.append(split.model.lip_gaps_mm(utterance.markers_mm)[: len(scored)][scored])
+    gaps_mm = np.array([np.concatenate(made_mm), np.concatenate(recorded_mm)])
+    moves = gaps_mm.std(axis=1).min() > 1e-6
+    return float(np.corrcoef(gaps_mm).flat[1]) if moves else 0.0
 
 
 def _robot_rows(
@@ -242,8 +262,9 @@ def _row(
     lookahead_ms: int | None = None,
     *,
     face: str = OWN_FACE,
+    gap_r: float | None = None,
 ) -> Row:
-    """What one reader reads; phonemes, lookahead_ms: None for recorded motion."""
+    """What one reader reads; phonemes, lookahead_ms, gap_r: None for recorded motion."""
     scored = split.score(kind, seen)
     return {
         "split": split.part.split,
@@ -257,6 +278,7 @@ def _row(
         "shares": scored.shares,
         "whole_sentences": scored.whole_sentences,
         "gain": scored.gain,
+        "gap_r": gap_r,
         "sentences": scored.n_sentences,
     }
 

@@ -108,6 +108,20 @@ def test_phonemes_come_one_by_one_and_the_last_is_corrected():
     assert face.shown(0.1, 0.3, 0.5, 0.7) == ["M", "IY", "M", "SIL"]
 
 
+def test_a_phoneme_stays_one_however_often_more_is_told():
+    face = Face()
+    stream = face.say(3.0)
+    stream.tell(told("phoneme", ("AA", 0), ("M", 1_600), ("AA", 17_600), ("SIL", 40_000)))
+    for second in (0.5, 1.0, 2.0):
+        face.go_on(second)
+        stream.tell(told("phoneme", ("SIL", 40_000)))
+    face.go_on(2.4)
+
+    begun = [(each.phoneme, round(each.start_s, 2)) for each in face.timeline.events]
+    assert begun[:3] == [("AA", 0.0), ("M", 0.1), ("AA", 1.1)]
+    assert begun[3][0] == "SIL"
+
+
 def test_visemes_alone_move_the_mouth_at_a_thousand_a_second_too():
     face = Face()
     labels = ("M", "AA")
