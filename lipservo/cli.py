@@ -54,15 +54,12 @@ COMMANDS = MappingProxyType(
         "trace": Command(f"{_RUN}.trace:app", "Compare recorded runs.", _WATCH),
         "bench": Command("", "Measure what the documentation claims.", _LAB),
         "learn": Command("", "Learn models from recordings.", _LAB),
-<<<<<<< HEAD
+        "study": Command("", "Ask people which mouth looks right.", _LAB),
         "builder-process": Command(
             f"{_BUILD}.builder_process:builder_process",
             "One step of the first hour; started by new-face --page.",
             hidden=True,
         ),
-=======
-        "study": Command("", "Ask people which mouth looks right.", _LAB),
->>>>>>> main
         "bridge-process": Command(
             f"{_RUN}.processes:bridge_process", "Own the port; started by daemon.", hidden=True
         ),

@@ -11,7 +11,6 @@ from nicegui import ui
 from lipservo.dashboard.face_link import FaceLink
 from lipservo.dashboard.pages.calibrate_page import calibrate_page, read_calibration
 from lipservo.dashboard.pages.page_facts import GROUPS, page_facts
-<<<<<<< HEAD
 from lipservo.dashboard.pages.page_frame import (
     FIRST_HOUR,
     STATIC_URL,
@@ -21,10 +20,7 @@ from lipservo.dashboard.pages.page_frame import (
     html,
     page_frame,
 )
-=======
-from lipservo.dashboard.pages.page_frame import card, command, grid, html, page_frame
 from lipservo.dashboard.pages.show_page import SHOW_SCRIPTS, show_page
->>>>>>> main
 from lipservo.dashboard.twin.element import HEAD_PATH, Twin
 from lipservo.settings.found_limits import WARNING
 
@@ -65,22 +61,14 @@ def build_pages(link: FaceLink, making: Path | None = None) -> None:
     link: the face; a page that is opened is told of the face that answers then. making: the YAML of
     a face in its first hour, which need not be there yet.
     """
-<<<<<<< HEAD
     _add(link, making, "/", _LIVE_SCRIPTS, _live)
+    _add(link, making, "/show", SHOW_SCRIPTS, _show)
     _add(link, making, "/servos", _SERVOS_SCRIPTS, _servos)
     _add(link, making, "/calibrate", (), _calibrate)
     _add(link, making, "/lines", _LINES_SCRIPTS, _lines)
     _add(link, making, "/settings", _SETTINGS_SCRIPTS, _settings)
     if making is not None:
         _add(link, making, FIRST_HOUR, _FIRST_HOUR_SCRIPTS, _first_hour)
-=======
-    _add(link, "/", _LIVE_SCRIPTS, _live)
-    _add(link, "/show", SHOW_SCRIPTS, _show)
-    _add(link, "/servos", _SERVOS_SCRIPTS, _servos)
-    _add(link, "/calibrate", (), _calibrate)
-    _add(link, "/lines", _LINES_SCRIPTS, _lines)
-    _add(link, "/settings", _SETTINGS_SCRIPTS, _settings)
->>>>>>> main
 
 
 def _add(
