@@ -56,7 +56,6 @@ class FaceSpeech:
             synthesizer,
             channel,
             start_s=requested.settings.capabilities.start_s(len(requested.settings.servos)),
-            is_watchable=board is not None,
             board=board,
         )
         self._motion = motion

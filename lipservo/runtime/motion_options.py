@@ -8,6 +8,7 @@ from pathlib import Path
 from firmware_bridge.process.commands import Setting
 from lipservo.settings.motion_names import (
     DEFAULT_STRATEGY,
+    ON_STAGE,
     ONLY_UNITS,
     SMOOTHEST,
     STRATEGIES,
@@ -50,7 +51,12 @@ LOW_LATENCY_LOOKAHEAD_S = 0.05
 LONGEST_LATENCY_S = 1.0
 #: What may change while a face runs, with the most it may be. The look-ahead is part of the delay
 #: from sound to face, which is declared at the start and stays.
-_LIVE_SETTINGS = {"strength": STRONGEST, "smoothness": SMOOTHEST, "unit_share": ONLY_UNITS}
+_LIVE_SETTINGS = {
+    "strength": STRONGEST,
+    "stage": ON_STAGE,
+    "smoothness": SMOOTHEST,
+    "unit_share": ONLY_UNITS,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +95,8 @@ class MotionOptions:
         if self.performed:
             return {}
         style = self.style
-        values = (style.lookahead_s * 1e3, style.strength, style.smoothness, style.unit_share)
-        named = dict(zip(STYLE_NAMES, values, strict=True))
+        named = {"lookahead_ms": style.lookahead_s * 1e3}
+        named |= {name: getattr(style, name) for name in STYLE_NAMES if name not in named}
         return {name: round(named[name], 6) for name in STYLES_OF[self.strategy]}
 
     def live_settings(self) -> dict[str, Setting]:
@@ -121,6 +127,7 @@ class ChosenMotion:
     strategy: Strategy | None = None
     lookahead_ms: float | None = None
     strength: float | None = None
+    stage: float | None = None
     smoothness: float | None = None
     unit_share: float | None = None
     low_latency: bool = False
@@ -170,6 +177,7 @@ def motion_options(
             style("strength", 1.0),
             style("smoothness", 0.0),
             style("unit_share", DEFAULT_UNIT_SHARE),
+            style("stage", 0.0),
         ),
         LOW_LATENCY_S if low_latency else LATENCY_S,
     )
@@ -206,15 +214,20 @@ def make_synthesizer(
             return LiveSynthesizer(face, expectation, style, soft=_soft_of(file, face, options))
         from lipsync.animpho.selection import STRATEGIES as SELECTIONS
         from lipsync.animpho.synthesizer import PublishedSynthesizer
-        from lipsync.animpho.units import read_animphos
+        from lipsync.animpho.units import ANIMPHO_PART, read_animphos
 
+        if not file.has(ANIMPHO_PART):
+            raise ModelError(
+                f"{file.name}: holds no AnimPhos for strategy {options.strategy}; take --strategy "
+                f"{LIVE_STRATEGY}, or train it again with `lipservo learn face`"
+            )
         units = read_animphos(file, face)
         if options.strategy == UNIT_STRATEGY:
             expectation = read_expectation(file, face.n_components)
             soft = _soft_of(file, face, options)
             return LiveSynthesizer(face, expectation, style, units, soft)
         published = PublishedSynthesizer(units, SELECTIONS[options.strategy])
-        return FinishedSynthesizer(face, published, style.strength)
+        return FinishedSynthesizer(face, published, style.strength, stage=style.stage)
 
 
 def _soft_of(file: ModelFile, face: FaceModel, options: MotionOptions) -> SoftExpectation | None:

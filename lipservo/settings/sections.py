@@ -21,6 +21,7 @@ from lipservo.settings.motion_names import (
     DEFAULT_STRATEGY,
     FARTHEST_LIP_GAP_OFFSET_MM,
     LONGEST_LOOKAHEAD_MS,
+    ON_STAGE,
     ONLY_UNITS,
     SMOOTHEST,
     STRONGEST,
@@ -196,8 +197,9 @@ class TrackingSettings(Strict):
 class MotionSettings(Strict):
     """Every one of them may be absent; the command line goes before it.
 
-    weights: `default`, `grid`, or a file, from the folder of the YAML. low_latency: for puppeteers,
-    goals within 150 ms of the sound, less precise.
+    weights: `default`, `grid`, or a file, from the folder of the YAML. stage: 1 opens and rounds
+    the mouth for viewers at 3 m. low_latency: for puppeteers, goals within 150 ms of the sound,
+    less precise.
     """
 
     strategy: Strategy | None = None
@@ -205,6 +207,7 @@ class MotionSettings(Strict):
     weights: Text | None = None
     lookahead_ms: Annotated[float, within(0.0, LONGEST_LOOKAHEAD_MS)] | None = None
     strength: Annotated[float, within(0.0, STRONGEST)] | None = None
+    stage: Annotated[float, within(0.0, ON_STAGE)] | None = None
     smoothness: Annotated[float, within(0.0, SMOOTHEST)] | None = None
     unit_share: Annotated[float, within(0.0, ONLY_UNITS)] | None = None
     low_latency: bool = False

@@ -4,8 +4,9 @@ The paper's strategies do not look ahead. What a strategy remembers is in the `C
 last, so that it can be taken back without a trace.
 
 They ask for connected and for smooth, and hear of the mouth only through the phonemes.
-`GuidedSelection` asks first for near: it is given a target at the phone's five sample times. An
-AnimPho says how the mouth moves and the target where: both are compared about their own means.
+`GuidedSelection` asks first for near: it is given a target at five times of what is left of the
+phone. An AnimPho says how the mouth moves and the target where: both are compared about their own
+means.
 """
 
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lipsync.animpho.trajectory import left_samples
 from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits
 from lipsync.arrays import Array
 
@@ -143,85 +145,73 @@ class Joint:
     """Where a new stretch takes over.
 
     share: how much of the phone is over, from 0 to below 1; position, speed: (n_components,) each,
-    of the mouth as it is, speed per second; phone_s: how long the whole phone lasts; previous:
-    a_{t-1}, None out of rest.
+    of the mouth as it is, speed per second; spacing_s: between two of the five samples of what is
+    left; previous: a_{t-1}, None out of rest.
     """
 
     share: float
     position: Array
     speed: Array
-    phone_s: float
+    spacing_s: float
     previous: int | None
-
-    @property
-    def n_passed(self) -> int:
-        """How many of the phone's samples lie before; the last one never does."""
-        return min(SAMPLES_PER_ANIMPHO - 1, int(np.ceil(self.share * (SAMPLES_PER_ANIMPHO - 1))))
 
 
 @dataclass(frozen=True, slots=True)
 class _Candidates:
-    """L(p) less a number of first samples.
+    """L(p): samples (k, 5 n_components) about their means, as where an AnimPho lies costs nothing.
 
-    samples: (k, 5, n_components), all of them; mean: (k, n_components), of what is left; shape:
-    (k, r n_components), what is left about its mean; square: (k,), of the shape's length.
+    products: (k, 25), of the samples with each other over the components.
     """
 
     indices: Indices
     samples: Array
-    mean: Array
-    shape: Array
-    square: Array
+    products: Array
 
 
 class GuidedSelection:
-    """The AnimPho of a phoneme that costs least."""
+    """The AnimPho of a phoneme that costs least.
+
+    All costs are squares of what is linear in the samples x (5, n_components) of an AnimPho, so
+    their sum is x' M x + v x, with one M (5, 5) and one v for all candidates: two products.
+    """
 
     def __init__(self, units: AnimPhoUnits, costs: SelectionCosts | None = None) -> None:
         self._units = units
-        self._costs = costs or SelectionCosts()
+        costs = costs or SelectionCosts()
+        near = [1.0 / SAMPLES_PER_ANIMPHO] * SAMPLES_PER_ANIMPHO
+        self._weights = np.array([*near, costs.position, costs.speed_s2])
+        self._unconnected_cost = costs.unconnected
         self._unconnected = np.ones(len(units))
-        self._candidates = {
-            (phoneme, n_passed): _candidates(units, phoneme, n_passed)
-            for phoneme in units.known_phonemes
-            for n_passed in range(SAMPLES_PER_ANIMPHO)
-        }
+        self._candidates = {p: _candidates(units, p) for p in units.known_phonemes}
 
     def choose(self, phoneme: str, target: Array, joint: Joint) -> int:
         """The AnimPho of a known phoneme for what is left of a phone; its number.
 
-        target: (r, n_components) at the sample times that are still to come.
+        target: (5, n_components), from now until the phone's end.
         """
-        found = self._candidates[phoneme, joint.n_passed]
+        candidates = self._candidates[phoneme]
         centre = target.mean(axis=0)
-        cost = found.square - 2.0 * (found.shape @ (target - centre).reshape(-1))
-        cost /= len(target)
-        cost += self._roughness(found, centre, joint)
+        left = left_samples(joint.share)
+        moved = left - left.mean(axis=0)
+        step = (left[1] - left[0]) / joint.spacing_s
+        # Nearness; eq. (1), of position and of speed: rows that should vanish, each by its weight.
+        seen = np.vstack([moved, moved[:1], step])
+        wanted = np.vstack([target - centre, joint.position - centre, joint.speed])
+        weighted = seen.T * self._weights
+        squares, products = weighted @ seen, weighted @ wanted
+        cost = candidates.products @ squares.ravel() - candidates.samples @ (2.0 * products.ravel())
         if joint.previous is not None:
             followers = self._units.successors[joint.previous]
             self._unconnected[followers] = 0.0
-            cost += self._costs.unconnected * self._unconnected[found.indices]
+            cost += self._unconnected_cost * self._unconnected[candidates.indices]
             self._unconnected[followers] = 1.0
-        return int(found.indices[np.argmin(cost)])
-
-    def _roughness(self, found: _Candidates, centre: Array, joint: Joint) -> Array:
-        """Eq. (1) for each candidate (k,), squared, of position and of speed."""
-        at = joint.share * (SAMPLES_PER_ANIMPHO - 1)
-        number = min(int(at), SAMPLES_PER_ANIMPHO - 2)
-        here = found.samples[:, number]
-        step = found.samples[:, number + 1] - here
-        start = here + (at - number) * step - found.mean
-        apart = start - (joint.position - centre)
-        cost = self._costs.position * np.einsum("kn,kn->k", apart, apart)
-        apart = step * ((SAMPLES_PER_ANIMPHO - 1) / joint.phone_s) - joint.speed
-        cost += self._costs.speed_s2 * np.einsum("kn,kn->k", apart, apart)
-        return np.asarray(cost)
+        return int(candidates.indices[np.argmin(cost)])
 
 
-def _candidates(units: AnimPhoUnits, phoneme: str, n_passed: int) -> _Candidates:
+def _candidates(units: AnimPhoUnits, phoneme: str) -> _Candidates:
     indices = units.of_phoneme(phoneme)
     samples = units.samples[indices]
-    left = samples[:, n_passed:]
-    mean = left.mean(axis=1)
-    shape = (left - mean[:, None]).reshape(len(left), -1)
-    return _Candidates(indices, samples, mean, shape, (shape**2).sum(axis=1))
+    samples = samples - samples.mean(axis=1, keepdims=True)
+    products = np.einsum("ksn,ktn->kst", samples, samples)
+    k = len(indices)
+    return _Candidates(indices, samples.reshape(k, -1), products.reshape(k, -1))

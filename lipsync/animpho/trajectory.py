@@ -28,14 +28,13 @@ def translate(animpho: Array, start: Array) -> Array:
     return np.asarray(animpho + (start - animpho[0]))
 
 
-def remaining(animpho: Array, share: float) -> Array:
-    """What is left of an AnimPho after a share of it, 0 to below 1, at five times anew: (5, n)."""
-    if share <= 0.0:
-        return animpho
+def left_samples(share: float) -> Array:
+    """(5, 5): samples of what is left of an AnimPho after a share of it, 0 to below 1, by its own.
+
+    Five times anew, by straight lines between its own.
+    """
     at = np.linspace(share, 1.0, SAMPLES_PER_ANIMPHO) * (SAMPLES_PER_ANIMPHO - 1)
-    number = np.minimum(at.astype(np.int64), SAMPLES_PER_ANIMPHO - 2)
-    part = (at - number)[:, None]
-    return np.asarray((1.0 - part) * animpho[number] + part * animpho[number + 1])
+    return np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(SAMPLES_PER_ANIMPHO)))
 
 
 def blend(connected: Array, chosen: Array, joined_by: float = 1.0) -> Array:

@@ -21,6 +21,7 @@ from lipsync.errors import UserError
 from lipsync.expectation.expectation import PhonemeTrack, context_at
 from lipsync.face.frame import FaceWindow, Frame, Motion
 from lipsync.face.model import FaceModel
+from lipsync.motion.rounding import SPREAD, is_rounded, lip_width_of, planned_rounding
 from lipsync.motion.tick_plan import AT_REST, TICK_S, Amount, EasedSetting, TickPlan, planned_rest
 from lipsync.phonemes import PHONEMES, PhonemeEvent, PhonemeUpdate
 
@@ -36,6 +37,8 @@ TOUCHING_MM = 1.0
 _RIDGE = 1e-6
 #: Rounds the corner where the correction sets in, mm, so that the motion keeps its speed there.
 _CORNER_MM = 0.2
+#: One recorded frame of grid_s1 in a hundred has its lips wider apart.
+_WIDEST_MM = 14.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,16 +66,20 @@ class LipGap:
     def narrowed(self, face: Array, distance_mm: float, amount: float) -> Array:
         """The face (n_components,) with its gap brought to at most `distance_mm`.
 
-        amount: 0 leaves the face alone, 1 does it all; in between the share of the excess. The
+        amount: 0 leaves the face alone, 1 does it all; in between the gap is at most what is left
+        on the way from `_WIDEST_MM`, so that lips which are nearly closed stay as they are. The
         result follows face, distance and amount without a jump in value or speed.
         """
         if amount <= 0.0:
             return face
+        amount = min(amount, 1.0)
         gap_mm = self.at_mean_mm + face @ self.per_face
         width_mm = math.sqrt(float(gap_mm @ gap_mm))
         excess_mm = width_mm - distance_mm + _CORNER_MM
-        soft_mm = (excess_mm + math.sqrt(excess_mm**2 + _CORNER_MM**2)) / 2.0
-        share = min(amount, 1.0) * soft_mm / math.sqrt(width_mm**2 + _CORNER_MM**2)
+        excess_mm -= (1.0 - amount) * max(excess_mm, _WIDEST_MM)
+        corner_mm = amount * _CORNER_MM
+        soft_mm = (excess_mm + math.sqrt(excess_mm**2 + corner_mm**2)) / 2.0
+        share = soft_mm / math.sqrt(width_mm**2 + _CORNER_MM**2)
         return np.asarray(face - (share * gap_mm) @ self.response)
 
 
@@ -93,12 +100,13 @@ def lip_gap_of(model: FaceModel) -> LipGap:
 BILABIALS = ("P", "B", "M")
 LABIODENTALS = ("F", "V")
 
-#: Lips take this long to close, and to part: 12 mm at 300 mm/s at most. Chosen on inner splits of
-#: the training part (docs/decisions/0063): shorter jumps, longer closes the vowels around as well.
+#: Widest open, lips take this long to close, and to part, at 350 mm/s at most. Chosen on inner
+#: splits of the training part (docs/decisions/0067): shorter jumps, longer closes vowels around.
 CLOSING_S = 0.06
 PARTING_S = 0.06
-#: They touch this long at least, around the moment at which the recordings are tightest.
-HOLD_S = 0.02
+#: They touch this long at least, around the moment at which the recordings are tightest; with what
+#: is nearly closed before and after, a picture of 25 a second shows it.
+HOLD_S = 0.03
 #: While an M sounds the lips stay shut, from its onset until they must part for what follows.
 _HUMMED = PHONEMES.index("M")
 _HUM_ENDS_S = 0.03
@@ -116,12 +124,13 @@ def planned(
     time_s: float,
     known_until_s: float,
 ) -> Amount:
-    """What the amount does from `time_s` on. Once begun, a closure is completed before it ends.
+    """What the amount does from `time_s` on. Once begun, a closure is completed, and held.
 
     moments_s: for each phoneme that closes, when after its onset it is tightest.
     """
-    if now.goal == 1.0 and time_s < now.start_s + now.duration_s:
-        return now
+    shut_s = now.start_s + now.duration_s
+    if now.goal == 1.0 and time_s < shut_s + HOLD_S - _ROUNDING_S:
+        return replace(now, touched_s=max(shut_s, time_s))
     if _is_due(now.touched_s, moments_s, track, time_s, known_until_s):
         goal, duration_s, touched_s = 1.0, CLOSING_S, time_s + CLOSING_S
     else:
@@ -188,9 +197,13 @@ def closed_share(spans_s: Sequence[tuple[float, float]], time_s: float) -> float
 DEFAULT_LOOKAHEAD_S = 0.1
 LONGEST_LOOKAHEAD_S = 1.0
 STRONGEST = 1.5
-#: Chosen on inner splits (decisions/0028).
-DEFAULT_UNIT_SHARE = 0.25
+#: Chosen on inner splits (decisions/0068). Components beyond the first four have twice the share.
+DEFAULT_UNIT_SHARE = 0.5
+N_COARSE, FINE_SHARE = 4, 2.0
 
+
+#: On a stage, which viewers see from 3 m, a mouth goes so much farther than the speaker's.
+STAGE_STRENGTH = 1.3
 
 #: A window shows the face so long after its frame, and where a closure is complete. Finer steps
 #: change no plan of joints by more than their noise (docs/decisions/0043).
@@ -208,13 +221,15 @@ class Style:
     lookahead_s: how much later than its sound a face may be shown, for the sake of what comes next;
     strength: 0 keeps the mouth closed, 1 moves as the speaker did, 1.5 is as far as it goes;
     smoothness: 0 follows at once, 1 is as slow as it gets. unit_share: of AnimPhos in the motion,
-    where a synthesiser has any: 0 plays the expectation, 1 AnimPhos alone.
+    where a synthesiser has any: 0 plays the expectation, 1 AnimPhos alone. stage: 1 opens and
+    rounds the mouth for viewers at 3 m.
     """
 
     lookahead_s: float = DEFAULT_LOOKAHEAD_S
     strength: float = 1.0
     smoothness: float = 0.0
     unit_share: float = DEFAULT_UNIT_SHARE
+    stage: float = 0.0
 
     def __post_init__(self) -> None:
         limits = {
@@ -222,6 +237,7 @@ class Style:
             "strength": STRONGEST,
             "smoothness": 1.0,
             "unit_share": 1.0,
+            "stage": 1.0,
         }
         for name, most in limits.items():
             value = getattr(self, name)
@@ -251,6 +267,7 @@ class _Finish:
     rest: Amount = AT_REST
     bilabial: Amount = OPEN
     labiodental: Amount = OPEN
+    rounding: Amount = SPREAD
 
 
 class FinishedSynthesizer:
@@ -266,8 +283,9 @@ class FinishedSynthesizer:
         adjust_inner: Mapping[str, Callable[[float], None]] | None = None,
         units: "UnitMotion | None" = None,
         unit_share: float = DEFAULT_UNIT_SHARE,
+        stage: float = 0.0,
     ) -> None:
-        """strength: 0 keeps the mouth at rest, 1 changes nothing.
+        """strength: 0 keeps the mouth at rest, 1 changes nothing. stage: as in `Style`.
 
         known_s: how far beyond its tick a decision may look, s; None for what the look-ahead of
         `inner` allows. adjust_inner: how `inner` takes a new value of its own settings, by name.
@@ -277,14 +295,23 @@ class FinishedSynthesizer:
         self._known_s = min(inner.lookahead_s, USED_LOOKAHEAD_S) if known_s is None else known_s
         self._rest = model.rest
         self._gap = lip_gap_of(model)
+        self._width = lip_width_of(model)
         self._labiodental_gap_mm = model.labiodental_gap_mm
         self._bilabial_s = _tightest_s(model, BILABIALS)
         self._labiodental_s = _tightest_s(model, LABIODENTALS)
         self._units = units
+        self._shares = np.ones(model.n_components)
+        self._shares[N_COARSE:] = FINE_SHARE
         self._strength = EasedSetting(strength, STRONGEST)
         self._unit_share = EasedSetting(unit_share, 1.0)
+        self._stage = EasedSetting(stage, 1.0)
+        self._valence = EasedSetting(0.0, 1.0, -1.0)
         self._ticks = TickPlan(_Finish())
-        self._adjust = {**(adjust_inner or {}), "strength": self._changing(self._strength)}
+        self._adjust = {
+            **(adjust_inner or {}),
+            "strength": self._changing(self._strength),
+            "stage": self._changing(self._stage),
+        }
         if units is not None:
             self._adjust["unit_share"] = self._changing(self._unit_share)
 
@@ -320,6 +347,7 @@ class FinishedSynthesizer:
             self._units.reset()
         self._strength.settle()
         self._unit_share.settle()
+        self._stage.settle()
         self._ticks = TickPlan(_Finish())
 
     def push(self, update: PhonemeUpdate) -> None:
@@ -341,17 +369,19 @@ class FinishedSynthesizer:
         Style(**{name: value})
         self._adjust[name](value)
 
+    def smile(self, valence: float) -> None:
+        """Look as glad, -1 to 1, from the newest face on while the mouth speaks."""
+        self._changing(self._valence)(valence)
+
     def frame_at(self, time_s: float) -> Frame:
         """The frame at sound time `time_s`; the same time gives the same frame."""
         frame = self._inner.frame_at(time_s)
         face = frame.coefficients
         if self._units is not None:
             face = self._mixed(face, self._units, time_s)
-        strength = self._strength.at(time_s)
-        if strength != 1.0:
-            face = self._rest + strength * (face - self._rest)
-        finish = self._ticks.at(time_s, self._decide)
+        face, finish = self._strengthened(face, time_s), self._ticks.at(time_s, self._decide)
         if finish is not None:
+            face = self._cornered(face, finish.rounding.share(time_s), time_s)
             face = self._rest + (1.0 - finish.rest.smooth(time_s)) * (face - self._rest)
             labiodental = finish.labiodental.share(time_s)
             face = self._gap.narrowed(face, self._labiodental_gap_mm, labiodental)
@@ -373,12 +403,12 @@ class FinishedSynthesizer:
         begins_s = {from_s for _, spans_s in closing for from_s, _ in spans_s}
         steps_s = (now_s + step_s for step_s in _WINDOW_S if step_s <= self._known_s)
         times_s = sorted({*steps_s, *(s for s in begins_s if now_s < s <= until_s)})
-        strength = self._strength.goal
         faces = self._inner.faces_after(frame, np.array(times_s)) if times_s else ()
         rows, closed = [frame.coefficients], [max(lips.at(now_s)[0], teeth.at(now_s)[0]) == 1.0]
         for time_s, face in zip(times_s, faces, strict=True):
-            moved = (1.0 - finish.rest.smooth(time_s)) * strength * (face - self._rest)
-            face = self._rest + moved
+            round_ = float(is_rounded(track, time_s, until_s))
+            face = self._cornered(self._strengthened(face, time_s), round_, time_s)
+            face = self._rest + (1.0 - finish.rest.smooth(time_s)) * (face - self._rest)
             shares = [closed_share(spans_s, time_s) for _, spans_s in closing]
             for (gap_mm, _), share in zip(closing, shares, strict=True):
                 face = self._gap.narrowed(face, gap_mm, share)
@@ -388,13 +418,27 @@ class FinishedSynthesizer:
         shut = self._gap.shut(frame.coefficients)
         return FaceWindow(offsets_s, np.array(rows), np.array(closed), shut)
 
-    def _mixed(self, face: Array, units: "UnitMotion", time_s: float) -> Array:
-        """The weighted mean of a face (n_components,) and that of the AnimPhos."""
-        of_units = units.at(time_s, self._inner.track)
-        share = self._unit_share.at(time_s)
-        if of_units is None or share == 0.0:
+    def _strengthened(self, face: Array, time_s: float) -> Array:
+        """The face (n_components,) as far from rest as strength and stage want it."""
+        stage = 1.0 + (STAGE_STRENGTH - 1.0) * self._stage.at(time_s)
+        strength = self._strength.at(time_s) * stage
+        return face if strength == 1.0 else self._rest + strength * (face - self._rest)
+
+    def _cornered(self, face: Array, rounding: float, time_s: float) -> Array:
+        """The face (n_components,) with its corners rounded, 0 to 1, and smiling."""
+        if self._width is None:
             return face
-        return face + share * (of_units - face)
+        moved = min(1.0, self._strength.at(time_s))
+        face = self._width.rounded(face, self._stage.at(time_s) * moved * rounding)
+        return self._width.smiling(face, moved * (1.0 - rounding) * self._valence.at(time_s))
+
+    def _mixed(self, face: Array, units: "UnitMotion", time_s: float) -> Array:
+        """The face (n_components,) with its share of AnimPhos, larger in the finer components."""
+        departure = units.at(time_s, self._inner.track)
+        share = self._unit_share.at(time_s)
+        if departure is None or share == 0.0:
+            return face
+        return face + np.minimum(1.0, share * self._shares) * departure
 
     def _decide(self, time_s: float, last: _Finish) -> _Finish:
         """Rest and closures of the tick that ends at `time_s`, from what is known then."""
@@ -404,6 +448,7 @@ class FinishedSynthesizer:
             planned_rest(last.rest, *context, begin_s, self._known_s),
             planned(last.bilabial, self._bilabial_s, track, begin_s, until_s),
             planned(last.labiodental, self._labiodental_s, track, begin_s, until_s),
+            planned_rounding(last.rounding, track, begin_s, self._known_s + TICK_S),
         )
 
     def _changing(self, setting: EasedSetting) -> Callable[[float], None]:

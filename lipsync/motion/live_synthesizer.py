@@ -144,8 +144,11 @@ class ExpectedMotion:
     def faces_after(self, frame: Frame, times_s: Array) -> Array:
         """The faces (k, n_components) expected at later sound times (k,); decides nothing."""
         known_until_s = frame.time_s + self.known_s
-        faces = self._expectation.faces_after(self._track, times_s, known_until_s)
-        return self._softened(faces, times_s, known_until_s)
+        return self._softened(self.decided_at(times_s, known_until_s), times_s, known_until_s)
+
+    def decided_at(self, times_s: Array, known_until_s: float) -> Array:
+        """The faces (k, n_components) expected at times (k,) by phonemes known until an instant."""
+        return self._expectation.faces_after(self._track, times_s, known_until_s)
 
     def adjust_smoothness(self, smoothness: float) -> None:
         """Go over to another smoothness, 0 to 1, from the newest tick on."""
@@ -236,7 +239,7 @@ class LiveSynthesizer(FinishedSynthesizer):
         if units is not None:
             from lipsync.motion.unit_motion import UnitMotion
 
-            mixed_in = UnitMotion(units, expectation, expected.known_s)
+            mixed_in = UnitMotion(units, expected.decided_at, expected.known_s)
         super().__init__(
             model,
             expected,
@@ -244,4 +247,5 @@ class LiveSynthesizer(FinishedSynthesizer):
             adjust_inner={"smoothness": expected.adjust_smoothness},
             units=mixed_in,
             unit_share=style.unit_share,
+            stage=style.stage,
         )

@@ -104,10 +104,10 @@ ADJUSTING_S = 0.3
 
 
 class EasedSetting:
-    """A number between 0 and `most`, as a function of time."""
+    """A number between `least` and `most`, as a function of time."""
 
-    def __init__(self, value: float, most: float) -> None:
-        self._most = most
+    def __init__(self, value: float, most: float, least: float = 0.0) -> None:
+        self._least, self._most = least, most
         self._now = _steady(value)
 
     @property
@@ -119,7 +119,7 @@ class EasedSetting:
         """The value; before the last change began it is the one at its beginning."""
         value = self._now.at(max(time_s, self._now.start_s))[0]
         # A cubic that turns round on its way may overshoot its limits.
-        return min(self._most, max(0.0, value))
+        return min(self._most, max(self._least, value))
 
     def change(self, start_s: float, value: float) -> None:
         """Go over to a value from `start_s` on, from wherever it is then."""

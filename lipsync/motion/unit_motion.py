@@ -1,15 +1,18 @@
 """AnimPhos near the expectation, joined as the paper joins, over a revisable stream of phonemes.
 
-An AnimPho is chosen at its phone's onset and again whenever more becomes known of the phonemes
-around; what is left of the phone then begins where the mouth is, at the speed that it has. Two
-departures from the paper's equations, both for the sake of the expectation: an AnimPho is moved, as
-a whole, to where the mouth is expected, and it is joined sooner than at the phone's end
-(decisions/0028).
+An AnimPho is chosen at its phone's onset, again whenever more becomes known of the phonemes around,
+and every 40 ms; what is left of the phone then begins where the mouth is, at the speed that it has.
+Three departures from the paper's equations, all for the sake of the expectation: an AnimPho is
+moved, as a whole, to where the mouth is expected; it is joined sooner than at the phone's end
+(decisions/0028); and what is played is how far it departs from what was expected when it was
+planned, on top of what is expected by now, so that a plan is never older than a tick
+(decisions/0068).
 """
 
 import math
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -19,22 +22,34 @@ from lipsync.animpho.trajectory import (
     blend,
     choose_connected,
     ease,
-    remaining,
+    left_samples,
     sample_derivatives,
     translate,
 )
 from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits
 from lipsync.arrays import Array
-from lipsync.expectation.expectation import Expectation, PhonemeTrack, context_at, track_of
+from lipsync.expectation.expectation import UNKNOWN, PhonemeTrack, context_at, track_of
 from lipsync.motion.tick_plan import PAUSE_S, RESTING_S, TICK_S, TickPlan
 from lipsync.phonemes import PHONEMES, SILENCE, stand_in
 
-#: A phone is taken to last so long, the median of grid_s1; where its end is later than is known,
-#: a recorded frame longer than is known.
-USUAL_S = 0.08
+#: How long phones last, ms: medians of grid_s1, of sentences and words that no benchmark scores; of
+#: those that it lacks as of their likes.
+_USUAL_MS: Final = {
+    "W": 30, "DH": 30, "AH": 40, "AE": 40, "R": 40, "L": 50, "T": 50, "HH": 50, "IH": 60, "D": 60,
+    "UH": 60, "TH": 70, "B": 70, "N": 70, "OW": 70, "V": 70, "NG": 70, "K": 80, "EH": 80, "M": 80,
+    "CH": 90, "Y": 90, "JH": 90, "IY": 90, "AY": 90, "G": 100, "AO": 100, "P": 100, "ZH": 100,
+    "ER": 100, "UW": 110, "EY": 110, "F": 120, "S": 120, "SH": 120, "AA": 130, "Z": 150, "OY": 200,
+    "AW": 220, SILENCE: 80,
+}  # fmt: skip
+_USUAL_S: Final = [_USUAL_MS[phoneme] / 1e3 for phoneme in PHONEMES]
+#: The last two phones took at most so many times as long as usual, or as short; of that pace, in
+#: logarithms, half is believed of the next.
+_MOST_PACE: Final = 2.0
+#: Where its end is later than is known it is a recorded frame later than that.
 LONGER_S = 0.04
 #: Of a longer phone an AnimPho fills this much, up to its end.
 LONGEST_S = 0.35
+_SILENCE: Final = PHONEMES.index(SILENCE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +83,7 @@ def span_at(
         return PhoneSpan(None, onset_s, onset_s, math.inf, is_known)
     end_s = time_s + times_s[3]
     if not is_known:
-        end_s = max(onset_s + USUAL_S, time_s + known_s + LONGER_S)
+        end_s = max(onset_s + guessed_s(phonemes, times_s), time_s + known_s + LONGER_S)
     parts, number, start_s = stand_in(phoneme, known_phonemes), 0, onset_s
     if len(parts) > 1:
         part_s = (end_s - onset_s) / len(parts)
@@ -78,17 +93,36 @@ def span_at(
     return PhoneSpan(parts[number], onset_s, max(start_s, end_s - LONGEST_S), end_s, is_known)
 
 
+def guessed_s(phonemes: list[int], times_s: list[float]) -> float:
+    """How long the phone of a context probably lasts: its usual duration, at the speaker's pace."""
+    usual_s = took_s = 0.0
+    for phoneme, begun_s, ended_s in zip(phonemes[:2], times_s[:2], times_s[1:3], strict=True):
+        if phoneme not in (UNKNOWN, _SILENCE) and math.isfinite(begun_s):
+            usual_s += _USUAL_S[phoneme]
+            took_s += begun_s - ended_s
+    pace = took_s / usual_s if usual_s else 1.0
+    pace = min(_MOST_PACE, max(1.0 / _MOST_PACE, pace))
+    return _USUAL_S[phonemes[2]] * math.sqrt(pace)
+
+
 #: Of what is left of a phone it takes this long to become its AnimPho, s, or all of it where it is
 #: shorter. A shorter rest of a phone than `_SHORTEST_S` is begun as if it were as long.
 JOINED_S = 0.02
 _SHORTEST_S = 0.04
+#: What is left of an AnimPho is planned anew so often: then more is known of what is expected.
+REPLANNED_S = 0.04
+#: Of what is left of a phone the expectation is asked for so much later; between, straight lines.
+_TARGETS = np.array([0.0, 0.5, 1.0])
+_BETWEEN = np.array([[1, 0, 0], [0.5, 0.5, 0], [0, 1, 0], [0, 0.5, 0.5], [0, 0, 1]])
+#: Sums of the same times differ by less.
+_ROUNDING_S = 1e-9
 #: The expectation at a phone's end is asked for so much before: there it is still that phone's.
 _BEFORE_THE_END_S = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class _Stretch:
-    """What is played until more becomes known.
+    """What is played until more becomes known: departures from the expectation.
 
     known: all that it was planned from. phoneme: None at rest; begun_s: when the first stretch of
     its phone began. animpho: a_t; previous: a_{t-1}; None at rest.
@@ -103,32 +137,35 @@ class _Stretch:
 
 
 class UnitMotion:
-    """Faces out of AnimPhos, at any time; who asks says what the phonemes are."""
+    """How far AnimPhos depart from the expectation, at any time."""
 
     def __init__(
         self,
         units: AnimPhoUnits,
-        expectation: Expectation,
+        expected: Callable[[Array, float], Array],
         known_s: float,
         costs: SelectionCosts | None = None,
     ) -> None:
-        """known_s: how far beyond its tick a decision may look, s."""
+        """expected: faces (n, n_components) at times (n,), by what is known until an instant.
+
+        known_s: how far beyond its tick a decision may look, s.
+        """
         self._units = units
         self._known_phonemes = units.known_phonemes
         self._selection = GuidedSelection(units, costs)
-        self._expectation = expectation
+        self._expected = expected
         self._known_s = known_s
         self.reset()
 
     def reset(self) -> None:
         """Forget everything; the mouth is closed and the stream begins anew at sound time 0."""
-        rest = self._units.rest
-        closed = ease(0.0, RESTING_S, rest, np.zeros_like(rest), rest)
-        self._ticks = TickPlan(_Stretch(closed, None, None, -math.inf, None, None))
+        none = np.zeros_like(self._units.rest)
+        still = ease(0.0, RESTING_S, none, none, none)
+        self._ticks = TickPlan(_Stretch(still, None, None, -math.inf, None, None))
         self._track = track_of(())
 
     def at(self, time_s: float, track: PhonemeTrack) -> Array | None:
-        """The face (n_components,) with the phonemes as they are believed now.
+        """What (n_components,) makes the expected face the AnimPhos', by the phonemes of now.
 
         None for a time that is too long ago.
         """
@@ -146,52 +183,60 @@ class UnitMotion:
         # A guess of the end moves on with the time and is no news.
         end_s = round(span.end_s, 6) if span.is_known else None
         known = (span.phoneme, end_s, *context[0])
-        if known == last.known and (
-            span.phoneme is None
-            or (span.onset_s <= last.begun_s and time_s <= last.trajectory.end_s)
-        ):
+        goes_on = span.onset_s <= last.begun_s and time_s <= last.trajectory.end_s
+        is_fresh = time_s <= last.trajectory.start_s + REPLANNED_S + _ROUNDING_S
+        if known == last.known and (span.phoneme is None or (goes_on and is_fresh)):
             return last
         begin_s = time_s - TICK_S
-        position, speed = last.trajectory.at(begin_s)
         if span.phoneme is None:
-            rest = ease(begin_s, RESTING_S, position, speed, self._units.rest)
+            away, speed = last.trajectory.at(begin_s)
+            rest = ease(begin_s, RESTING_S, away, speed, np.zeros_like(away))
             return _Stretch(rest, known, None, begin_s, None, None)
         previous, begun_s = last.animpho, time_s
         if span.phoneme == last.phoneme and span.onset_s <= last.begun_s:
             previous, begun_s = last.previous, last.begun_s
-        end_s = max(span.end_s, begin_s + _SHORTEST_S)
-        phone_s = end_s - span.start_s
-        share = max(0.0, (begin_s - span.start_s) / phone_s)
-        joint = Joint(share, position, speed, phone_s, previous)
-        target = self._target(span, joint, time_s + self._known_s)
-        chosen = self._selection.choose(span.phoneme, target, joint)
-        trajectory = self._joined(chosen, target, joint, begin_s)
+        # Where nothing new is known what is left of a_t is planned anew, and a_t stays.
+        kept = last.animpho if known == last.known and goes_on else None
+        chosen, trajectory = self._joined(span, begin_s, last.trajectory, previous, kept)
         return _Stretch(trajectory, known, span.phoneme, begun_s, chosen, previous)
 
-    def _target(self, span: PhoneSpan, joint: Joint, known_until_s: float) -> Array:
-        """(r, n_components): what is expected at the sample times to come, as far as known."""
-        shares = np.arange(joint.n_passed, SAMPLES_PER_ANIMPHO) / (SAMPLES_PER_ANIMPHO - 1)
-        times_s = np.minimum(span.start_s + shares * joint.phone_s, span.end_s - _BEFORE_THE_END_S)
-        found = [context_at(self._track, float(t), known_until_s) for t in times_s]
-        return self._expectation.faces(
-            np.array([phonemes for phonemes, _ in found]),
-            np.array([since_s for _, since_s in found]),
-            np.maximum(0.0, known_until_s - times_s),
-        )
+    def _joined(
+        self,
+        span: PhoneSpan,
+        begin_s: float,
+        last: Trajectory,
+        previous: int | None,
+        kept: int | None,
+    ) -> tuple[int, Trajectory]:
+        """The AnimPho for what is left of a phone, and its departures from what is expected.
 
-    def _joined(self, chosen: int, target: Array, joint: Joint, begin_s: float) -> Trajectory:
-        """From the mouth as it is to the end of the chosen AnimPho, moved to its target."""
-        units = self._units
-        connected = chosen
-        if joint.previous is not None:
-            connected = choose_connected(units, joint.previous, chosen)
-        samples = units.samples[chosen]
-        moved = samples + (target - samples[joint.n_passed :]).mean(axis=0)
-        left_s = (1.0 - joint.share) * joint.phone_s
+        Eq. (3) to (5), less the target: the mouth begins where it is and becomes the AnimPho, moved
+        to the target's mean. previous: a_{t-1}; kept: a_t, None to choose it.
+        """
+        assert span.phoneme is not None
+        phone_s = max(span.end_s, begin_s + _SHORTEST_S) - span.start_s
+        share = max(0.0, (begin_s - span.start_s) / phone_s)
+        left_s = (1.0 - share) * phone_s
+        spacing_s = left_s / (SAMPLES_PER_ANIMPHO - 1)
+        times_s = np.minimum(begin_s + left_s * _TARGETS, span.end_s - _BEFORE_THE_END_S)
+        target = _BETWEEN @ self._expected(times_s, begin_s + TICK_S + self._known_s)
+        away, speed = last.at(begin_s)
+        position = target[0] + away
+        units, left = self._units, left_samples(share)
+        if kept is None:
+            velocity = speed + (target[1] - target[0]) / spacing_s
+            joint = Joint(share, position, velocity, spacing_s, previous)
+            chosen = self._selection.choose(span.phoneme, target, joint)
+            connected = chosen if previous is None else choose_connected(units, previous, chosen)
+        else:
+            chosen = connected = kept
+        moved = left @ units.samples[chosen]
+        moved += (target - moved).mean(axis=0)
         joined = blend(
-            translate(remaining(units.samples[connected], joint.share), joint.position),
-            remaining(moved, joint.share),
+            translate(left @ units.samples[connected], position),
+            moved,
             min(1.0, JOINED_S / left_s),
         )
-        first = joint.speed * (left_s / (SAMPLES_PER_ANIMPHO - 1))
-        return Trajectory(begin_s, left_s, joined, sample_derivatives(joined, first))
+        departures = joined - target
+        derivatives = sample_derivatives(departures, speed * spacing_s)
+        return chosen, Trajectory(begin_s, left_s, departures, derivatives)

@@ -23,6 +23,7 @@ class BenchGroup(LazyGroup):
             "readability": Command(
                 f"{_BENCH}.readability:readability", "Words read off the mouth.", _MOTION
             ),
+            "figures": Command(f"{_BENCH}.motion:figures", "The paper's tables.", _MOTION),
             "closures": Command(f"{_BENCH}.closures:closures", "Whether lips close.", _MOTION),
             "speeds": Command(f"{_BENCH}.motion:speeds", "Motion of slow joints.", _MOTION),
             "sync": Command(f"{_BENCH}.faces:sync", "Lips against their sound.", _MOTION),

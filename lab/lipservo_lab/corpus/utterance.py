@@ -73,6 +73,20 @@ class Corpus:
         chosen = tuple(u for u in self.utterances if u.name in names)
         return Corpus(self.name, self.layout, chosen, self.head_reference_mm, self.skipped)
 
+    def without(self, words: frozenset[str], names: frozenset[str]) -> "Corpus":
+        """Only the sentences that hold none of the words and are none of those named.
+
+        Raises CorpusError for a word that no sentence holds, and where no sentence is left.
+        """
+        said = {u.name: {word.text for word in u.words} for u in self.utterances}
+        missing = words - {text for texts in said.values() for text in texts}
+        if missing:
+            raise CorpusError(f"{self.name}: no sentence holds {', '.join(sorted(missing))}")
+        left = {name for name, texts in said.items() if not texts & words and name not in names}
+        if not left:
+            raise CorpusError(f"{self.name}: nothing is left without these words and sentences")
+        return self.keep(left)
+
 
 #: Frame rates as ratios of whole numbers no larger; 29.97 to 25 is off by 3 ms in an hour.
 _LARGEST_TERM = 1200

@@ -7,6 +7,7 @@ const EVERY_MS = 100;
 /** name: [title, least, most, step, unit, what it does]; the order of the page. */
 const SETTINGS = {
   strength: ["Strength", 0, 1.5, 0.05, "", "How far the mouth moves; 1 is as the speaker did. Lips still close."],
+  stage: ["Stage", 0, 1, 0.05, "", "1 opens and rounds the mouth for viewers 3 m away."],
   smoothness: ["Smoothness", 0, 1, 0.05, "", "0 follows every sound; 1 is calm and blurs quick ones."],
   unit_share: ["AnimPhos", 0, 1, 0.05, "", "Share of recorded units in the motion; 0 is the expectation alone."],
   lookahead_ms: ["Look-ahead", 0, 1000, 10, "ms", "How much sound is heard before the mouth decides: better shapes, but later ones."],

@@ -147,11 +147,6 @@ class ExpressionClaims:
         self._steps_deg = np.array([servo.max_speed_deg_s * period_s for servo in self._head])
         self._shown_deg = np.zeros(len(self._head))
 
-    @property
-    def any_servos(self) -> bool:
-        """Whether the face has servos besides its mouth that show an expression."""
-        return bool(self._head)
-
     def claims(self, expression: Expression, layer: Layer) -> list[Claim]:
         """For neck, eyes, lids and brows. layer: of whom the expression is."""
         if not self._head:
@@ -218,7 +213,7 @@ class ExpressionLayer:
         self._performed = PerformedExpression()
         self._n_steps = 0
         self._silent_s = 0.0
-        self._arousal = 0.0
+        self._arousal = self._valence = 0.0
         self._is_speaking = False
         #: What is shown now.
         self.expression: Expression = NO_EXPRESSION
@@ -235,8 +230,13 @@ class ExpressionLayer:
 
     @property
     def mouth_gain(self) -> float:
-        """How much livelier the mouth moves for it. A face that is only a mouth moves as ever."""
-        return mouth_gain(self._arousal) if self._claims.any_servos else 1.0
+        """How much livelier the mouth moves for it; closures apart."""
+        return mouth_gain(self._arousal)
+
+    @property
+    def valence(self) -> float:
+        """As it was set, as far as it has not faded: -1 to 1. No voice gives it."""
+        return self._valence
 
     def change(self, settings: Mapping[str, float]) -> None:
         """Take what was set, by the names of `ExpressionWishes`."""
@@ -263,7 +263,7 @@ class ExpressionLayer:
         self._silent_s = 0.0 if is_speaking else self._silent_s + CUE_PERIOD_S
         self._is_speaking = self._silent_s < _PAUSE_S
         voice = self.voice.at(sound_s)
-        valence, arousal = self.wishes.affect_at(now_s)
+        self._valence, arousal = self.wishes.affect_at(now_s)
         self._arousal = min(1.0, max(-1.0, voice.arousal + arousal))
         self._n_steps += 1
         amount = self.wishes.amount
@@ -274,7 +274,7 @@ class ExpressionLayer:
                 is_speaking=self._is_speaking,
                 silent_s=self._silent_s,
                 look_at_deg=self.wishes.look_at_deg,
-                valence=valence,
+                valence=self._valence,
                 arousal=self._arousal,
                 amount=amount,
             )

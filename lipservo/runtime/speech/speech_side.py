@@ -9,7 +9,7 @@ import numpy as np
 from firmware_bridge.gate.joint_plan import JointPlan
 from firmware_bridge.loop.targets import TargetChannel
 from lipservo.runtime.servos.assembly import Face
-from lipservo.runtime.speech.expression import expression_servos, make_expression
+from lipservo.runtime.speech.expression import make_expression
 from lipservo.runtime.speech.phoneme_sources import RecognizedPhonemes, SpokenPhonemes
 from lipservo.runtime.speech.speech import PUBLISH_PERIOD_S, LipGapOffset, Speech, SpeechOptions
 from lipservo.runtime.status.live_board import MOST_PEAKS, LiveBoard, expression_values
@@ -19,7 +19,9 @@ from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import PlayoutRequest
 from lipsync.audio.source import AudioSource
 from lipsync.face.frame import Frame, Synthesizer
+from lipsync.face.model import FaceModel
 from lipsync.motion.finishing import STRONGEST, FinishedSynthesizer, lip_gap_of
+from lipsync.motion.rounding import ROUNDED, ROUNDING_S, lip_width_of
 from lipsync.phonemes import PHONEMES, SILENCE, LiveRecognizer
 from lipsync.recognition.own_noise import ServoSpeeds
 
@@ -38,7 +40,7 @@ class AdjustableMouth:
     def __init__(self, synthesizer: Synthesizer) -> None:
         self._live = synthesizer if isinstance(synthesizer, FinishedSynthesizer) else None
         self._strength = 1.0 if self._live is None else self._live.strength
-        self._gain = 1.0
+        self._gain, self._valence = 1.0, 0.0
         self._due_s = 0.0
 
     def change(self, settings: Mapping[str, float]) -> None:
@@ -51,13 +53,18 @@ class AdjustableMouth:
         for name in self._live.adjustable & settings.keys() - {"strength"}:
             self._live.adjust(name, settings[name])
 
-    def follow(self, now_s: float, gain: float) -> None:
-        """Move so much livelier, at monotonic `now_s`."""
-        if now_s < self._due_s or abs(gain - self._gain) < _SMALLEST_CHANGE:
+    def follow(self, now_s: float, gain: float, valence: float) -> None:
+        """Move so much livelier, and look as glad, -1 to 1, at monotonic `now_s`."""
+        change = max(abs(gain - self._gain), abs(valence - self._valence))
+        if self._live is None or now_s < self._due_s or change < _SMALLEST_CHANGE:
             return
         self._due_s = now_s + _EVERY_S
-        self._gain = gain
-        self._set_strength()
+        if gain != self._gain:
+            self._gain = gain
+            self._set_strength()
+        if valence != self._valence:
+            self._valence = valence
+            self._live.smile(valence)
 
     def _set_strength(self) -> None:
         if self._live is not None:
@@ -147,13 +154,24 @@ class OwnVoice:
             self._speech.cut_off(now_s, self._rest)
 
 
-class SpeechBoard:
-    """Writes to a `LiveBoard` what is shown."""
+#: Lips of the page's head round so much before their sound, and this quickly, s: the middle of a
+#: cubic of `ROUNDING_S`.
+_ROUNDING_LEAD_S: Final = ROUNDING_S / 2.0
+_ROUNDING_TIME_S: Final = 0.03
 
-    def __init__(self, board: LiveBoard, rest: Array) -> None:
-        """rest: the face (n_components,) of a mouth at rest."""
+
+class SpeechBoard:
+    """Writes to a `LiveBoard` what is shown.
+
+    The page's head is drawn: its lips round where those of the talker, and so of the robot, hardly
+    do (`lipsync.motion.rounding`).
+    """
+
+    def __init__(self, board: LiveBoard, face: FaceModel) -> None:
         self._board = board
-        self._rest = rest
+        self._rest = face.rest
+        self._width = lip_width_of(face)
+        self._rounding = 0.0
         self._numbers = {phoneme: number for number, phoneme in enumerate(PHONEMES)}
         self._told_s = 0.0
 
@@ -172,12 +190,22 @@ class SpeechBoard:
             is_cut_off=is_cut_off,
             is_speech=heard is not None and heard.at(sound_s).is_speech,
             arousal=0.0 if expression is None else expression.arousal,
-            coefficients=self._rest if is_cut_off else frame.coefficients,
+            coefficients=self._rest if is_cut_off else self._rounded(frame, speech),
             expression=expression_values()
             if expression is None
             else expression_values(expression.expression),
         )
         self._told_s = max(self._told_s, sound_s)
+
+    def _rounded(self, frame: Frame, speech: Speech) -> Array:
+        """The frame's face (n_components,), its lips rounded for W, UW and their likes."""
+        if self._width is None:
+            return frame.coefficients
+        event = speech.event_at(frame.time_s + _ROUNDING_LEAD_S)
+        wanted = float(event is not None and PHONEMES.index(event.phoneme) in ROUNDED)
+        passed_s = max(0.0, frame.time_s - self._told_s)
+        self._rounding += (1.0 - math.exp(-passed_s / _ROUNDING_TIME_S)) * (wanted - self._rounding)
+        return self._width.rounded(frame.coefficients, self._rounding)
 
 
 #: Full speed is told three times, a tenth of a second apart, since nobody acknowledges it.
@@ -247,7 +275,8 @@ class SpeechSide:
             self.voice.advance(now_s)
         self.speech.advance(now_s)
         if self._mouth is not None and self.speech.expression is not None:
-            self._mouth.follow(now_s, self.speech.expression.mouth_gain)
+            affect = self.speech.expression
+            self._mouth.follow(now_s, affect.mouth_gain, affect.valence)
         if self._board is not None:
             self._board.tell(now_s, self.speech)
 
@@ -307,24 +336,19 @@ def make_speech_side(
     channel: TargetChannel,
     *,
     start_s: float,
-    is_watchable: bool = True,
     board: LiveBoard | None = None,
 ) -> SpeechSide:
     """Everything between an entered source and the targets of a face's servos.
 
     start_s: the servos come on for so long, and nothing is said until they follow.
-    is_watchable: somebody may look on whose twin has eyes; where nobody can, a face that is only a
-    mouth has no expression.
     """
     names: Sequence[str] = list(face.settings.servos)
     mouth, rest = AdjustableMouth(synthesizer), face.model.rest
-    expression = None
-    if is_watchable or expression_servos(face.settings):
-        expression = make_expression(face.settings, face.folder)
-    voice = None if expression is None else expression.voice
+    expression = make_expression(face.settings, face.folder)
+    voice = expression.voice
     offset_mm = face.settings.motion.lip_gap_offset_mm or 0.0
     lip_gap = LipGapOffset(face.model, offset_mm, PUBLISH_PERIOD_S)
-    watched = None if board is None else SpeechBoard(board, rest)
+    watched = None if board is None else SpeechBoard(board, face.model)
     quiet_s = start_s + _MARGIN_S if start_s else 0.0
     if not isinstance(source, Playout):
         heard = RecognizedPhonemes(source, recognizer, voice)

@@ -33,7 +33,7 @@ def units() -> AnimPhoUnits:
 
 
 def joint(share=0.0, position=0.0, speed=0.0, previous=None) -> Joint:
-    return Joint(share, np.array([position]), np.array([speed]), 0.1, previous)
+    return Joint(share, np.array([position]), np.array([speed]), (1.0 - share) * 0.025, previous)
 
 
 def column(*values: float) -> np.ndarray:
@@ -48,11 +48,10 @@ def test_the_animpho_that_moves_most_like_the_target_is_taken_wherever_it_lies(u
 
 
 def test_of_a_phone_that_is_half_over_only_what_is_left_counts(units):
-    """The last three samples of AnimPho 3 fall by 2, of AnimPho 1 they rise."""
+    """The second half of AnimPho 3 falls by 2, of AnimPho 1 it rises."""
     chosen = GuidedSelection(units, NEAREST)
-    assert joint(share=0.5).n_passed == 2
-    assert chosen.choose("AA", column(9, 8, 7), joint(share=0.5)) == 3
-    assert chosen.choose("AA", column(7, 8, 9), joint(share=0.5)) == 1
+    assert chosen.choose("AA", column(9, 8.5, 8, 7.5, 7), joint(share=0.5)) == 3
+    assert chosen.choose("AA", column(7, 7.5, 8, 8.5, 9), joint(share=0.5)) == 1
 
 
 def test_what_does_not_follow_the_last_one_costs_more(units):

@@ -73,7 +73,7 @@ def test_evaluation_reads_the_baselines_too(shipped, tmp_path):
             load_trained_model(with_junk(shipped, tmp_path / "m.npz", part))
 
 
-def test_a_part_that_is_not_there_is_named_with_the_command_that_makes_it(shipped, tmp_path):
+def test_a_model_without_animphos_is_refused_with_what_plays_it(shipped, tmp_path):
     path = tmp_path / "m.npz"
     save_model(shipped, path)
     with zipfile.ZipFile(path) as archive:
@@ -83,9 +83,10 @@ def test_a_part_that_is_not_there_is_named_with_the_command_that_makes_it(shippe
         for name, content in members.items():
             archive.writestr(name, content)
     face = load_face(path)
-    make_synthesizer(face, MotionOptions(), path)
-    with pytest.raises(ModelError, match=r"holds no part 'animphos'; .*`lipservo learn face`"):
-        make_synthesizer(face, MotionOptions(strategy="priority"), path)
+    make_synthesizer(face, MotionOptions(strategy="expected"), path)
+    for strategy in ("animpho", "priority"):
+        with pytest.raises(ModelError, match=r"no AnimPhos .*--strategy expected, .*`lipservo le"):
+            make_synthesizer(face, MotionOptions(strategy=strategy), path)
 
 
 def test_a_file_that_was_replaced_between_two_readings_is_noticed(shipped, tmp_path):

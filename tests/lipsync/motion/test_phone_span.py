@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from spoken_phonemes import spoken
 
 from lipsync.expectation.expectation import context_at, track_of
-from lipsync.motion.unit_motion import LONGER_S, LONGEST_S, USUAL_S, PhoneSpan, span_at
+from lipsync.motion.unit_motion import LONGER_S, LONGEST_S, PhoneSpan, guessed_s, span_at
 from lipsync.phonemes import PHONEMES, stand_in
 
 ALL = frozenset(PHONEMES)
@@ -23,9 +23,17 @@ def test_an_end_within_the_look_ahead_is_the_phones_own_and_a_later_one_a_guess(
     assert span(events, 0.5, 0.1) == PhoneSpan(
         "AA", *(pytest.approx(t) for t in (0.4, 0.4, 0.6)), True
     )
-    assert span(events, 0.41, 0.0).end_s == pytest.approx(0.4 + USUAL_S)
+    assert span(events, 0.41, 0.0).end_s == pytest.approx(0.4 + 0.13), "as long as AA usually is"
     late = span(events, 0.48, 0.1)
     assert (late.end_s, late.is_known) == (pytest.approx(0.48 + 0.1 + LONGER_S), False)
+
+
+@pytest.mark.parametrize(("each_s", "pace"), [(0.05, 0.5**0.5), (0.1, 1.0), (0.4, 2.0**0.5)])
+def test_an_end_is_guessed_by_the_phoneme_and_by_how_fast_the_speaker_goes(each_s, pace):
+    """G and P usually take 100 ms, AA 130; of the pace half is believed, to twice as slow."""
+    events = spoken(("SIL", 0.4), ("G", each_s), ("P", each_s), ("AA", 0.3))
+    time_s = 0.4 + 2 * each_s + 0.01
+    assert guessed_s(*context_at(track_of(events), time_s, time_s)) == pytest.approx(0.13 * pace)
 
 
 def test_a_phone_that_is_not_known_is_played_by_its_stand_ins_one_after_the_other():

@@ -26,7 +26,7 @@ from lipservo_lab.learning.motion.trained_model import TrainedModel
 from lipsync.arrays import Array
 from lipsync.markers import CLOSED_GAP_MM, INNER_LIP_GROUP, OUTER_LIP_GROUP
 from lipsync.motion.finishing import BILABIALS
-from lipsync.motion.live_synthesizer import LIVE_STRATEGY
+from lipsync.motion.live_synthesizer import LIVE_STRATEGY, UNIT_STRATEGY
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent
 
@@ -110,6 +110,7 @@ RECORDED = "recorded"
 COLOURS = {
     RECORDED: "black",
     LIVE_STRATEGY: "tab:red",
+    UNIT_STRATEGY: "firebrick",
     REFERENCE: "tab:orange",
     "cohen-massaro-tuned": "tab:olive",
     "plain-regression": "tab:blue",

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from lipservo.runtime.servos.assembly import Face
+from lipservo.settings.motion_names import DEFAULT_STRATEGY
 from lipservo.terminal.pictures import save_picture, without_screen
 from lipservo_lab.bench.motion_figures import (
     PHONEMES_RECOGNIZED,
@@ -49,7 +50,6 @@ from lipservo_lab.evaluation.readability.reading_scores import (
 )
 from lipservo_lab.learning.motion.trained_model import TrainedModel
 from lipsync.motion.finishing import DEFAULT_LOOKAHEAD_S
-from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.offline.line_methods import PLANNED_METHODS, LineMethod
 
@@ -154,7 +154,7 @@ def headline(rows: Sequence[Row]) -> dict[str, object]:
     found: dict[str, object] = {}
     for row in rows:
         split, phonemes = row["split"], row["phonemes"]
-        if row["strategy"] not in (RECORDED, LIVE_STRATEGY):
+        if row["strategy"] not in (RECORDED, DEFAULT_STRATEGY):
             continue
         if row["lookahead_ms"] not in (None, HEADLINE_LOOKAHEAD_MS):
             continue
@@ -228,7 +228,7 @@ def _robot_rows(
     recorded = {u.name: split.model.coefficients(u.markers_mm) for u in split.read}
     for kind, seen in play(recorded, rate_hz).items():
         yield _row(split, kind, seen, face=ROBOT)
-    ours = next((m for m in asked.methods if m.name == LIVE_STRATEGY), None)
+    ours = next((m for m in asked.methods if m.name == DEFAULT_STRATEGY), None)
     if ours is None:
         return
     for phonemes in asked.phonemes:

@@ -14,8 +14,9 @@ from rich.progress import Progress
 from rich.table import Table
 
 from lipservo.commands.options import Json, Landmarker, Quiet, SkipBad, UnitShare
+from lipservo.settings.motion_names import DEFAULT_STRATEGY
 from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json, progress_bar
-from lipsync.errors import check_extra
+from lipsync.errors import UserError, check_extra
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 
 if TYPE_CHECKING:
@@ -169,7 +170,6 @@ def motion(
     from lipservo_lab.bench.pictures.line_plots import LINE_PICTURES
     from lipservo_lab.bench.pictures.motion_plots import PICTURES
     from lipservo_lab.learning.motion.trained_model import load_trained_model
-    from lipsync.motion.live_synthesizer import LIVE_STRATEGY
     from lipsync.offline.line_methods import DEFAULT_METHOD
 
     began_s = time.perf_counter()
@@ -190,7 +190,7 @@ def motion(
                 "--offline and --plots"
             )
         _measure_left_out(
-            corpus, asked, strategy or LIVE_STRATEGY, limit, skip_bad=skip_bad, as_json=as_json,
+            corpus, asked, strategy or DEFAULT_STRATEGY, limit, skip_bad=skip_bad, as_json=as_json,
             quiet=quiet,
         )  # fmt: skip
         return
@@ -203,7 +203,7 @@ def motion(
         )
     seconds = time.perf_counter() - began_s
     answer["published_derivatives"] = published_derivatives
-    default = DEFAULT_METHOD if offline else LIVE_STRATEGY
+    default = DEFAULT_METHOD if offline else DEFAULT_STRATEGY
     answer |= {"default_strategy": default, "machine": machine_class(), "seconds": seconds}
     if as_json:
         print_json(answer)
@@ -416,6 +416,57 @@ def _cell(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.3f}"
     return "" if value is None else str(value)
+
+
+def figures(
+    corpus: Annotated[Path, typer.Option(help="Folder laid out like grid_s1.")],
+    model: Annotated[
+        Path,
+        typer.Option(
+            help="One that has not learned the sentences: `learn face --without`, `--without-words`"
+        ),
+    ],
+    plots: Annotated[
+        Path | None, typer.Option(help="Draw Figures 1 and 6 here.", show_default=False)
+    ] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Print the tables and draw the figures of Wei and Deng, beside what they printed.
+
+    Of the sentences that the model has not learned; times are of the processor.
+    """
+    from lipservo.terminal.pictures import check_folder
+    from lipservo_lab.bench import motion_figures as measure
+    from lipservo_lab.bench.pictures.paper_figures import PAPER_PICTURES, draw_paper
+    from lipservo_lab.corpus.grid import read_grid
+    from lipservo_lab.learning.motion.trained_model import load_trained_model
+
+    if plots is not None:
+        check_folder(plots, PAPER_PICTURES)
+    face = load_trained_model(model)
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        sentences = read_grid(
+            corpus,
+            face.layout,
+            head_reference_mm=face.head_reference_mm,
+            progress=lambda names: progress.track(names, description="reading"),
+        ).labelled()
+        progress.add_task("the paper's tables", total=None)
+        unseen = {u.name for u in sentences.utterances} - set(face.training_sentences)
+        if not unseen:
+            raise UserError(
+                f"{model}: has learned every sentence of {corpus}; make one that has not with "
+                "`lipservo learn face --without FILE`"
+            )
+        tables = measure.paper_rows(face, sentences.keep(unseen))
+    if plots is not None:
+        draw_paper(plots, tables)
+    if as_json:
+        print_json({**tables, "machine": machine_class()})
+        return
+    for name, rows in tables.items():
+        _print_table(f"The paper's {name.replace('_', ' ')}", rows)
 
 
 def speeds(

@@ -54,7 +54,7 @@ def readability(
             help="Methods to read, comma between: of `bench motion`, and `heard`, `model-based` of "
             "`render`."
         ),
-    ] = f"{DEFAULT_STRATEGY},priority",
+    ] = f"{DEFAULT_STRATEGY},expected,priority",
     lookahead_ms: Annotated[str, typer.Option(help="Look-aheads, comma between.")] = "0,100,200",
     phonemes: Annotated[
         str,
@@ -80,7 +80,6 @@ def readability(
         headline,
         reading_question,
     )
-    from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 
     began_s = time.perf_counter()
     if plots is not None:
@@ -91,12 +90,12 @@ def readability(
     if plots is not None:
         draw_readability(plots, rows)
     seconds = time.perf_counter() - began_s
-    about = {"default_strategy": LIVE_STRATEGY, "machine": machine_class(), "seconds": seconds}
+    about = {"default_strategy": DEFAULT_STRATEGY, "machine": machine_class(), "seconds": seconds}
     if as_json:
         print_json({**headline(rows), "results": rows, "skipped": skipped, **about})
         return
     _print_rows(rows)
-    RESULTS.print(f"default strategy: {LIVE_STRATEGY}; {machine_class()}; {seconds:.0f} s")
+    RESULTS.print(f"default strategy: {DEFAULT_STRATEGY}; {machine_class()}; {seconds:.0f} s")
 
 
 def _measured(

@@ -78,6 +78,18 @@ def train(
             show_default=False,
         ),
     ] = None,
+    without_words: Annotated[
+        str | None,
+        typer.Option(help="Leave out sentences that hold any of these words, comma between."),
+    ] = None,
+    without: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Leave out the sentences that a text file names, one a line.",
+            show_default=False,
+        ),
+    ] = None,
     skip_bad: SkipBad = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -103,6 +115,8 @@ def train(
     check_components(n_components, layout)
     weights = _weights(weight or [])
     check_speakers([folder_name(folder) for folder in corpora], face_of, weights)
+    left_out = _named_in(without)
+    words = frozenset(w.strip() for w in (without_words or "").split(",") if w.strip())
     check_output(output, replaces=is_model, kind="face model")
     with _progress(quiet=quiet) as progress:
         reading = progress.add_task("reading", total=None)
@@ -113,6 +127,11 @@ def train(
         read_corpora = [
             read_grid(folder, layout, skip_bad=skip_bad, progress=read) for folder in corpora
         ]
+        unknown = left_out - {u.name for corpus in read_corpora for u in corpus.utterances}
+        if unknown:
+            raise UserError(f"{without}: no such sentence: {', '.join(sorted(unknown)[:3])}")
+        if words or left_out:
+            read_corpora = [corpus.without(words, left_out) for corpus in read_corpora]
         sentences, maps = on_one_face(read_corpora, face_of=face_of, weights=weights)
         heard = None
         if phonemes == "both":
@@ -161,6 +180,19 @@ def train(
             f"{name}: turned by {face_map.angle_deg:.1f} degrees, motion times {x:.2f} in width, "
             f"{y:.2f} in height, {z:.2f} in depth",
         )
+
+
+def _named_in(path: Path | None) -> frozenset[str]:
+    """The sentences that a text file names, one a line; none without a file."""
+    if path is None:
+        return frozenset()
+    try:
+        names = frozenset(line.strip() for line in path.read_text(encoding="utf-8").splitlines())
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"--without {path}: cannot be read as text: {error}") from error
+    if not names - {""}:
+        raise UserError(f"--without {path}: names no sentence; write one a line")
+    return names - {""}
 
 
 def _weights(given: list[str]) -> dict[str, float]:

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from lipservo.settings.motion_names import DEFAULT_STRATEGY
 from lipservo_lab.evaluation.motion.measures import CLOSING, closes, is_bilabial
-from lipservo_lab.evaluation.motion.methods import Heard, LiveMethod
+from lipservo_lab.evaluation.motion.methods import Heard, all_methods
 from lipservo_lab.evaluation.recognition.stream_observers import UpdateLog
 from lipservo_lab.learning.motion.trained_model import TrainedModel
 from lipsync.arrays import Array
@@ -74,14 +75,14 @@ class HeardMotion:
 def heard_motion(
     recording: Path, recognizer: LiveRecognizer, model: TrainedModel, lookahead_s: float
 ) -> HeardMotion:
-    """Play a recording to a recogniser, which is reset, and the live method by what it says."""
+    """Play a recording to a recogniser, which is reset; the default strategy by what it says."""
     heard = recognize_file(recognizer, recording)
     n_ticks = round((heard.events[-1].end_s or 0.0) / TICK_S)
     times_s = np.arange(n_ticks, dtype=np.float64) * TICK_S
     spoken_s = sum(
         (event.end_s or 0.0) - event.start_s for event in heard.events if event.phoneme != SILENCE
     )
-    faces = LiveMethod().faces(model, heard, times_s, lookahead_s)
+    faces = all_methods()[DEFAULT_STRATEGY].faces(model, heard, times_s, lookahead_s)
     with FileSource(recording) as source:
         return HeardMotion(times_s, faces, spoken_s, source.duration_s)
 

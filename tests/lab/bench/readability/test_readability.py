@@ -115,7 +115,7 @@ def test_a_table_is_printed(folder, models):
 
 
 def test_what_the_robot_shows_is_in_the_headline_as_the_reader_of_lips_reads_it():
-    row = {"split": "known", "phonemes": "recognized", "strategy": "expected"}
+    row = {"split": "known", "phonemes": "recognized", "strategy": "animpho"}
     row |= {"lookahead_ms": 100, "face": "face_sim"}
     rows = [row | {"reader": r, "score": s} for r, s in (("components", 0.1), ("lips", 0.2))]
     assert headline(rows) == {"robot_known_recognized": 0.2}

@@ -11,6 +11,7 @@ from lipservo.runtime.speech.speech_side import AdjustableMouth
 from lipsync.markers import CLOSED_GAP_MM
 from lipsync.motion.finishing import STRONGEST
 from lipsync.motion.live_synthesizer import LiveSynthesizer
+from lipsync.motion.rounding import lip_width_of
 from lipsync.phonemes import PhonemeUpdate
 
 MODEL = load_trained_model()
@@ -19,17 +20,22 @@ SENTENCE = spoken(("AA", P_BEGINS_S), ("P", P_ENDS_S - P_BEGINS_S), ("AA", 1.0),
 TIMES_S = np.arange(0.0, 3.4, 0.01)
 
 
-def gaps_mm(gain, settings=()):
-    """Between the lips at TIMES_S. settings: (time, values)."""
+def faces(gain, settings=(), valence=0.0):
+    """(n, n_components) at TIMES_S. settings: (time, values)."""
     synthesizer = LiveSynthesizer(MODEL, MODEL.expectation)
     synthesizer.push(PhonemeUpdate(0.0, math.inf, math.inf, SENTENCE))
-    mouth, left, gaps = AdjustableMouth(synthesizer), list(settings), []
+    mouth, left, shown = AdjustableMouth(synthesizer), list(settings), []
     for time_s in TIMES_S:
         while left and left[0][0] <= time_s:
             mouth.change(left.pop(0)[1])
-        mouth.follow(float(time_s), gain)
-        gaps.append(MODEL.lip_gap_mm(synthesizer.frame_at(float(time_s)).coefficients))
-    return np.array(gaps)
+        mouth.follow(float(time_s), gain, valence)
+        shown.append(synthesizer.frame_at(float(time_s)).coefficients)
+    return np.array(shown)
+
+
+def gaps_mm(gain, settings=(), valence=0.0):
+    """Between the lips at TIMES_S."""
+    return np.array([MODEL.lip_gap_mm(face) for face in faces(gain, settings, valence)])
 
 
 PLAIN = gaps_mm(1.0)
@@ -44,6 +50,16 @@ def test_vowels_open_by_the_gain_and_a_p_closes_as_ever(gain):
     assert (more > 1.05) if gain > 1.0 else (more < 0.95)
     assert shown[P].min() == pytest.approx(PLAIN[P].min(), abs=0.3)
     assert shown[P].min() < CLOSED_GAP_MM
+
+
+def test_a_valence_that_is_set_widens_the_vowels_of_any_mouth_and_no_closure():
+    plain, glad = (MODEL.markers_mm(faces(1.0, valence=v)) for v in (0.0, 1.0))
+    width = lip_width_of(MODEL)
+    wider_mm = (faces(1.0, valence=1.0) - faces(1.0))[VOWEL] @ width.per_face
+    assert wider_mm.mean() > 3.0
+    assert MODEL.lip_gaps_mm(glad)[P].min() == pytest.approx(
+        MODEL.lip_gaps_mm(plain)[P].min(), abs=0.1
+    )
 
 
 def test_a_gain_that_hardly_changes_moves_nothing():
