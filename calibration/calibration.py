@@ -164,7 +164,8 @@ class Calibration:
             free_deg = free_deg + (x[:, first] * x[:, second]) @ self.quadratic_weights.T
         if len(self.centres):
             apart = x[:, None] - self.centres
-            free_deg = free_deg + np.sqrt((apart * apart).sum(axis=2)) @ self.centre_weights.T
+            far = np.sqrt(np.einsum("kmn,kmn->km", apart, apart))
+            free_deg = free_deg + far @ self.centre_weights.T
         kept_deg: Array = np.minimum(np.maximum(free_deg, self.min_deg), self.max_deg)
         if self.closure is not None:
             kept_deg = self.closure.corrected_deg(x, kept_deg, self.min_deg, self.max_deg)

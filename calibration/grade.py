@@ -127,13 +127,15 @@ class LearntLips:
 
     left_out_rms_mm: error in each axis of poses left out, the tracker's noise_mm included;
     own_gap_mm: between the dots of lips that are closed; stop: whether lips were seen to stop each
-    other there, else it is the narrowest gap that was seen.
+    other there, else it is the narrowest gap that was seen. held_back_mm: how far lips stay behind
+    the shapes they could make because joints are moved no farther than they are known to pay.
     """
 
     left_out_rms_mm: float
     noise_mm: float
     own_gap_mm: float
     stop: bool
+    held_back_mm: float = 0.0
 
     @property
     def doubt_mm(self) -> float:
@@ -203,7 +205,9 @@ def lips_off_mm(grade: Grade, lips: LearntLips | None) -> float:
     second it would be a fifth too little (elastic robots of seeds 100 to 117, whose true shapes
     no calibration was told).
     """
-    return math.hypot(grade.lip_rms_mm, 0.0 if lips is None else lips.doubt_mm)
+    if lips is None:
+        return grade.lip_rms_mm
+    return math.hypot(grade.lip_rms_mm, lips.doubt_mm, lips.held_back_mm)
 
 
 #: A small opening of which less than this is made is lost.

@@ -48,11 +48,18 @@ COMMANDS = MappingProxyType(
         ),
         "replay": Command(f"{_RUN}.run:replay", "Play a sound as fast as it goes.", _LINES),
         "export": Command(f"{_RUN}.export:export", "Write mouth shapes for avatars.", _LINES),
+        "film": Command(f"{_RUN}.film:film", "Film a face that speaks, with sound.", _LINES),
         "dashboard": Command(f"{_RUN}.dashboard:dashboard", "Show a face in a browser.", _WATCH),
         "health": Command(f"{_RUN}.health:health", "What was logged of the servos.", _WATCH),
         "trace": Command(f"{_RUN}.trace:app", "Compare recorded runs.", _WATCH),
         "bench": Command("", "Measure what the documentation claims.", _LAB),
         "learn": Command("", "Learn models from recordings.", _LAB),
+        "study": Command("", "Ask people which mouth looks right.", _LAB),
+        "builder-process": Command(
+            f"{_BUILD}.builder_process:builder_process",
+            "One step of the first hour; started by new-face --page.",
+            hidden=True,
+        ),
         "bridge-process": Command(
             f"{_RUN}.processes:bridge_process", "Own the port; started by daemon.", hidden=True
         ),

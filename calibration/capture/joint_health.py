@@ -51,6 +51,15 @@ def doubtful_joints(capture: Capture, looked_at: Sequence[int] | None = None) ->
     return [j for j in looked_at if is_dead(believed, lines, j)]
 
 
+def unseen_alone(capture: Capture) -> list[int]:
+    """Joints that may be dead as well as weak and were not looked at alone, end to end."""
+    return [
+        joint
+        for joint in doubtful_joints(capture)
+        if min(map(len, _ends_alone(capture, joint))) < _LEAST_TIMES
+    ]
+
+
 def second_look(
     joints: Sequence[JointRange],
     doubtful: Sequence[int],

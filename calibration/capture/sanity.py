@@ -257,7 +257,8 @@ def _judged_joints(
         elif joint in found.still:
             found.certain.append(
                 f"servo {name!r} moves no marker by more than chance, so speech would not move it; "
-                "check its horn, its linkage and its limits, or give it `part: other`"
+                "check its horn, linkage and limits, look again (`plan --refine`), or give it "
+                "`part: other`"
             )
         elif word and _is_reversed(capture, lines, joint, _usual_word(name, word)):
             found.certain.append(

@@ -420,6 +420,7 @@ def parse_learnt_lips(file: Place) -> LearntLips | None:
         noise_mm=lips.at("noise_mm").number(),
         own_gap_mm=lips.at("own_gap_mm").number(),
         stop=lips.at("stop").flag(),
+        held_back_mm=lips.at("held_back_mm").number() if lips.has("held_back_mm") else 0.0,
     )
 
 

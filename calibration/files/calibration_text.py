@@ -180,6 +180,8 @@ def _closure_lines(closure: Closure | None) -> list[str]:
         return []
     lines = ["closure:  # how far the lips are apart, by the joints, so that they meet"]
     for field in fields(closure):
+        if not field.init:
+            continue
         value = getattr(closure, field.name)
         if isinstance(value, float):
             lines.append(f"  {field.name}: {_six(value)}")

@@ -28,7 +28,7 @@ from calibration.capture.capture import Capture, PosePlan, plan_around
 from calibration.capture.marker_files import csv_rows, number_in, read_plan
 from calibration.capture.straight_lines import on_head
 from calibration.closure import CLOSED_GAP_MM
-from calibration.fit.measured import MeasuredFit
+from calibration.fit.measured import MeasuredFit, lips_apart_mm
 from calibration.fit.retargeting import correspond, gap_heights_mm
 from calibration.grade import Grade, gap_figures, is_small
 from calibration.mouth_servos import MouthServos
@@ -57,6 +57,7 @@ class GradedPoses:
     targets_mm: (n, n_markers, 3); asked_open_mm: (n,), beyond the robot's own closed gap
     own_gap_mm; visemes: the first phoneme of each pose's class; human_gap_mm: (n,), the speaker's;
     shares: (n,), of the speech that each stands for, 1 in all; noise_mm: of the tracker.
+    expected_mm: (n,), how far the lips are off there by the learnt face, which knows the map.
     """
 
     plan: PosePlan
@@ -66,6 +67,7 @@ class GradedPoses:
     visemes: tuple[str, ...]
     human_gap_mm: Array
     shares: Array
+    expected_mm: Array
     own_gap_mm: float
     noise_mm: float
 
@@ -83,14 +85,17 @@ def graded_poses(fit: MeasuredFit, servos: MouthServos, seed: int = 0) -> Graded
     model, retargeting = fit.retargeting.model, fit.retargeting
     assert isinstance(model, FaceWithAnimPhos)  # what was fitted has them
     from_rest = frames - model.rest
+    targets_mm = retargeting.targets_mm(from_rest)
+    lips = list(fit.names.shape_features.lips)
     return GradedPoses(
         plan=replace(plan, goals_deg=np.clip(led_deg, *servos.limits_deg)),
         marker_names=fit.names.marker_names,
-        targets_mm=retargeting.targets_mm(from_rest),
+        targets_mm=targets_mm,
         asked_open_mm=retargeting.asked_open_mm(from_rest).mean(axis=1),
         visemes=tuple(_viseme(model.animphos, frame) for frame in frames),
         human_gap_mm=model.lip_gaps_mm(model.markers_mm(frames)),
         shares=shares,
+        expected_mm=lips_apart_mm(retargeting.mouth.seen_mm(positions_deg), targets_mm, lips),
         own_gap_mm=float(retargeting.closed_mm.mean()),
         noise_mm=fit.face.noise_mm,
     )
@@ -125,9 +130,12 @@ def graded(
     gaps = gap_figures(poses.asked_open_mm[rows], open_mm, human_mm, shares)
     closed = (human_mm <= CLOSED_GAP_MM) & np.isfinite(open_mm)
     apart_mm = 0.0 if calibration.closing is None else calibration.closing.apart_mm
+    # Ten poses are few: so what is known of all frames left out, the map's own error, and what the
+    # poses show beyond it (the difference estimator: Cochran, Sampling Techniques, 1977, 9.2A).
+    beyond_mm2 = each_mm2 - poses.expected_mm[rows] ** 2
     grade = Grade(
         n_poses=len(seen),
-        lip_rms_mm=_root(each_mm2, shares),
+        lip_rms_mm=_root(calibration.errors.lip_rms_mm**2 + beyond_mm2, shares),
         gap_rms_mm=_root((open_mm - target_mm) ** 2, shares),
         closed_gap_mm=apart_mm + (float(np.mean(open_mm[closed])) if closed.any() else 0.0),
         gap_slope=0.0 if gaps.slope is None else gaps.slope,
@@ -230,7 +238,9 @@ def _root(squares: Array, shares: Array) -> float:
 
 
 _AXES: Final = ("x_mm", "y_mm", "z_mm")
-_NUMBERS: Final = ("human_gap_mm", "share", "asked_open_mm", "own_gap_mm", "noise_mm")
+_NUMBERS: Final = (
+    "human_gap_mm", "share", "asked_open_mm", "expected_mm", "own_gap_mm", "noise_mm"
+)  # fmt: skip
 _VISEME, _MAP, _FIRST = "viseme", "map", "_x_mm"
 
 
@@ -255,6 +265,7 @@ def write_check_plan(poses: GradedPoses, calibration: Calibration, path: Path) -
             poses.human_gap_mm[i],
             poses.shares[i],
             poses.asked_open_mm[i],
+            poses.expected_mm[i],
             poses.own_gap_mm,
             poses.noise_mm,
         )
@@ -303,6 +314,7 @@ def read_check_plan(path: Path, calibration: Calibration) -> GradedPoses:
         visemes=tuple(str(row[_VISEME]) for _, row in rows),
         human_gap_mm=numbers("human_gap_mm"),
         shares=numbers("share"),
+        expected_mm=numbers("expected_mm"),
         own_gap_mm=float(numbers("own_gap_mm")[0]),
         noise_mm=float(numbers("noise_mm")[0]),
     )

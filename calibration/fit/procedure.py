@@ -35,7 +35,12 @@ from calibration.capture.capture import (
     take_poses,
     usual_poses,
 )
-from calibration.capture.joint_health import MOST_LOOKS, doubtful_joints, second_look
+from calibration.capture.joint_health import (
+    MOST_LOOKS,
+    doubtful_joints,
+    second_look,
+    unseen_alone,
+)
 from calibration.capture.repeated_poses import first_part
 from calibration.capture.sanity import CheckedCapture, check_capture, check_frame
 from calibration.capture.swaps import put_right
@@ -114,6 +119,26 @@ class Procedure:
         """All poses in the range, the first ones again at the end: for files."""
         plan = plan_poses(self.joints, self.n_poses, rules=self.rules, seed=self.seed)
         return joined(plan, first_part(plan)) if self.n_of_speech else plan
+
+    def further_plan(
+        self, capture: Capture, positive: Sequence[str], *, accept: bool
+    ) -> tuple[PosePlan, tuple[str, ...]]:
+        """What to take next by files, and what there is to say about what was taken.
+
+        A second look at joints that may be dead comes before poses of speech. Raises
+        CalibrationError as `check_capture` does.
+        """
+        unsure = [j for j in unseen_alone(capture) if not positive or positive[j]]
+        if unsure:
+            looks = second_look(self.joints, unsure, rules=self.rules)
+            names = ", ".join(repr(self.joints[joint].name) for joint in unsure)
+            told = (
+                f"the markers hardly tell yet what {names} does: {len(looks)} poses in which it "
+                "moves alone; record them and refine once more"
+            )
+            return looks, (told,)
+        checked = check_capture(capture, self.model, positive, accept=accept)
+        return self.speech_plan(checked, max(1, self.n_of_speech)), checked.warnings
 
     def speech_plan(self, checked: CheckedCapture, n_poses: int) -> PosePlan:
         """Poses where speech will be, by what a first capture teaches; whole degrees."""

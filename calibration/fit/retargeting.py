@@ -36,6 +36,7 @@ _RULE_WEIGHT_MM_PER_DEG = 5.0
 #: Enough for angles within 0.001 degree of where they would end, measured on grid_s1.
 _ROUNDS = 4
 _SWEEPS = 60
+_STANDS_DEG = 1e-7
 _DIFFERENCE_DEG = 0.5
 
 
@@ -99,10 +100,10 @@ def nearest_poses_deg(
     for _ in range(_ROUNDS):
         reached = shape_features.of(markers_of(angles_deg))
         slopes = shape_slopes(markers_of, shape_features, angles_deg, reached)
-        missing = wanted - reached + np.einsum("nks,ns->nk", slopes, angles_deg)
-        cost = np.einsum("nks,nkt->nst", slopes, slopes)
-        cost += price
-        pull = np.einsum("nks,nk->ns", slopes, missing)
+        missing = wanted - reached + (slopes @ angles_deg[..., None])[..., 0]
+        across = slopes.transpose(0, 2, 1)
+        cost = across @ slopes + price
+        pull = (across @ missing[..., None])[..., 0]
         for rule in rules:
             broken = (angles_deg @ rule.weights > rule.at_most_deg) * _RULE_WEIGHT_MM_PER_DEG**2
             cost += broken[:, None, None] * np.outer(rule.weights, rule.weights)
@@ -119,11 +120,11 @@ def shape_slopes(
     markers_of: MarkersOf, shape_features: ShapeFeatures, angles_deg: Array, reached: Array
 ) -> Array:
     """(n, n_features, n_servos): change of the features by degree, as forward differences."""
-    columns = [
-        (shape_features.of(markers_of(angles_deg + step)) - reached) / _DIFFERENCE_DEG
-        for step in _DIFFERENCE_DEG * np.eye(angles_deg.shape[1])
-    ]
-    return np.stack(columns, axis=2)
+    n, n_servos = angles_deg.shape
+    stepped_deg = angles_deg[:, None] + _DIFFERENCE_DEG * np.eye(n_servos)
+    features = shape_features.of(markers_of(stepped_deg.reshape(-1, n_servos)))
+    changes = features.reshape(n, n_servos, -1) - reached[:, None]
+    return np.asarray(changes.transpose(0, 2, 1) / _DIFFERENCE_DEG)
 
 
 def bounded_minimum(matrices: Array, rights: Array, lower: Array, upper: Array) -> Array:
@@ -132,11 +133,21 @@ def bounded_minimum(matrices: Array, rights: Array, lower: Array, upper: Array) 
     matrices: (n, k, k), positive definite; rights: (n, k); lower, upper: (k,). Coordinate descent:
     each coordinate in turn goes to its own bounded minimum, which converges for such problems.
     """
-    x = np.clip(np.linalg.solve(matrices, rights[..., None])[..., 0], lower, upper)
+    free = np.linalg.solve(matrices, rights[..., None])[..., 0]
+    x = np.clip(free, lower, upper)
+    # Where no bound is in the way that was all.
+    bound = np.flatnonzero((x != free).any(axis=1))
+    matrices, rights, inside = matrices[bound], rights[bound], x[bound]
+    rows = [np.ascontiguousarray(matrices[:, i]) for i in range(len(lower))]
     for _ in range(_SWEEPS):
-        for i in range(len(lower)):
-            slope = np.einsum("nk,nk->n", matrices[:, i], x) - rights[:, i]
-            x[:, i] = np.clip(x[:, i] - slope / matrices[:, i, i], lower[i], upper[i])
+        before = inside.copy()
+        for i, row in enumerate(rows):
+            slope = (row * inside).sum(axis=1) - rights[:, i]
+            step = inside[:, i] - slope / row[:, i]
+            inside[:, i] = np.minimum(np.maximum(step, lower[i]), upper[i])
+        if np.abs(inside - before).max(initial=0.0) < _STANDS_DEG:
+            break
+    x[bound] = inside
     return np.asarray(x)
 
 
@@ -277,8 +288,21 @@ class Retargeting:
         return poses_deg
 
     def targets_mm(self, from_rest: Array) -> Array:
-        """(n, n_components) -> (n, n_markers, 3): the robot's own shapes there."""
-        return self.mouth.seen_mm(self.poses_deg(from_rest))
+        """(n, n_components) -> (n, n_markers, 3): the robot's own shapes there.
+
+        Closed lips just meet in them: what pressing does to a shape is an error of it.
+        """
+        return self.mouth.seen_mm(replace(self, press_mm=0.0).poses_deg(from_rest))
+
+    def held_back_mm(self, from_rest: Array) -> float:
+        """How far lips stay behind because joints are moved no farther than they are known to pay.
+
+        rms over frames (n, n_components) and lips, by the learnt face.
+        """
+        free = replace(self, mouth=replace(self.mouth, doubt_mm_per_deg=None))
+        lips = list(self.mouth.names.shape_features.lips)
+        behind_mm = (free.targets_mm(from_rest) - self.targets_mm(from_rest))[:, lips]
+        return float(np.sqrt(np.mean(np.sum(behind_mm**2, axis=2))))
 
     def at_gap(self, from_rest: Array, gap_mm: float) -> Array:
         """(1, n_components) -> (1, n_servos): the shape, its lips so high apart in the middle."""

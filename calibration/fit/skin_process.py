@@ -189,14 +189,8 @@ def fit_process(
         hyperparameters.noise_mm2,
     )
     weighed = on.rotated(from_centre_mm) / on.spread[:, :, None]
-    solved = np.einsum(
-        "ni,ijk,mj,mp->npk",
-        on.poses,
-        weighed,
-        on.points,
-        hyperparameters.skin(apart_mm2),
-        optimize=True,
-    )
+    by_point = (hyperparameters.skin(apart_mm2) @ on.points) @ weighed
+    solved = (on.poses @ by_point.reshape(len(inputs), -1)).reshape(by_point.shape)
     return SkinProcess(hyperparameters, inputs, solved)
 
 
@@ -217,9 +211,9 @@ class _Solution:
 
     def rotated(self, values: Array) -> Array:
         """(n, n_markers, 3) into both sets of directions."""
-        return np.asarray(
-            np.einsum("ni,nmk,mj->ijk", self.poses, values, self.points, optimize=True)
-        )
+        n, m, axes = values.shape
+        by_pose = (self.poses.T @ values.reshape(n, -1)).reshape(n, m, axes)
+        return np.asarray(self.points.T @ by_pose)
 
 
 class _NegativeLogLikelihood:
@@ -244,10 +238,14 @@ class _NegativeLogLikelihood:
         axes = self._values.shape[2]
         cost = 0.5 * float((rotated * weighed).sum()) + 0.5 * axes * float(np.log(on.spread).sum())
 
-        by_pose = -np.einsum("ajk,bjk,j->ab", weighed, weighed, on.point_sizes, optimize=True)
+        n, m = on.spread.shape
+        by_size = weighed * on.point_sizes[:, None]
+        by_pose = -(weighed.reshape(n, -1) @ by_size.reshape(n, -1).T)
         by_pose += np.diag(axes * (on.point_sizes / on.spread).sum(axis=1))
         by_joints = 0.5 * on.poses @ by_pose @ on.poses.T
-        by_point = -np.einsum("iak,ibk,i->ab", weighed, weighed, on.pose_sizes, optimize=True)
+        across = weighed.transpose(1, 0, 2)
+        by_size = across * on.pose_sizes[:, None]
+        by_point = -(across.reshape(m, -1) @ by_size.reshape(m, -1).T)
         by_point += np.diag(axes * (on.pose_sizes[:, None] / on.spread).sum(axis=0))
         by_skin = 0.5 * on.points @ by_point @ on.points.T
         by_noise = 0.5 * (axes * (1.0 / on.spread).sum() - (weighed**2).sum())
@@ -261,7 +259,7 @@ class _NegativeLogLikelihood:
         unlike = hyperparameters.backlash_deg - hyperparameters.backlash_deg.mean()
         cost += 0.5 * float((unlike**2).sum()) / _BACKLASH_SD_DEG**2
         by_backlash += unlike / _BACKLASH_SD_DEG**2
-        by_reach = np.einsum("ns,nm,ms->s", x, by_straight, x, optimize=True)
+        by_reach = (x * (by_straight @ x)).sum(axis=0)
         alike = np.exp(-0.5 * self._apart / hyperparameters.width_mm**2)
         slopes = [
             hyperparameters.curvature * (by_joints * straight**2).sum(),

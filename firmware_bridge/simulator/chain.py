@@ -6,7 +6,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from firmware_bridge.bus import Array
-from firmware_bridge.dynamixel.control_table import ServoModel, baud_rates
+from firmware_bridge.dynamixel.control_table import PULSES_PER_DEG, ServoModel, baud_rates
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.provisioning import wanted_settings
 from firmware_bridge.dynamixel.wire.codec import (
@@ -128,6 +128,11 @@ class SimulatedChain:
         self._now_s = -1.0
         self._checked_s = 0.0
         self._cut_off = False
+
+    def turn(self, index: int, by_deg: float) -> None:
+        """What a person's fingers do to a limp servo; one that is held, or not there, gives not."""
+        if 0 <= index < len(self.servos) and not self.motors.torque_on[index]:
+            self.motors.position[index] += by_deg * PULSES_PER_DEG
 
     @property
     def counts(self) -> WireCounts:

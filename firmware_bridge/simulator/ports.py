@@ -310,6 +310,11 @@ class PtyHost:
             if self._access is not None and closed and closed[0] in ready:
                 self._access.somebody_closed()
 
+    def turn(self, index: int, by_deg: float) -> None:
+        """A hand turns a limp servo; of a device without shafts for hands nothing moves."""
+        if (turn := getattr(self._chain, "turn", None)) is not None:
+            turn(index, by_deg)
+
     def close(self) -> None:
         """Hang up: clients see the end of file."""
         if self._access is not None:

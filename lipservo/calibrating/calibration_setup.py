@@ -3,7 +3,7 @@
 import datetime
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -18,6 +18,7 @@ from lipservo.runtime.servos.held_face import SPEED_DEG_S, HeldFace
 from lipservo.settings.settings import FaceSettings
 from lipservo.terminal.output import MESSAGES
 from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.arrays import Array
 
 #: Neutral, each of ten joints alone from both sides, and as many again spread over the range and
 #: over speech: docs/benchmarks.md has the errors for this number.
@@ -29,13 +30,26 @@ _FORWARD_WORDS = ("protrudes", "retracts")
 
 
 @dataclass(frozen=True, slots=True)
+class Watch:
+    """Who follows a calibration besides the terminal; by itself nobody.
+
+    progress: what is done, how many of it, of how many; more may be. arrived: where the mouth's
+    encoders stand, (n_servos,). seen: the markers' names, and their places there, (n_markers, 3).
+    """
+
+    progress: Callable[[str, int, int], object] = lambda *_: None
+    arrived: Callable[[Array], object] = lambda _: None
+    seen: Callable[[tuple[str, ...], Array], object] = lambda *_: None
+
+
+@dataclass(frozen=True, slots=True)
 class CalibrationSetup:
     """The same for every sub-command that makes a calibration.
 
     keep: the file that holds every captured pose; quiet: no progress bar; lags: whether servos are
     moved by chirps and steps; speed_deg_s: how fast servos are moved from pose to pose.
     sees_forward: whether markers are measured in depth too. accept: what is judgement, of joints,
-    size and grade, only warns.
+    size and grade, only warns. config: of the face, for a page that watches its servos; None: none.
     """
 
     settings: FaceSettings
@@ -47,6 +61,8 @@ class CalibrationSetup:
     speed_deg_s: float = SPEED_DEG_S
     sees_forward: bool = True
     accept: bool = False
+    config: str | None = None
+    watch: Watch = field(default_factory=Watch)
 
     @property
     def servos(self) -> MouthServos:
@@ -101,7 +117,8 @@ def check_places(settings: FaceSettings) -> None:
 def held_servos(setup: CalibrationSetup) -> HeldFace:
     """The face's own servos, in neutral and held until the block ends."""
     check_places(setup.settings)
-    return HeldFace(setup.settings, MonotonicClock(), speed_deg_s=setup.speed_deg_s)
+    clock = MonotonicClock()
+    return HeldFace(setup.settings, clock, speed_deg_s=setup.speed_deg_s, config=setup.config)
 
 
 @contextmanager
@@ -120,4 +137,10 @@ def progress_bar(setup: CalibrationSetup, what: str, total: int) -> Iterator[Cal
         disable=setup.quiet,
     ) as bar:
         task = bar.add_task(what, total=total)
-        yield lambda done: bar.update(task, completed=done, total=max(total, done))
+
+        def tell(done: int) -> None:
+            bar.update(task, completed=done, total=max(total, done))
+            setup.watch.progress(what, done, total)
+
+        setup.watch.progress(what, 0, total)
+        yield tell

@@ -49,17 +49,18 @@ def calibrate_by_eye(setup: CalibrationSetup) -> CalibrationResult:
             model, joints, lambda goal_deg: goal_deg, read_key, MESSAGES,
             keep=setup.keep, drawn=drawn,
         )  # fmt: skip
-        return _fit(setup, made_deg)
+        return fit_by_eye(setup, made_deg)
     memories = servo_memories(setup.settings)
     with held_servos(setup) as robot:
         made_deg = guide(
             model, joints, robot.lead, lambda: robot.hold_while(read_key), MESSAGES, keep=setup.keep
         )
-        result = _fit(setup, made_deg).with_memories(memories)
+        result = fit_by_eye(setup, made_deg).with_memories(memories)
         return with_lags(setup, robot, result) if setup.lags else result
 
 
-def _fit(setup: CalibrationSetup, made_deg: Mapping[str, Array]) -> CalibrationResult:
+def fit_by_eye(setup: CalibrationSetup, made_deg: Mapping[str, Array]) -> CalibrationResult:
+    """made_deg: (n_servos,) by the name of the pose. Raises CalibrationError for too few."""
     calibration = fit_guided(setup.model, setup.servos, made_deg, date=today())
     return CalibrationResult(calibration)
 

@@ -43,7 +43,7 @@ from lipservo.calibrating.calibration_setup import (
     today,
 )
 from lipservo.runtime.servos.assembly import servo_memories, simulated_wire
-from lipservo.runtime.servos.held_face import HeldFace
+from lipservo.runtime.servos.held_face import HeldFace, Here
 from lipservo.terminal.keys import read_line
 from lipservo.terminal.output import MESSAGES
 from lipsync.arrays import Array
@@ -226,34 +226,36 @@ def calibrate_on_servos(
     with held_servos(setup) as face:
         tracker = make_tracker(face)
 
-        def move(goal_deg: Array) -> Array:
-            reached_deg = face.move(goal_deg)
-            passed(reached_deg)
-            return reached_deg
+        def taken(here: Here) -> CalibrationResult:
+            """In a thread of its own: fits take seconds, and a stop must not wait for them."""
 
-        try:
-            capture = capture_face(
-                setup,
-                tracker.marker_names,
-                Robot(
-                    move,
-                    tracker.measure,
-                    tracker.arrived,
-                    strained=lambda: strained_servo(setup, face.effort),
-                ),
-                seed=seed,
-            )
+            def move(goal_deg: Array) -> Array:
+                reached_deg: Array = here(lambda: face.move(goal_deg))
+                passed(reached_deg)
+                setup.watch.arrived(reached_deg)
+                return reached_deg
+
+            def measure() -> Array:
+                seen_mm: Array = here(tracker.measure)
+                setup.watch.seen(tracker.marker_names, seen_mm)
+                return seen_mm
+
+            def arrived(pose: int, reached_deg: Array) -> None:
+                here(lambda: tracker.arrived(pose, reached_deg))
+
+            def strained() -> str | None:
+                return strained_servo(setup, here(lambda: face.effort))
+
+            on = Robot(move, measure, arrived, strained=strained)
+            capture = capture_face(setup, tracker.marker_names, on, seed=seed)
             result = fit_capture(setup, capture).with_memories(memories)
             # Poses to grade by go on where the numbers of the others end.
             n_taken = capture.n_planned
-            result = result.graded_by(
-                setup,
-                Robot(
-                    move,
-                    tracker.measure,
-                    lambda pose, reached_deg: tracker.arrived(n_taken + pose, reached_deg),
-                ),
-            )
+            later = Robot(move, measure, lambda pose, deg: arrived(n_taken + pose, deg))
+            return result.graded_by(setup, later)
+
+        try:
+            result = face.work(taken)
         finally:
             if isinstance(tracker, FileTracker):
                 tracker.close()

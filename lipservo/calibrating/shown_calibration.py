@@ -98,7 +98,8 @@ def _summary(calibration: Calibration) -> str:
         )
     grade = calibration.grade
     if grade is not None:
-        doubt_mm = 0.0 if calibration.learnt_lips is None else calibration.learnt_lips.doubt_mm
+        lips = calibration.learnt_lips
+        doubt_mm = 0.0 if lips is None else math.hypot(lips.doubt_mm, lips.held_back_mm)
         off_mm = lips_off_mm(grade, calibration.learnt_lips)
         return (
             f"measured at {grade.n_poses} poses of speech that were never fitted, the lips are "

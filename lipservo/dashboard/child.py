@@ -48,10 +48,14 @@ def bound_dashboard(listen: str | None, token: str | None) -> socket.socket:
     return bind_listener(f"{HOST}:0", token)
 
 
-def address_of(listener: socket.socket, token: str | None = None) -> str:
+def address_of(listener: socket.socket, token: str | None = None, page: str = "") -> str:
     """What to type into a browser. token: that opens the page; it becomes a cookie there."""
     address = url_of(listener).replace("ws://", "http://", 1)
-    return address if token is None else f"{address}/?{urlencode({'token': token})}"
+    if page:
+        address = f"{address}/{page}"
+    elif token is not None:
+        address += "/"
+    return address if token is None else f"{address}?{urlencode({'token': token})}"
 
 
 @contextlib.contextmanager

@@ -14,6 +14,7 @@ from lipservo.runtime.speech.expression import check_expression
 from lipsync.arrays import Array
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.expectation.expectation import read_expectation
+from lipsync.expectation.soft_expectation import read_soft_expectation
 from lipsync.face.model import open_model, read_face
 from lipsync.offline.line_methods import Line, LineMethod, Speaker, line_synthesizer, shown_faces
 from lipsync.offline.offline_model_file import load_offline_model
@@ -93,13 +94,14 @@ def check_expression_of(face: str) -> None:
 
 @cache
 def load_speaker(model: Path | None, offline: Path | None) -> Speaker:
-    """Face, expectation and offline model, once a process.
+    """Face, what is expected of it, and offline model, once a process.
 
     Raises ModelError, and OfflineModelError for one that was made for another face.
     """
     with open_model(model) as file:
         face = read_face(file)
         expectation = read_expectation(file, face.n_components)
+        soft = read_soft_expectation(file, face.n_components)
     found = load_offline_model(offline)
     found.check_face(face, str(offline or "the shipped offline model"))
-    return Speaker(face, expectation, found)
+    return Speaker(face, expectation, found, soft)

@@ -18,6 +18,8 @@ from lipsync.recognition.alignment import (
     align,
     goodness_of_pronunciation,
 )
+from lipsync.recognition.network import load_shipped_weights
+from lipsync.recognition.posteriors import whole_posteriors
 from lipsync.recognition.recognizers import make_recognizer
 
 #: A line is heard whole: a longer sound is cut into lines by whoever knows where they end.
@@ -52,6 +54,7 @@ def spoken_line(sound: Path, script: Script) -> tuple[Line, tuple[str, ...]]:
             "into lines"
         )
     notes: list[str] = []
+    posteriors = None
     samples = read_speech(sound)
     duration_s = len(samples) / SAMPLE_RATE_HZ
     events: tuple[PhonemeEvent, ...]
@@ -76,10 +79,11 @@ def spoken_line(sound: Path, script: Script) -> tuple[Line, tuple[str, ...]]:
         recognizer = make_recognizer("network")
         events = tuple(settled_events(FileSource(sound), recognizer))
         notes += recognizer.reasons
+        posteriors = whole_posteriors(load_shipped_weights(), samples)
     phones = joined_phones(events, duration_s)
     if all(event.phoneme == SILENCE for event in phones):
         notes.append("nobody speaks: the mouth stays at rest")
-    return Line(phones, samples), tuple(notes)
+    return Line(phones, samples, posteriors), tuple(notes)
 
 
 def given_text(text: str) -> str:

@@ -1,4 +1,4 @@
-"""Numbers written into a face YAML: comments, order and everything else of the file stay.
+"""Values written into a face YAML: comments, order and everything else of the file stay.
 
 The text is changed in place, read back, and written only when it then says what was meant.
 """
@@ -54,8 +54,8 @@ def read_face_text(path: Path) -> str:
         raise SettingsError(f"{path.name}: cannot be read: {error}") from error
 
 
-def edited(path: Path, values: Mapping[Place, float]) -> EditedYaml:
-    """The file at `path` with these numbers in it.
+def edited(path: Path, values: Mapping[Place, float | str]) -> EditedYaml:
+    """The file at `path` with these numbers, or words that YAML takes as they are, in it.
 
     Raises SettingsError for a file that is no face YAML or would be none with them, and UserError
     for one that is written so that there is no safe place.
@@ -66,17 +66,18 @@ def edited(path: Path, values: Mapping[Place, float]) -> EditedYaml:
     for place, value in values.items():
         if _at(wanted, place) == value:
             continue
-        text = None if text is None else _with_value(text, place, f"{value:g}")
-        _put(wanted, place, float(f"{value:g}"))
+        written = value if isinstance(value, str) else f"{value:g}"
+        text = None if text is None else _with_value(text, place, written)
+        _put(wanted, place, value if isinstance(value, str) else float(written))
     if text is None or not _is_yaml(text) or _told(parse_face(text, path.name)) != wanted:
         lines = "; ".join(lines_by_hand(*each).replace("\n", " / ") for each in values.items())
         raise UserError(f"{path.name}: no safe place to write it; add by hand: {lines}")
     return EditedYaml(path, before, text)
 
 
-def lines_by_hand(place: Place, value: float) -> str:
+def lines_by_hand(place: Place, value: float | str) -> str:
     """What a person would write."""
-    return _block(list(place), f"{value:g}", 0, "\n")
+    return _block(list(place), value if isinstance(value, str) else f"{value:g}", 0, "\n")
 
 
 def _told(face: FaceSettings) -> dict[str, Any]:
@@ -89,7 +90,7 @@ def _at(told: Any, place: Place) -> Any:
     return told
 
 
-def _put(told: dict[str, Any], place: Place, value: float) -> None:
+def _put(told: dict[str, Any], place: Place, value: float | str) -> None:
     *sections, key = place
     for each in sections:
         told[each] = dict(told.get(each) or {})

@@ -90,6 +90,18 @@ def range_values(least_deg: float, most_deg: float) -> dict[str, float]:
     return {"min_deg": low_deg, "max_deg": high_deg}
 
 
+def turned_values(
+    least_deg: float, most_deg: float, neutral_deg: float, zero_offset_deg: float
+) -> dict[str, float]:
+    """The same with neutral where a hand showed it; zero_offset_deg: of the YAML until now.
+
+    Raises UserError as `range_values` does.
+    """
+    found = range_values(least_deg - neutral_deg, most_deg - neutral_deg)
+    offset_deg = round(zero_offset_deg + neutral_deg, 1)
+    return found if offset_deg == zero_offset_deg else {**found, "zero_offset_deg": offset_deg}
+
+
 def with_ranges(path: Path, ranges: Mapping[str, Mapping[str, float]]) -> EditedYaml:
     """The face YAML with these keys of its servos, not written yet."""
     places: dict[Place, float] = {}

@@ -64,13 +64,21 @@ def draw_mouth(
     layout are drawn the lips that it has.
     """
     canvas = np.zeros((MOUTH_ROWS, MOUTH_COLUMNS), dtype=np.int64)
-    moved_mm = (markers_mm - rest_mm)[:, :2]
-    for loop, at_rest_mm in _neutral_lips(rest_mm, layout):
-        places_mm = at_rest_mm + moved_mm[loop] + [0.0, _ABOVE_MIDDLE_MM]
+    for loop_mm in lip_loops_mm(markers_mm, rest_mm, layout):
+        places_mm = loop_mm + np.array([0.0, _ABOVE_MIDDLE_MM])
         for start, end in pairwise([*places_mm, places_mm[0]]):
             _draw_line(canvas, start, end)
     character = _ascii if ascii_only else _braille
     return ["".join(character(int(cell)) for cell in row) for row in canvas]
+
+
+def lip_loops_mm(markers_mm: Array, rest_mm: Array, layout: PointLayout) -> list[Array]:
+    """Each lip that the layout has, outer first, as seen from the front: (n, 2), y upwards.
+
+    markers_mm, rest_mm: as `draw_mouth` takes them. At rest both are of one mouth that is even.
+    """
+    moved_mm = (markers_mm - rest_mm)[:, :2]
+    return [at_rest_mm + moved_mm[loop] for loop, at_rest_mm in _neutral_lips(rest_mm, layout)]
 
 
 def _neutral_lips(rest_mm: Array, layout: PointLayout) -> list[tuple[list[int], Array]]:

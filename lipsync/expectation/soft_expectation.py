@@ -11,17 +11,17 @@ a text or a file are as sharp as posteriors can be, and move the mouth as they a
 Inference only, NumPy only, bounded. Its arrays are one part of a model file, where there is one.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.arrays import Array, Array32
-from lipsync.expectation.expectation import PhonemeTrack
+from lipsync.expectation.expectation import PhonemeTrack, track_of
 from lipsync.face.model import ModelFile
-from lipsync.phonemes import PHONEMES, FramePosteriors
+from lipsync.phonemes import PHONEMES, FramePosteriors, PhonemeEvent
 
 #: Of the posteriors that it was learned from.
 FRAMES_PER_S: Final = 100
@@ -169,6 +169,35 @@ class SoftExpectation:
                 raise ValueError(f"soft {name} has shape {found.shape}, expected {expected}")
             if not np.isfinite(found).all():
                 raise ValueError(f"soft {name} holds values that are not finite")
+
+
+#: A line is gone through in stretches that are remembered with all that their windows reach.
+_STRETCH_FRAMES = 128
+
+
+def softened_line(
+    soft: SoftExpectation,
+    faces: Array,
+    events: Sequence[PhonemeEvent],
+    posteriors: FramePosteriors,
+    times_s: Array,
+) -> Array:
+    """Faces (n, n_components) at times (n,) of a line that was heard whole, as `mixed` has them."""
+    believed, track = BelievedFrames(), track_of(events)
+    mixed, n_heard = faces.copy(), 0
+    stretches = (times_s * FRAMES_PER_S / _STRETCH_FRAMES).astype(np.int64)
+    for stretch in np.unique(stretches).tolist():
+        inside = stretches == stretch
+        reach = (stretch + 1) * _STRETCH_FRAMES + int(OFFSETS[-1]) + max(posteriors.delays) + 1
+        newest = replace(
+            posteriors,
+            first_frame=posteriors.first_frame + n_heard,
+            values=posteriors.values[n_heard:reach],
+        )
+        believed.push(newest)
+        n_heard += len(newest.values)
+        mixed[inside] = soft.mixed(faces[inside], believed, track, times_s[inside], np.inf)
+    return mixed
 
 
 #: The part of a model file that holds it.

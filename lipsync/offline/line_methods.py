@@ -5,7 +5,7 @@ A planned line is a synthesiser too, and passes the same finishing step as live 
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -14,6 +14,7 @@ from scipy.interpolate import CubicSpline
 
 from lipsync.arrays import Array
 from lipsync.expectation.expectation import Expectation, PhonemeTrack, contexts, track_of
+from lipsync.expectation.soft_expectation import SoftExpectation, softened_line
 from lipsync.face.frame import Frame
 from lipsync.face.model import FaceModel
 from lipsync.motion.finishing import (
@@ -25,7 +26,7 @@ from lipsync.motion.finishing import (
 from lipsync.motion.live_synthesizer import LEAD, LiveSynthesizer
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.offline.offline_model import OfflineModel, at_times, cepstra
-from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
+from lipsync.phonemes import FramePosteriors, PhonemeEvent, PhonemeUpdate
 from lipsync.timeline import PhonemeTimeline
 
 
@@ -105,19 +106,27 @@ _LEAD_OVER_S = 0.04
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """What is said: phones in order without gaps from 0 to the end, and 16 kHz samples (n,)."""
+    """What is said: phones in order without gaps from 0 to the end, and 16 kHz samples (n,).
+
+    posteriors: of a line whose phones were recognised; None where they are known.
+    """
 
     events: tuple[PhonemeEvent, ...]
     samples: NDArray[np.float32]
+    posteriors: FramePosteriors | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True)
 class Speaker:
-    """A face, what is expected of it live, and offline."""
+    """A face, what is expected of it live, and offline.
+
+    soft: by posteriors; None: decided phonemes alone move it.
+    """
 
     face: FaceModel
     expectation: Expectation
     offline: OfflineModel
+    soft: SoftExpectation | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +141,8 @@ class PlannedLine:
 def heard_line(speaker: Speaker, line: Line, n_frames: int) -> PlannedLine:
     """Ours: what is expected by the phonemes of the line and, of a known voice, by its sound.
 
-    As live, the mean over neighbouring ticks, and a little more of where it is going.
+    As live, what was recognised has its share of what was doubted; the mean over neighbouring
+    ticks, and a little more of where it is going.
     """
     rate_hz = speaker.offline.states.frame_rate_hz
     times_s = np.arange(n_frames) / rate_hz
@@ -140,6 +150,8 @@ def heard_line(speaker: Speaker, line: Line, n_frames: int) -> PlannedLine:
     phonemes, known_s = contexts(track_of(line.events), around_s, USED_LOOKAHEAD_S)
     ahead_s = np.full(len(around_s), USED_LOOKAHEAD_S)
     faces = speaker.expectation.faces(phonemes, known_s, ahead_s)
+    if speaker.soft is not None and line.posteriors is not None:
+        faces = softened_line(speaker.soft, faces, line.events, line.posteriors, around_s)
     notes: tuple[str, ...] = ("another voice: phonemes alone are believed",)
     if speaker.offline.voice.knows(line.samples):
         told = speaker.offline.sound.faces(line.events, cepstra(line.samples), around_s)

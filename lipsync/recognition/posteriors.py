@@ -13,8 +13,16 @@ from numpy.typing import NDArray
 
 from lipsync.arrays import Array32
 from lipsync.audio_block import SAMPLE_RATE_HZ
+from lipsync.phonemes import FramePosteriors
 from lipsync.recognition.decoder import SILENCE_INDEX, PosteriorFormat
-from lipsync.recognition.features import HOP, SPEECH_PEAK, WINDOW, LevelNormalizer, LogMelStream
+from lipsync.recognition.features import (
+    FRAMES_PER_S,
+    HOP,
+    SPEECH_PEAK,
+    WINDOW,
+    LevelNormalizer,
+    LogMelStream,
+)
 from lipsync.recognition.network import NetworkWeights, StreamingNetwork
 from lipsync.recognition.own_noise import SURE_OF_SILENCE, OwnNoise, SteadySoundDetector
 
@@ -102,3 +110,9 @@ class PosteriorStream:
         newest = len(posteriors) - 1
         for index in np.flatnonzero(posteriors[:, -1, SILENCE_INDEX] > SURE_OF_SILENCE):
             own_noise.learn(newest - int(index) + self.format.delays[-1])
+
+
+def whole_posteriors(weights: NetworkWeights, samples: Array32) -> FramePosteriors:
+    """What is believed of a recording (n,) at 16 kHz, from its beginning to its end."""
+    values = PosteriorStream(weights).push(samples)
+    return FramePosteriors(FRAMES_PER_S, 0, weights.delays, values)

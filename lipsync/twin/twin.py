@@ -8,9 +8,10 @@ Lids, brows and smile are morph targets of the same shell, with handles of their
 are chosen to look right; nothing is learned here.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lipsync.arrays import Array, Indices
 from lipsync.errors import UserError
@@ -149,7 +150,7 @@ class Twin:
     model's coefficients; rest: (n_components,), the closed mouth; deviations: (n_components,), how
     much each component varies in speech. The other targets are lid_left, lid_right, brow and smile
     as in `Expression`, and lid_left_over, lid_right_over for lid (1 - lid). pivot_mm: what the head
-    turns about.
+    turns about. face_vertices (n,): which of the skin are face, and not the back of the head.
     """
 
     parts: tuple[Part, ...]
@@ -158,6 +159,7 @@ class Twin:
     rest: Array
     deviations: Array
     pivot_mm: Array
+    face_vertices: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,11 +176,18 @@ class SkinMorphs:
     points: tuple[int, ...]
 
 
-def make_twin(face: FaceModel, mean: MeanFace | None = None) -> Twin:
-    """The twin of a model; on the shipped head unless another is given. Raises TwinError."""
+def make_twin(face: FaceModel, mean: MeanFace | None = None, own: Array | None = None) -> Twin:
+    """The twin of a model; on the shipped head unless another is given. Raises TwinError.
+
+    own: (n_components,), what the mouth of that head does as it is: it keeps its own lips, and
+    moves by what a frame is other than this. None: the model's lips are laid on it.
+    """
     mean = mean or load_mean_face()
     surface = head_surface(mean)
     skin = skin_morphs(face, surface)
+    if own is not None:
+        at_zero_mm = surface.places_mm - np.tensordot(own, skin.targets_mm, 1)
+        skin = replace(skin, places_mm=at_zero_mm)
     eyes = eyeballs(surface, mean.irises_mm)
     components = tuple(f"c{k}" for k in range(face.n_components))
     of_mouth = dict(zip(components, skin.targets_mm, strict=True))
@@ -191,7 +200,9 @@ def make_twin(face: FaceModel, mean: MeanFace | None = None) -> Twin:
         neck(),
     )
     deviations = np.sqrt(np.diag(face.covariance))
-    return Twin(parts, eyes, components, face.rest, deviations, np.array(PIVOT_MM))
+    pivot_mm = np.array(PIVOT_MM)
+    in_face = mean.behind <= mean.behind[list(FACE_RIM)].max() + 0.05
+    return Twin(parts, eyes, components, face.rest, deviations, pivot_mm, in_face)
 
 
 def skin_morphs(face: FaceModel, surface: HeadSurface) -> SkinMorphs:

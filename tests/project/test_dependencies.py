@@ -25,6 +25,7 @@ PROJECTS = {
 OF_THE_CARD = {"numpy", "scikit-learn", "pyserial", "dynamixel-sdk", "sounddevice", "pyyaml"}
 #: Where a distribution is not called as the library in it.
 DISTRIBUTION_OF = {
+    "PIL": "pillow",
     "cv2": "opencv-python-headless",
     "livekit": "livekit-agents",
     "pipecat": "pipecat-ai",

@@ -15,7 +15,7 @@ import soundfile
 from numpy.typing import NDArray
 
 from lipservo.commands.options import DEFAULT_FACE
-from lipservo.commands.run.exported_speech import SpokenSound, spoken_sound
+from lipservo.rendering.spoken_sound import SpokenSound, spoken_sound
 from lipservo.runtime.motion_options import ChosenMotion
 from lipservo_lab.video.face_track import FaceTrack, track_face, tracked_gaps_mm, usual_step_s
 from lipservo_lab.video.sound_shift import ShiftCurve, correlation, shift_curve

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lipservo.commands.run.exported_speech import SpokenSound
+from lipservo.rendering.spoken_sound import SpokenSound
 from lipservo.terminal.pictures import save_picture, without_screen
 from lipsync.animpho.units import load_face_with_animphos
 from lipsync.arrays import Array

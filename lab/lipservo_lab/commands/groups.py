@@ -1,4 +1,4 @@
-"""`lipservo bench` and `lipservo learn`: where each command of the lab is."""
+"""`lipservo bench`, `learn` and `study`: where each command of the lab is."""
 
 from types import MappingProxyType
 
@@ -7,6 +7,7 @@ import typer
 from lipservo.commands.lazy_group import Command, LazyGroup
 
 _BENCH, _LEARN = "lipservo_lab.commands.bench", "lipservo_lab.commands.learn"
+_STUDY = "lipservo_lab.commands.study.study"
 _MOTION, _HEARING = "Motion", "Hearing"
 _SERVOS, _OTHER = "Servos and stops", "Calibration, faces and pictures"
 
@@ -57,10 +58,14 @@ class BenchGroup(LazyGroup):
             "calibration": Command(
                 f"{_BENCH}.bench:calibration", "Calibration of simulated robots.", _OTHER
             ),
+            "display": Command(
+                f"{_BENCH}.display:display", "Photographs and films that speak.", _OTHER
+            ),
             "face": Command(f"{_BENCH}.faces:face", "Expression and dashboard.", _OTHER),
             "agent": Command(f"{_BENCH}.agents:agent", "What an agent remembers.", _OTHER),
             "day": Command(f"{_BENCH}.agents:day", "An agent and a face all day.", _OTHER),
             "scans": Command(f"{_BENCH}.faces:scans", "Registration of scans.", _OTHER),
+            "study": Command(f"{_BENCH}.study:study", "Simulated raters of a study.", _OTHER),
         }
     )
 
@@ -96,8 +101,25 @@ class LearnGroup(LazyGroup):
     )
 
 
+class StudyGroup(LazyGroup):
+    """A study with people, from its clips to its report."""
+
+    prefix = "study."
+
+    table = MappingProxyType(
+        {
+            "make": Command(f"{_STUDY}:make", "Film the clips, and deal them out."),
+            "serve": Command(f"{_STUDY}:serve", "Show them to raters in a browser."),
+            "report": Command(f"{_STUDY}:report", "What the raters said."),
+            "rehearse": Command(f"{_STUDY}:rehearse", "Simulated raters sit a study."),
+            "power": Command(f"{_STUDY}:power", "How many raters see which difference."),
+        }
+    )
+
+
 bench = typer.Typer(name="bench", cls=BenchGroup)
 learn = typer.Typer(name="learn", cls=LearnGroup)
+study = typer.Typer(name="study", cls=StudyGroup)
 
 
 @bench.callback()
@@ -108,3 +130,8 @@ def about_bench() -> None:
 @learn.callback()
 def about_learn() -> None:
     """Learn models from recordings (docs/own-face.md, docs/recognition.md)."""
+
+
+@study.callback()
+def about_study() -> None:
+    """Ask people which mouth looks right (docs/study.md)."""

@@ -1,6 +1,7 @@
 """`new-face`: the servos that there are become the YAML of a face."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lipservo.commands.options import OpenPage, Sim
 from lipservo.terminal.output import MESSAGES, RESULTS
 from lipsync.errors import UserError
 from lipsync.output_file import write_whole
@@ -59,13 +61,27 @@ def new_face(
         ),
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Ask nothing.")] = False,
+    page: Annotated[
+        bool,
+        typer.Option(
+            "--page", help="Lead through the first hour in a browser, on to the first words."
+        ),
+    ] = False,
+    sim: Sim = None,
+    open_page: OpenPage = False,
 ) -> None:
     """Write the YAML of a face: servos that can be asked are found, hobby servos you name.
 
     Those that are found are moved by 3 degrees each, to see which joint it is. With --ranges, put
     the face into its neutral by hand before: that is where 0 degrees will be. Hobby servos get
-    narrow limits, 1400 to 1600 us, and are not moved.
+    narrow limits, 1400 to 1600 us, and are not moved. With --page all that is asked in a browser,
+    and limits, calibration and first words as well; a YAML that is there is gone on with.
     """
+    if page:
+        _first_hour(output, port or [], sim, open_page=open_page)
+        return
+    if open_page or sim:
+        raise typer.BadParameter("--open and --sim go with --page")
     from lipservo.runtime.servos.new_face import check_face_file, face_on_buses, parts_of
     from lipservo.settings.settings import parse_face
 
@@ -97,6 +113,29 @@ def new_face(
         else "set limits in it, `lipservo setup-servos`"
     )
     RESULTS.print(f"{output}: {len(names)} joints. Next: {then}")
+
+
+def _first_hour(output: Path, ports: Sequence[str], sim: str | None, *, open_page: bool) -> None:
+    """Serve the page until Ctrl-C; then the step that runs lets its servos go."""
+    from lipservo.access.token_file import read_token
+    from lipservo.commands.run.dashboard import check_dashboard, serve_page
+    from lipservo.commands.run.voice_choice import access_file
+
+    check_dashboard()
+    if len(ports) > 1:
+        raise UserError("--page sets up one bus; several are named in a terminal")
+    if sim not in (None, "pty") or (sim and ports):
+        raise UserError("--sim knows `pty` only, and goes without --port")
+    from lipservo.dashboard.child import bound_dashboard
+    from lipservo.dashboard.face_link import FaceLink
+    from lipservo.dashboard.first_hour.first_hour import FirstHour
+
+    token_file = access_file(None, open_to_this_computer=False)
+    token = read_token(None if token_file is None else str(token_file))
+    made = FirstHour(output, next(iter(ports), None), token_file, simulated=sim is not None)
+    with closing(made) as hour, bound_dashboard(None, token) as bound:
+        link = FaceLink(hour.control_path)
+        serve_page(bound, link, token, open_page=open_page, hour=hour)
 
 
 def _wired(output: Path, part: "NewBus", taken: Sequence[str], *, yes: bool) -> str:

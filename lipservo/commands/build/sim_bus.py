@@ -1,9 +1,11 @@
 """`sim-bus`: simulated servos behind a serial port that any program can open."""
 
+import contextlib
+import os
 import signal
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -12,6 +14,8 @@ from lipsync.errors import UserError
 
 #: Characters.
 _LONGEST_SCRIPT = 100_000
+#: Bytes of what hands do between two rounds.
+_LONGEST_TURNS = 4096
 #: A face of ten, as `face_sim`.
 _N_SERVOS = 10
 #: What is simulated without a face.
@@ -107,9 +111,21 @@ def sim_bus(
     sys.stdout.write(f"{link or host.port}\n")
     sys.stdout.flush()
     try:
-        host.serve(lambda: stopped, sys.stdin.fileno() if until_stdin_closes else None)
+        hands = sys.stdin.fileno() if until_stdin_closes else None
+        host.serve(lambda: stopped, hands)
+        while hands is not None and not stopped and (turns := os.read(hands, _LONGEST_TURNS)):
+            _turn(host, turns.decode("ascii", "replace"))
+            host.serve(lambda: stopped, hands)
     finally:
         host.close()
+
+
+def _turn(host: Any, lines: str) -> None:
+    """`INDEX DEG` a line: that limp servo is turned by a hand. Whatever else is no line."""
+    for line in lines.splitlines():
+        with contextlib.suppress(ValueError):
+            index, by_deg = line.split()
+            host.turn(int(index), float(by_deg))
 
 
 def _script(file: Path) -> str:

@@ -40,12 +40,15 @@ def plan(
         Path | None,
         typer.Option(
             metavar="PLAN",
-            help="With --markers recorded at it: write that plan with further poses of speech.",
+            help="With --markers recorded at it: write that plan with further poses of speech, or "
+            "of joints of which the markers hardly tell yet what they do.",
             show_default=False,
         ),
     ] = None,
     markers: Markers = None,
     axes: Axes = "x y z",
+    landmarker: Landmarker = None,
+    eye_distance_mm: EyeDistance = None,
     ranges: Ranges = None,
     accept: Accept = False,
     as_json: Json = False,
@@ -64,16 +67,16 @@ def plan(
         made = procedure.whole_range_plan()
         then = f"--plan {file} --markers FILE -o FILE"
     else:
-        from calibration.capture.dots import is_dots_folder
-        from calibration.capture.sanity import check_capture
+        from lipservo.calibrating.face_source import is_seen_from_the_front, reader_of
 
-        has_depth = not (markers.is_dir() and is_dots_folder(markers))
+        mesh = mesh_options(landmarker, eye_distance_mm)
+        read = reader_of(markers, setup, mesh)
+        has_depth = not is_seen_from_the_front(markers, mesh)
         positive = replace(setup, sees_forward=has_depth).servos.positive
-        capture = read_capture(refine, markers, names, axes=axes)
-        checked = check_capture(capture, setup.model, positive, accept=accept)
-        for line in checked.warnings:
+        capture = read_capture(refine, markers, names, axes=axes, read=read)
+        further, lines = procedure.further_plan(capture, positive, accept=accept)
+        for line in lines:
             MESSAGES.print(line)
-        further = procedure.speech_plan(checked, max(1, procedure.n_of_speech))
         made = joined(read_plan(refine, names), further)
         then = f"--plan {file} --markers {markers} -o FILE"
     write_plan(made, file)

@@ -14,6 +14,7 @@ from lipsync.errors import UserError
 from lipsync.output_file import check_output
 
 if TYPE_CHECKING:
+    from calibration.calibration import Calibration
     from lipservo.calibrating.calibration_setup import CalibrationSetup
     from lipservo.calibrating.face_source import MeshOptions
     from lipservo.calibrating.measured_calibration import CalibrationResult
@@ -171,6 +172,28 @@ def check_files(
         check_folder(plots, [PICTURE])
 
 
+def saved(
+    setup: "CalibrationSetup", result: "CalibrationResult", output: Path
+) -> "tuple[Calibration, list[str]]":
+    """Write it, with what was made by hand in the file that it replaces; what was kept of that.
+
+    Raises UserError for a grade that is too bad, and the file stays as it was then.
+    """
+    from calibration.files.calibration_file import save_calibration
+    from calibration.fit.measured_grade import too_bad
+    from lipservo.calibrating.hand_poses import with_hand_made
+
+    calibration, kept = with_hand_made(result.calibration, setup.servos, output)
+    bad = None if result.fit is None else too_bad(calibration)
+    if bad is not None and not setup.accept:
+        raise UserError(
+            f"{output} is not written: {bad}; look at the warnings, capture again, or take it as "
+            "it is with --accept"
+        )
+    save_calibration(calibration, output)
+    return calibration, kept
+
+
 def finish(
     setup: "CalibrationSetup",
     result: "CalibrationResult",
@@ -181,22 +204,12 @@ def finish(
     as_json: bool,
 ) -> None:
     """Save, draw, write poses to grade by, and say how good it is."""
-    from calibration.files.calibration_file import save_calibration
-    from calibration.fit.measured_grade import too_bad
-    from lipservo.calibrating.hand_poses import with_hand_made
     from lipservo.calibrating.measured_calibration import jaw_check
     from lipservo.calibrating.shown_calibration import report_lines
     from lipservo.calibrating.within_speeds import speed_line, within_speeds
 
     fit = result.fit
-    calibration, kept = with_hand_made(result.calibration, setup.servos, output)
-    bad = None if fit is None else too_bad(calibration)
-    if bad is not None and not setup.accept:
-        raise UserError(
-            f"{output} is not written: {bad}; look at the warnings, capture again, or take it as "
-            "it is with --accept"
-        )
-    save_calibration(calibration, output)
+    calibration, kept = saved(setup, result, output)
     if plots is not None:
         from lipservo.calibrating.shown_calibration import draw_coverage
 

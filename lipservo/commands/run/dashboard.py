@@ -5,7 +5,7 @@ import socket
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -24,6 +24,10 @@ from lipservo.commands.run.running import chosen_faces
 from lipservo.commands.run.voice_choice import access_file, text_of
 from lipservo.terminal.output import MESSAGES
 from lipsync.errors import UserError, check_extra
+
+if TYPE_CHECKING:
+    from lipservo.dashboard.face_link import FaceLink
+    from lipservo.dashboard.first_hour.first_hour import FirstHour
 
 
 def dashboard(
@@ -47,7 +51,7 @@ def dashboard(
     if parent is not None:
         _serve_beside(parent)
     from lipservo.access.token_file import read_token
-    from lipservo.dashboard.child import address_of, bound_dashboard
+    from lipservo.dashboard.child import bound_dashboard
 
     given = read_token(text_of(token_file))
     token = read_token(
@@ -55,23 +59,43 @@ def dashboard(
     )
     with socket.socket(fileno=listener) if listener else bound_dashboard(listen, token) as bound:
         from lipservo.dashboard.face_link import FaceLink
-        from lipservo.dashboard.web.access_layer import OneTimeCode
-        from lipservo.dashboard.web.serving import serve
-
-        code = OneTimeCode(os.geteuid()) if open_page and token is not None else None
-
-        def ready() -> None:
-            if not quiet:
-                line = f"dashboard: {address_of(bound, token)}"
-                MESSAGES.print(line)
-            if open_page and _has_a_screen():
-                import webbrowser
-
-                webbrowser.open(address_of(bound, None if code is None else code.code))
 
         link = FaceLink(found_face(face, control), given, control)
         with face_logs(face or "", "dashboard", quiet=quiet):
-            serve(bound, link, token, ready, model, code)
+            serve_page(bound, link, token, open_page=open_page, model=model, quiet=quiet)
+
+
+def serve_page(
+    bound: socket.socket,
+    link: "FaceLink",
+    token: str | None,
+    *,
+    open_page: bool,
+    model: Path | None = None,
+    quiet: bool = False,
+    hour: "FirstHour | None" = None,
+) -> None:
+    """Serve, say where, and open a browser there, until a signal ends it.
+
+    model, hour: as `make_app` of the dashboard takes them.
+    """
+    from lipservo.dashboard.child import address_of
+    from lipservo.dashboard.web.access_layer import OneTimeCode
+    from lipservo.dashboard.web.serving import serve
+
+    code = OneTimeCode(os.geteuid()) if open_page and token is not None else None
+    path = "" if hour is None else "first-hour"
+
+    def ready() -> None:
+        if not quiet:
+            line = f"dashboard: {address_of(bound, token, path)}"
+            MESSAGES.print(line)
+        if open_page and _has_a_screen():
+            import webbrowser
+
+            webbrowser.open(address_of(bound, None if code is None else code.code, path))
+
+    serve(bound, link, token, ready, model, code, hour)
 
 
 def check_dashboard() -> None:

@@ -15,8 +15,11 @@ from nicegui import ui
 #: Where `lipservo/dashboard/static/` is served.
 STATIC_URL: Final = "/static"
 #: Of each page: where it is, and what it is called.
+FIRST_HOUR: Final = "/first-hour"
 PLACES: Final = {
+    FIRST_HOUR: "First hour",
     "/": "Live",
+    "/show": "Show",
     "/servos": "Servos",
     "/calibrate": "Calibrate",
     "/lines": "Lines",
@@ -57,7 +60,11 @@ def page_frame(
     """
     ui.page_title(f"{PLACES[here]} · {(status or {}).get('name') or 'lipservo'}")
     ui.add_head_html(f'<link rel="stylesheet" href="{STATIC_URL}/dashboard.css">')
-    ui.add_body_html(_head(here, status or {}))
+    # The first hour is a place of faces that are being made, and of no other.
+    places = {path: title for path, title in PLACES.items() if path != FIRST_HOUR}
+    if facts.get("firstHour"):
+        places = {FIRST_HOUR: PLACES[FIRST_HOUR], **places}
+    ui.add_body_html(_head(here, status or {}, places))
     ui.add_body_html(
         f'<script type="application/json" id="face-facts">{_for_script(facts)}</script>'
     )
@@ -95,7 +102,7 @@ def command(text: str) -> str:
     return f"<pre><code>{' '.join(words)}</code></pre>"
 
 
-def _head(here: str, status: Mapping[str, Any]) -> str:
+def _head(here: str, status: Mapping[str, Any], places: Mapping[str, str]) -> str:
     name = escape(str(status.get("name") or "no face yet"))
     port = status.get("port")
     where = '<span class="port sim">SIMULATED</span>'
@@ -105,7 +112,7 @@ def _head(here: str, status: Mapping[str, Any]) -> str:
         where = ""
     ways = "".join(
         f'<a href="{path}"{" aria-current=page" if path == here else ""}>{title}</a>'
-        for path, title in PLACES.items()
+        for path, title in places.items()
     )
     return (
         '<div id="face-head"><header>'

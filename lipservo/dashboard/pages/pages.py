@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from html import escape
+from pathlib import Path
 from typing import Any, Final
 
 from nicegui import ui
@@ -10,7 +11,16 @@ from nicegui import ui
 from lipservo.dashboard.face_link import FaceLink
 from lipservo.dashboard.pages.calibrate_page import calibrate_page, read_calibration
 from lipservo.dashboard.pages.page_facts import GROUPS, page_facts
-from lipservo.dashboard.pages.page_frame import card, command, grid, html, page_frame
+from lipservo.dashboard.pages.page_frame import (
+    FIRST_HOUR,
+    STATIC_URL,
+    card,
+    command,
+    grid,
+    html,
+    page_frame,
+)
+from lipservo.dashboard.pages.show_page import SHOW_SCRIPTS, show_page
 from lipservo.dashboard.twin.element import HEAD_PATH, Twin
 from lipservo.settings.found_limits import WARNING
 
@@ -38,32 +48,50 @@ import {{ beginPicture }} from "lipservo-twin";
 beginPicture("{HEAD_PATH}");
 </script>'''
 _SERVOS_SCRIPTS: Final = ("servo_table.js", "jog.js")
+_FIRST_HOUR_SCRIPTS: Final = ("first_hour/first_hour.js", "live/robot_view.js", "live/say_box.js")
 _LINES_SCRIPTS: Final = ("lines.js",)
 #: Starts a face that can play its lines.
 COMMAND: Final = "lipservo daemon --config FACE --play --sounds FOLDER --dashboard"
 _SETTINGS_SCRIPTS: Final = ("settings.js", "live/robot_view.js")
 
 
-def build_pages(link: FaceLink) -> None:
+def build_pages(link: FaceLink, making: Path | None = None) -> None:
     """Register them with NiceGUI. What moves is drawn by the browser: a page costs no timer here.
 
-    link: the face; a page that is opened is told of the face that answers then.
+    link: the face; a page that is opened is told of the face that answers then. making: the YAML of
+    a face in its first hour, which need not be there yet.
     """
-    _add(link, "/", _LIVE_SCRIPTS, _live)
-    _add(link, "/servos", _SERVOS_SCRIPTS, _servos)
-    _add(link, "/calibrate", (), _calibrate)
-    _add(link, "/lines", _LINES_SCRIPTS, _lines)
-    _add(link, "/settings", _SETTINGS_SCRIPTS, _settings)
+    _add(link, making, "/", _LIVE_SCRIPTS, _live)
+    _add(link, making, "/show", SHOW_SCRIPTS, _show)
+    _add(link, making, "/servos", _SERVOS_SCRIPTS, _servos)
+    _add(link, making, "/calibrate", (), _calibrate)
+    _add(link, making, "/lines", _LINES_SCRIPTS, _lines)
+    _add(link, making, "/settings", _SETTINGS_SCRIPTS, _settings)
+    if making is not None:
+        _add(link, making, FIRST_HOUR, _FIRST_HOUR_SCRIPTS, _first_hour)
 
 
-def _add(link: FaceLink, path: str, scripts: Sequence[str], fill: Fill) -> None:
+def _add(
+    link: FaceLink, making: Path | None, path: str, scripts: Sequence[str], fill: Fill
+) -> None:
     @ui.page(path, dark=False, reconnect_timeout=_PATIENCE_S)
     async def page() -> None:
         status = link.status
         config = None if status is None else status.get("config")
-        facts = await asyncio.to_thread(page_facts, config)
+        if config is None and making is not None and making.exists():
+            config = str(making)
+        facts = {
+            **await asyncio.to_thread(page_facts, config),
+            "firstHour": making is not None,
+        }
         with page_frame(path, status, facts, scripts):
             await fill(status, config)
+
+
+async def _first_hour(_status: Status, _config: str | None) -> None:
+    """From servos that nobody has named to the first words."""
+    ui.add_head_html(f'<link rel="stylesheet" href="{STATIC_URL}/first_hour/first_hour.css">')
+    html(f"<first-hour data-warning='{escape(WARNING)}'></first-hour>")
 
 
 async def _calibrate(_status: Status, config: str | None) -> None:
@@ -91,6 +119,11 @@ async def _live(_status: Status, _config: str | None) -> None:
                 html("<face-say></face-say>")
             with card("Look", "drag, and the robot looks there", "look"):
                 html("<face-look></face-look>")
+
+
+async def _show(_status: Status, _config: str | None) -> None:
+    ui.add_head_html(_EARLY)
+    show_page()
 
 
 def _legend() -> str:

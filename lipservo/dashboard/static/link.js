@@ -29,6 +29,7 @@ export const face = {
   lastServosMs: -Infinity, // when the servo side wrote last
   seenDeg: [], // encoders, each as it was read last
   phase: "moving", // what the page shows, as `phaseOf` of stopped.js says
+  idle: false, // of a first hour: no step drives servos, or the one that does answers
   nFrames: 0,
   nLost: 0, // frames that the server sent or skipped and this page never saw
 };

@@ -53,7 +53,7 @@ export function phaseOf({ status, frame, ageMs, word, wordMs, isStarting }) {
 }
 
 function hasTorque(frame) {
-  return !frame.servosGone && !AT_END.includes(frame.state) && (frame.torqueOn || frame.state === "driven");
+  return frame !== null && !frame.servosGone && !AT_END.includes(frame.state) && (frame.torqueOn || frame.state === "driven");
 }
 
 /** [tone, sentence] of a face that a person stopped. word: may be null. Pure. */
@@ -68,13 +68,14 @@ export function stoppedWords(status, word) {
 }
 
 /** [tone, sentence] of a face that is away after a stop. lastState: of its servo side. Pure. */
-export function goneWords({ word, lastState, isOld, config, port }) {
+export function goneWords({ word, lastState, isOld, config, port, isFirstHour = false }) {
   const again = `\`lipservo daemon --config ${config ?? "FACE"}${port ? ` --port ${port}` : ""} --dashboard\``;
   if (!isLimp(word)) {
     const [tone, text] = confirmed(word);
     return [tone, `${text} ${isOld ? "The dashboard" : "The face"} does not answer any more.`];
   }
   const words = confirmedWords(word);
+  if (isFirstHour && !isOld) return ["good", `Stopped: ${words}. Go on with the step below when you are ready.`];
   if (lastState === "ended") {
     return ["good", `The face has ended: ${words}. Start it again at its computer, with ${again}.`];
   }
@@ -123,7 +124,7 @@ function render() {
     else if (face.phase === "gone") {
       const { config } = facts;
       const port = face.last?.port ?? null;
-      say(...goneWords({ word, lastState: face.lastState, isOld, config, port }));
+      say(...goneWords({ word, lastState: face.lastState, isOld, config, port, isFirstHour: facts.firstHour }));
     } else if (own && word === null && !doneTimer) hush();
   }
   const isAsking = askedMs !== null;

@@ -1,5 +1,5 @@
 // The head of the page: state in words, and a banner when something that matters is gone.
-import { face, frameAgeMs, OLD_MS, onStatus } from "./link.js";
+import { face, facts, frameAgeMs, OLD_MS, onStatus } from "./link.js";
 import { isLimp, isReleased, kept } from "./stop.js";
 import { isStopped, stateWords, statusWords } from "./words.js";
 
@@ -18,10 +18,11 @@ const beganMs = performance.now();
  * gathers it. While a face is stopped or starts, or its confirmed end stands on the page, servos
  * and dashboard that are gone are no alarm. Pure.
  */
-export function complaint({ frame, ageMs, openMs, phase, status, lastState, servosMs, refusal }) {
+export function complaint({ frame, ageMs, openMs, phase, status, lastState, servosMs, refusal, idle, isFirstHour, trouble }) {
   if (refusal !== null) return ["bad", refusal];
   if (phase === "gone") return null;
   const isOld = frame !== null && ageMs > OLD_MS;
+  if (idle && !isOld && frame !== null) return null; // of a first hour, between two steps
   if (phase !== "moving" && (isOld || frame === null) && status !== null) return null;
   if (frame === null) {
     return openMs < PATIENT_MS ? null : ["bad", "The dashboard sends nothing. Is it still running?"];
@@ -35,6 +36,9 @@ export function complaint({ frame, ageMs, openMs, phase, status, lastState, serv
     ];
   }
   if (phase !== "moving") return null;
+  if (isFirstHour && status === null && frame.servosGone && [null, ...AT_END].includes(lastState)) {
+    return ["warn", `${trouble ?? "No step drives servos now"}; go on at First hour.`];
+  }
   if (frame.servosGone && AT_END.includes(lastState)) {
     if (status !== null && servosMs < ENDING_MS) return null;
     if (lastState === "ended") return ["warn", ENDED];
@@ -63,9 +67,12 @@ const ENDED =
   "Start it again at its computer, with `lipservo run` or `lipservo daemon`.";
 
 /** [words, tone] of the head: how the face is, in a few words. Pure. */
-export function headWords({ frame, ageMs, phase, status, word, lastState, refusal }) {
+export function headWords({ frame, ageMs, phase, status, word, lastState, refusal, idle }) {
   if (refusal !== null) return ["not let in", "bad"];
   const isOld = frame === null || ageMs > OLD_MS;
+  if (idle && !isOld && phase === "moving" && (frame.servosGone || status === null)) {
+    return status === null ? ["no servo is driven", "quiet"] : statusWords(status);
+  }
   if (phase === "starting") return ["starting", "warn"];
   if (phase === "stopped") return stopWords("stopped", word);
   if (phase === "gone") {
@@ -101,6 +108,7 @@ function look() {
   const nowMs = performance.now();
   const seen = {
     ...face, ageMs: frameAgeMs(), openMs: nowMs - beganMs, servosMs: nowMs - face.lastServosMs, word: kept(),
+    isFirstHour: facts.firstHour,
   };
   const wrong = complaint(seen);
   banner.hidden = wrong === null;

@@ -13,8 +13,10 @@ from fastapi.responses import HTMLResponse, Response
 from fastapi.staticfiles import StaticFiles
 
 from lipservo.dashboard.face_link import FaceLink
+from lipservo.dashboard.first_hour.first_hour import FirstHour
 from lipservo.dashboard.web.api_models import ErrorAnswer, add_error_answers
 from lipservo.dashboard.web.api_routes import face_routes, file_routes
+from lipservo.dashboard.web.first_hour_routes import first_hour_routes
 from lipservo.dashboard.web.metrics import CONTENT_TYPE, FaceCollector, metrics_text
 from lipservo.dashboard.web.streams import add_streams
 
@@ -28,8 +30,8 @@ b{display:inline-block;min-width:4.5rem}pre{background:#8882;padding:.6rem;overf
 """
 
 
-def make_api(link: FaceLink) -> FastAPI:
-    """All of `/api`, `/docs`, `/metrics`, `/static`."""
+def make_api(link: FaceLink, hour: FirstHour | None = None) -> FastAPI:
+    """All of `/api`, `/docs`, `/metrics`, `/static`. hour: None: the face is made already."""
     app = FastAPI(
         title="lipservo",
         version=version("lipservo"),
@@ -41,6 +43,8 @@ def make_api(link: FaceLink) -> FastAPI:
     hubs = add_streams(app, link)
     app.include_router(face_routes(link))
     app.include_router(file_routes(link))
+    if hour is not None:
+        app.include_router(first_hour_routes(hour))
     collector = FaceCollector(link, lambda: {name: hub.n_clients for name, hub in hubs.items()})
 
     @app.get("/api/history", response_class=Response)

@@ -97,6 +97,76 @@ class PulseLimitBody(Body):
     pulse_us: Pulse
 
 
+class PortBody(Body):
+    """Where the servos of the first hour are; simulated: behind a port that is made for it."""
+
+    port: Annotated[str, Field(min_length=1, max_length=200)] | None = None
+    kind: _Name | None = None
+    simulated: bool = False
+
+
+class NameBody(Body):
+    """A servo that was found. same: its first move did what `positive` says."""
+
+    id: Annotated[int, Field(ge=0, le=253)]
+    name: _Name
+    positive: _Name
+    part: Literal["mouth", "neck", "eyes", "lids", "brows", "tongue", "other"] = "mouth"
+    same: bool = True
+
+
+class WireBody(Body):
+    """A hobby servo, `jaw=0:opens`; by its name alone it is taken back."""
+
+    channel: Annotated[str, Field(min_length=1, max_length=200)]
+
+
+class WriteBody(Body):
+    """board: of hobby servos, the Maestro's model or the PCA9685's address."""
+
+    board: _Name | None = None
+
+
+class StepBody(Body):
+    """A step of the first hour, and what it is to do.
+
+    clear: find; id: nudge; may_jump: jog; lags, accept: a calibration; tracker, camera,
+    eye_distance_mm: measure; play: speak.
+    """
+
+    step: Literal["find", "nudge", "limits", "jog", "set_up", "by_eye", "measure", "drawn", "speak"]
+    id: int | None = None
+    clear: bool = False
+    may_jump: bool = False
+    lags: bool = False
+    accept: bool = False
+    tracker: Annotated[str, Field(min_length=1, max_length=400)] | None = None
+    camera: _Name | None = None
+    eye_distance_mm: Annotated[float, Field(ge=10.0, le=500.0)] | None = None
+    play: bool = False
+
+
+class OrderBody(Body):
+    """Poses by eye: joints to these angles, or a key: Enter keeps the pose, x leaves it out."""
+
+    move: Annotated[dict[_Name, _Number], Field(min_length=1, max_length=64)] | None = None
+    key: Literal["\r", "x", "b", "q"] | None = None
+
+
+class EndBody(Body):
+    """One end of a joint, or its neutral, where a hand holds it."""
+
+    servo: _Name
+    end: Literal["min", "neutral", "max"]
+
+
+class TurnBody(Body):
+    """A simulated hand."""
+
+    servo: _Name
+    by_deg: Annotated[float, Field(ge=-90.0, le=90.0)]
+
+
 class SettingsBody(Body):
     """values: by name, all of them or none; save: into the face's YAML as well."""
 

@@ -16,6 +16,7 @@ from fastapi import FastAPI
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from lipservo.dashboard.face_link import FaceLink
+from lipservo.dashboard.first_hour.first_hour import FirstHour
 from lipservo.dashboard.web.access_layer import AccessLayer, App, OneTimeCode, Receive, Scope, Send
 from lipservo.dashboard.web.api import make_api
 from lipservo.dashboard.web.stop_route import StopRoute
@@ -51,12 +52,14 @@ def make_app(
     token: str | None,
     model: Path | None = None,
     code: OneTimeCode | None = None,
+    hour: FirstHour | None = None,
 ) -> App:
     """The whole dashboard of one face; the link runs while it does.
 
     Of one process: NiceGUI has one set of pages. model: the face model that the face runs with,
     whose components move the twin; None: the shipped one. token: see `Policy`. code: that the
-    first browser is started with. Raises ModelError.
+    first browser is started with. hour: the first hour of a face that is being made. Raises
+    ModelError.
     """
     # FastAPI would send what it measures to wherever the environment says.
     os.environ["OTEL_SDK_DISABLED"] = "true"
@@ -75,9 +78,9 @@ def make_app(
 
     pages = FastAPI(openapi_url=None, docs_url=None, redoc_url=None, lifespan=running)
     twin_routes(pages, load_face(model))
-    build_pages(link)
+    build_pages(link, None if hour is None else hour.path)
     ui.run_with(pages, title="lipservo", show_welcome_message=False, tailwind=False)
-    return with_access(_Parted(make_api(link), pages), link, token, code)
+    return with_access(_Parted(make_api(link, hour), pages), link, token, code)
 
 
 def with_access(
@@ -103,12 +106,13 @@ def serve(
     on_ready: Callable[[], None],
     model: Path | None = None,
     code: OneTimeCode | None = None,
+    hour: FirstHour | None = None,
 ) -> None:
     """Serve until a signal ends it. link: to the face; on_ready: called once it can.
 
-    token, code: as `make_app`. model: that the face runs with. Raises ModelError.
+    token, code, hour: as `make_app`. model: that the face runs with. Raises ModelError.
     """
-    app = make_app(link, token, model, code)
+    app = make_app(link, token, model, code, hour)
     server_of(app, on_ready).run([bounded(listener)])
 
 

@@ -37,7 +37,7 @@ class FrameHub:
         self._layout = layout
         self._hello = hello
         self._message = message
-        self._next: asyncio.Future[Message] | None = None
+        self._next: asyncio.Future[tuple[BoardLayout, Message]] | None = None
         self.n_clients = 0
         self.n_dropped = 0
 
@@ -45,7 +45,7 @@ class FrameHub:
         """There is something new."""
         waiting, self._next = self._next, None
         if waiting is not None:
-            waiting.set_result(self._message())
+            waiting.set_result((self._layout(), self._message()))
 
     async def serve(self, socket: WebSocket) -> None:
         """One client, until it leaves or does not read."""
@@ -69,8 +69,8 @@ class FrameHub:
         told: BoardLayout | None = None
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             while True:
-                message = await self._newest()
-                if (layout := self._layout()) is not told:
+                layout, message = await self._newest()
+                if layout is not told:
                     await self._send(socket.send_text(self._hello(layout)))
                     told = layout
                 if isinstance(message, bytes):
@@ -86,7 +86,7 @@ class FrameHub:
             self.n_dropped += 1
             raise WebSocketDisconnect from None
 
-    async def _newest(self) -> Message:
+    async def _newest(self) -> tuple[BoardLayout, Message]:
         if self._next is None:
             self._next = asyncio.get_running_loop().create_future()
         return await asyncio.shield(self._next)

@@ -21,16 +21,8 @@ from firmware_bridge.stopping import (
 )
 from lipservo.runtime.servos.driven_face import ControlOptions, DriveOptions, driven_face
 from lipservo.runtime.servos.held_face import SPEED_DEG_S
-from lipservo.runtime.status.live_board import (
-    FACE_STATES,
-    BoardLayout,
-    LiveBoard,
-    ServoBoard,
-    expression_values,
-)
+from lipservo.runtime.status.silent_board import SilentBoard
 from lipservo.settings.settings import FaceSettings
-from lipsync.face.model import load_face as load_face_model
-from lipsync.phonemes import PHONEMES, SILENCE
 
 
 def drive_by_hand(
@@ -44,23 +36,12 @@ def drive_by_hand(
     config: as its status names it. act: called in each tick, at its time, to give orders to the
     bridge; False: the face comes to rest and is let go. Raises what bus and bridge raise.
     """
-    n_components = load_face_model(None).n_components
-    layout = BoardLayout(
-        settings.name,
-        config,
-        tuple(settings.servos),
-        FACE_STATES,
-        PHONEMES,
-        n_components,
-        settings.rate_hz,
-    )
     channel = MemoryTargetChannel()
-    with LiveBoard.create(layout) as board:
-        control = ControlOptions(about={"config": config}, watched_fd=board.fileno())
+    with SilentBoard.create(settings, config) as board:
+        control = ControlOptions(about={"config": config}, watched_fd=board.fileno)
         how = DriveOptions(control=control)
         with driven_face(settings, clock, channel, how) as driven:
             bus, bridge, life = driven.bus, driven.bridge, driven.life
-            watched = ServoBoard(board, bridge)
             life.start()
             begins_deg = bus.read().start_deg(bus.capabilities)
             neutral_deg = np.zeros_like(begins_deg)
@@ -69,16 +50,7 @@ def drive_by_hand(
                 if not life.stopping and not act(bridge, time_s):
                     life.stop()
                 channel.publish(ServoTargets(time_s, ramp.at(time_s)))
-                watched.tell(bridge.tick(time_s, late))
-                board.write_speech(
-                    time_s=time_s,
-                    sound_s=0.0,
-                    phoneme=PHONEMES.index(SILENCE),
-                    is_speech=0,
-                    arousal=0.0,
-                    coefficients=np.zeros(n_components),
-                    expression=expression_values(),
-                )
+                board.tell(bridge, bridge.tick(time_s, late))
     assert life.report is not None
     return life.report, life.signal_number
 

@@ -5,8 +5,10 @@ tracker does so in `hold`, or in `hold_while`, so that the servos hear something
 """
 
 import math
+import queue
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, wait
 from contextlib import ExitStack
 from typing import Any, Self, TypeVar
 
@@ -19,12 +21,20 @@ from firmware_bridge.gate.ramp import Ramp
 from firmware_bridge.loop.life_cycle import ImmediateStop, LifeCycle
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.stopping import StopLevel
-from lipservo.runtime.servos.driven_face import DrivenFace, DriveOptions, driven_face
+from lipservo.runtime.servos.driven_face import (
+    ControlOptions,
+    DrivenFace,
+    DriveOptions,
+    driven_face,
+)
 from lipservo.runtime.servos.face_stopped import FaceStopped
+from lipservo.runtime.status.silent_board import SilentBoard
 from lipservo.settings.settings import FaceSettings
 from lipsync.arrays import Array
 
 Answer = TypeVar("Answer")
+#: Calls a function in the thread that speaks to the servos.
+Here = Callable[[Callable[[], Any]], Any]
 
 #: Slow enough to watch and to stop; no joint is in a hurry here.
 SPEED_DEG_S = 30.0
@@ -32,6 +42,8 @@ SPEED_DEG_S = 30.0
 _STILL_DEG, _STILL_S = 0.18, 0.2
 #: Longer than any servo needs that is not held up.
 _SETTLE_S = 1.5
+#: A job that waits for the servos looks so often whether they are held at all.
+_LOOK_S = 0.2
 #: Chirps to 12 Hz need four samples a period.
 _DRIVE_RATE_HZ = 50.0
 #: A servo's goals and places are asked for twice in a tick while it is driven.
@@ -65,17 +77,19 @@ class HeldFace:
         joints: Sequence[str] | None = None,
         from_neutral: bool = True,
         end: StopLevel = StopLevel.SOFT,
+        config: str | None = None,
     ) -> None:
         """bus: not yet entered; None: the face's own. joints: which ones poses speak of.
 
         from_neutral: go there first, else stay in place. end: how the face is left when the block
-        ends well.
+        ends well. config: as its status names it, for a page that watches; None: none does.
         """
+        self._settings, self._config = settings, config
         self.rate_hz = held_rate_hz(settings)
         self._clock = clock
         self._channel = MemoryTargetChannel()
-        how = DriveOptions(rate_hz=self.rate_hz)
-        self._opening = driven_face(settings, clock, self._channel, how, bus)
+        self._bus = bus
+        self._board: SilentBoard | None = None
         self._opened: DrivenFace | None = None
         self._speed_deg_s = speed_deg_s
         names = list(settings.servos)
@@ -137,16 +151,67 @@ class HeldFace:
         answers: list[Answer] = []
         errors: list[BaseException] = []
 
-        def wait() -> None:
+        def run() -> None:
             try:
                 answers.append(ask())
             except BaseException as error:
                 errors.append(error)
 
-        waiting = threading.Thread(target=wait, daemon=True)
+        waiting = threading.Thread(target=run, daemon=True)
         waiting.start()
         while waiting.is_alive():
             self._tick()
+        if errors:
+            raise errors[0]
+        return answers[0]
+
+    def work(self, job: Callable[[Here], Answer]) -> Answer:
+        """Stay until `job`, in a thread of its own, has an answer; its errors are raised.
+
+        job: gets a function that calls another one here, between two ticks, and returns its answer:
+        for all that speaks to the servos. What takes long besides holds up no tick and no stop.
+        """
+        calls: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = queue.SimpleQueue()
+        is_over = threading.Event()
+
+        def here(call: Callable[[], Any]) -> Any:
+            done: Future[Any] = Future()
+            calls.put((call, done))
+            while not is_over.is_set():
+                if wait([done], _LOOK_S).done:
+                    return done.result()
+            raise RuntimeError("the face is held no more")
+
+        def next_call() -> None:
+            while True:
+                try:
+                    call, done = calls.get_nowait()
+                except queue.Empty:
+                    return
+                try:
+                    done.set_result(call())
+                except Exception as error:  # of the job's own doing: raised there
+                    done.set_exception(error)
+                    if isinstance(error, FaceStopped):
+                        raise
+
+        answers: list[Answer] = []
+        errors: list[BaseException] = []
+
+        def run() -> None:
+            try:
+                answers.append(job(here))
+            except BaseException as error:
+                errors.append(error)
+
+        working = threading.Thread(target=run, daemon=True)
+        working.start()
+        try:
+            while working.is_alive():
+                next_call()
+                self._tick()
+        finally:
+            is_over.set()
         if errors:
             raise errors[0]
         return answers[0]
@@ -189,7 +254,15 @@ class HeldFace:
 
     def _arm(self) -> None:
         with ExitStack() as leaving:
-            self._opened = leaving.enter_context(self._opening)
+            control = ControlOptions()
+            if self._config is not None:
+                watched = SilentBoard.create(self._settings, self._config)
+                self._board = leaving.enter_context(watched)
+                about = {"config": self._config}
+                control = ControlOptions(about=about, watched_fd=self._board.fileno)
+            how = DriveOptions(rate_hz=self.rate_hz, control=control)
+            opening = driven_face(self._settings, self._clock, self._channel, how, self._bus)
+            self._opened = leaving.enter_context(opening)
             self._ticks = self.life.ticks()
             self.life.start()
             bus = self._opened.bus
@@ -273,7 +346,9 @@ class HeldFace:
 
     def _send(self, time_s: float, late: int) -> None:
         self._channel.publish(ServoTargets(time_s, self._goal_deg))
-        self._driven.bridge.tick(time_s, late)
+        report = self._driven.bridge.tick(time_s, late)
+        if self._board is not None:
+            self._board.tell(self._driven.bridge, report)
 
 
 def _filled(columns: Array) -> Array:

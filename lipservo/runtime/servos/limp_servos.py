@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _TRIES: Final = 3
 #: How often encoders are read, and for how long a pose must have stood: fingers tremble faster.
 LOOK_EVERY_S: Final = 0.05
-_STEADY_LOOKS: Final = 7
+STEADY_LOOKS: Final = 7
 #: Held joints wander by less, play included; more is a hand that is still moving.
 _STEADY_DEG: Final = 1.0
 _HOLDS: Final = "holds: its torque is on; who else drives it?"
@@ -87,15 +87,19 @@ class LimpServos:
         return LimpPose(positions_deg, obstacles)
 
     def steady_pose(self) -> LimpPose:
-        """The median of the next 0.3 s; who moves meanwhile is in the way too. Raises PortGone.
-
-        A lost sample or two are no silence.
-        """
+        """The median of the next 0.3 s, as `steady`. Raises PortGone."""
         looks = []
-        for n in range(_STEADY_LOOKS):
+        for n in range(STEADY_LOOKS):
             if n:
                 self._clock.sleep_until(self._clock.now() + LOOK_EVERY_S)
             looks.append(self.look())
+        return self.steady(looks)
+
+    def steady(self, looks: Sequence[LimpPose]) -> LimpPose:
+        """The median of some looks; who moved meanwhile is in the way too.
+
+        A lost sample or two are no silence.
+        """
         places_deg: list[float] = []
         obstacles: dict[str, str] = {}
         for n, name in enumerate(self.names):

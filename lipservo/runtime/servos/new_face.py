@@ -28,6 +28,8 @@ from lipservo.settings.settings import FaceSettings, parse_face
 from lipsync.errors import UserError, shown
 from lipsync.output_file import check_output
 
+#: The `part` of a servo whose YAML names none.
+_MOUTH = "mouth"
 NUDGE_DEG = 3.0
 #: For each of the two ways.
 _NUDGE_S = 0.25
@@ -100,6 +102,7 @@ class FoundJoint:
     min_deg: float = -_LIMIT_DEG
     max_deg: float = _LIMIT_DEG
     zero_offset_deg: float = 0.0
+    part: str = _MOUTH
 
     def within(self, recorded: RecordedRange, neutral_tick: int) -> "FoundJoint":
         """With the recorded range as limits, and 0 where the servo stands now.
@@ -195,6 +198,7 @@ def face_yaml(name: str, kind: BusKind, port: str, rate: int, joints: Sequence[F
                 "max_speed_deg_s": _SPEED_DEG_S,
                 "sign": joint.sign,
                 **({"zero_offset_deg": joint.zero_offset_deg} if joint.zero_offset_deg else {}),
+                **({} if joint.part == _MOUTH else {"part": joint.part}),
             }
             for joint in joints
         },

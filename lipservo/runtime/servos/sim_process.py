@@ -3,7 +3,8 @@
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 
 from firmware_bridge.port_names import ports_text
 from lipservo.runtime.servos.assembly import load_settings
@@ -12,9 +13,31 @@ from lipsync.errors import UserError
 _END_S = 5.0
 
 
+@dataclass(frozen=True, slots=True)
+class SimulatedServos:
+    """Servos behind a port, in a process of their own."""
+
+    port: str
+    process: "subprocess.Popen[str]"
+
+    def turn(self, index: int, by_deg: float) -> None:
+        """What a person's fingers do: a limp servo of the chain is turned, a held one gives not."""
+        assert self.process.stdin is not None
+        with suppress(OSError):  # it has ended, and its port with it
+            self.process.stdin.write(f"{index} {by_deg:.1f}\n")
+            self.process.stdin.flush()
+
+
 @contextmanager
 def simulated_port(arguments: Sequence[str]) -> Iterator[str]:
-    """Run `lipservo sim-bus` with `arguments`; the port it serves until the block ends.
+    """The port of `simulated_servos`."""
+    with simulated_servos(arguments) as servos:
+        yield servos.port
+
+
+@contextmanager
+def simulated_servos(arguments: Sequence[str]) -> Iterator[SimulatedServos]:
+    """Run `lipservo sim-bus` with `arguments` until the block ends.
 
     The simulator also ends when this process dies, since its standard input closes then. A Ctrl-C
     in the terminal does not reach it: servos stay until whoever drives them has let them go.
@@ -28,7 +51,7 @@ def simulated_port(arguments: Sequence[str]) -> Iterator[str]:
             port = process.stdout.readline().strip()
             if not port:
                 raise UserError("the simulator did not start; `lipservo sim-bus` says why")
-            yield port
+            yield SimulatedServos(port, process)
         finally:
             process.terminate()
             try:

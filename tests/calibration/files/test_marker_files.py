@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from lipservo_lab.bench.calibration.calibration_figures import read_seeds
+from lipservo_lab.bench.calibration.every_robot import read_seeds
 from lipservo_lab.learning.motion.trained_model import load_trained_model
 from small_model import small_model
 from typer.testing import CliRunner

@@ -9,8 +9,8 @@ from linear_face import SERVOS, LinearFace
 from lipservo_lab.bench.calibration.elastic_draws import draw_elastic_robot
 
 from calibration.calibration import CalibrationError
-from calibration.capture.capture import Robot, usual_poses
-from calibration.capture.joint_health import MOST_LOOKS
+from calibration.capture.capture import Robot, capture_poses, joined, usual_poses
+from calibration.capture.joint_health import MOST_LOOKS, unseen_alone
 from calibration.capture.sanity import check_capture
 from calibration.fit.measured import fit_measured
 from calibration.fit.procedure import Procedure, take_grade
@@ -56,6 +56,24 @@ def test_weak_joints_are_looked_at_again_and_the_healthy_robot_is_accepted(seed,
 
     again = procedure.capture(MARKERS_47.names, robot.move, measured_again, keep=keep)
     assert np.array_equal(again.markers_mm, capture.markers_mm)
+
+
+def test_by_files_too_a_joint_in_doubt_is_looked_at_again_once():
+    face, servos = drawn(104, 10)
+    robot, procedure = SimulatedRobot(face, noise_seed=104), shortest(servos, 104)
+    plan = procedure.range_plan()
+    seen = capture_poses(plan, MARKERS_47.names, robot.move, robot.measure)
+
+    looks, (told,) = procedure.further_plan(seen, servos.positive, accept=False)
+
+    unsure = [joint for joint, name in enumerate(servos.names) if f"'{name}'" in told]
+    assert len(looks) == 12 * len(unsure) > 0
+    moved = np.abs(looks.goals_deg) > 0.1
+    assert (moved.sum(axis=1) == 1).all()
+    assert set(np.flatnonzero(moved.any(axis=0))) == set(unsure)
+    whole = joined(plan, looks)
+    seen = capture_poses(whole, MARKERS_47.names, robot.move, robot.measure)
+    assert unseen_alone(seen) == []
 
 
 def test_a_dead_joint_is_named_after_the_second_look():

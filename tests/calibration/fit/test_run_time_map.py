@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from lipservo_lab.bench.calibration.calibration_figures import calibration_figures
+from lipservo_lab.bench.calibration.calibration_figures import own_figures, own_robot
 from small_model import small_model
 
 from calibration.calibration import Following
@@ -16,6 +16,7 @@ from calibration.mouth_servos import JointRange
 from firmware_bridge.loop.targets import MemoryTargetChannel
 from lipservo.runtime.speech.speech import PUBLISH_PERIOD_S, Speech
 from lipsync.animpho.synthesizer import PublishedSynthesizer
+from lipsync.animpho.units import load_face_with_animphos
 from lipsync.audio.playback_clock import SteadyClock
 from lipsync.phonemes import PhonemeEvent
 from lipsync.recognition.scripted import ScriptedPhonemes
@@ -167,7 +168,7 @@ def test_the_heavier_closures_count_the_nearer_they_come():
 @pytest.mark.slow
 def test_the_figures_of_one_robot_meet_their_bars():
     """A robot that is not among those that are scored (seeds 0 to 19)."""
-    figures = calibration_figures([102])
+    figures = own_figures([own_robot(load_face_with_animphos(), 102)])
     assert figures["heldout_rms_mm"] <= 0.6
     assert figures["reachable"] >= 0.8
     assert figures["guided_rms_mm"] <= 2.5

@@ -11,7 +11,7 @@ from speech import CLIP_LABELS_PATH, CLIP_PATH
 from typer.testing import CliRunner
 
 from lipservo.cli import app
-from lipservo.commands.run.exported_speech import spoken_sound
+from lipservo.rendering.spoken_sound import spoken_sound
 from lipservo.runtime.motion_options import ChosenMotion
 from lipservo.traces.trace_file import read_trace
 from lipsync.animpho.units import load_face_with_animphos

@@ -13,6 +13,7 @@ from lipsync.expectation.soft_expectation import (
     BelievedFrames,
     SoftExpectation,
     shares_of,
+    softened_line,
     window_means,
 )
 from lipsync.phonemes import PHONEMES, FramePosteriors
@@ -117,6 +118,17 @@ def test_windows_are_means_of_their_frames():
         inside = (first <= OFFSETS) & (last >= OFFSETS)
         np.testing.assert_allclose(means[:, number], rows[:, inside].mean(axis=1), rtol=1e-5)
     assert shares_of(np.zeros((1, len(OFFSETS), 3), np.float32))[0] <= LARGEST_SHARE
+
+
+def test_a_line_heard_whole_has_the_shares_that_its_last_heads_give_it():
+    """Five seconds, more than is remembered at once: doubted in the third, sure in the others."""
+    heard = posteriors(512, AA=1.0)
+    heard.values[212:312, -1, IY] = heard.values[212:312, -1, AA] = 0.5
+    times_s = np.arange(400) / 100.0
+    faces = softened_line(constant_map(), np.zeros((400, 1)), spoken(("AA", 5.0)), heard, times_s)
+    assert not faces[:180].any()
+    assert faces[220:280, 0] == pytest.approx(5.0 * LARGEST_SHARE)
+    assert not faces[330:].any()
 
 
 def test_old_frames_make_place_for_new_ones():

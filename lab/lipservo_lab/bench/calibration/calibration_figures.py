@@ -8,7 +8,7 @@ How far the mouth is from its sound on servos that are late, with and without co
 
 import math
 import time
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -28,8 +28,14 @@ from calibration.simulated.robot import RobotDraw, SimulatedRobot, draw_robot, t
 from calibration.simulated.servos import SimulatedServos
 from lipservo.calibrating.within_speeds import spoken_frames
 from lipservo.settings.settings import FaceSettings, load_shipped_face
-from lipservo_lab.bench.calibration.hard_captures import count_faults, fault_figures
-from lipsync.animpho.units import FaceWithAnimPhos, load_face_with_animphos
+from lipservo_lab.bench.calibration.hard_captures import (
+    FaultCount,
+    count_faults,
+    count_measured_faults,
+    fault_figures,
+)
+from lipservo_lab.bench.calibration.intervals import median_interval
+from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
 
@@ -163,56 +169,67 @@ def _servos(settings: FaceSettings) -> MouthServos:
     )
 
 
-def calibration_figures(seeds: Iterable[int]) -> dict[str, object]:
-    """Medians over the seeds under the names of the table; `worst_` and the worst seed for each.
+@dataclass(frozen=True, slots=True)
+class OwnRobot:
+    """What became of one robot: its figures, or why it was refused; what faults on it came to."""
+
+    seed: int
+    figures: SeedFigures | None
+    refused: str
+    faults: dict[str, FaultCount]
+
+
+def own_robot(model: FaceWithAnimPhos, seed: int) -> OwnRobot:
+    """Calibrate the healthy robot of a seed, then do faults to it."""
+    settings = load_shipped_face("face_sim")
+    servos, rest_mm = _servos(settings), model.markers_mm(model.rest[None])[0]
+    figures, refused = None, ""
+    try:
+        figures = measure_seed(model, settings, seed)
+    except CalibrationError as error:
+        refused = str(error)
+    draw = draw_robot(rest_mm, servos.names, seed)
+    faults = count_faults(model, draw, servos, seed)
+    faults |= count_measured_faults(model, draw, servos, seed)
+    return OwnRobot(seed, figures, refused, faults)
+
+
+def own_figures(robots: Sequence[OwnRobot]) -> dict[str, object]:
+    """Medians over the robots under the names of the table; `worst_` and the worst for each.
 
     A healthy robot that is refused counts in `refused`, and in no median.
     """
-    model, settings = load_face_with_animphos(), load_shipped_face("face_sim")
-    servos, rest_mm = _servos(settings), model.markers_mm(model.rest[None])[0]
-    found, faults = [], []
-    refused: dict[str, str] = {}
-    for seed in seeds:
-        try:
-            found.append(measure_seed(model, settings, seed))
-        except CalibrationError as error:
-            refused[str(seed)] = str(error)
-        draw = draw_robot(rest_mm, servos.names, seed)
-        faults.append(count_faults(model, draw, servos, seed))
+    found = [robot.figures for robot in robots if robot.figures is not None]
     figures: dict[str, object] = {}
+    intervals = {}
     for field in fields(SeedFigures):
         values = [float(getattr(seed, field.name)) for seed in found] or [math.nan]
         figures[field.name] = float(np.median(values))
         figures[f"worst_{field.name}"] = (min if field.name in _LARGE_IS_GOOD else max)(values)
+        intervals[field.name] = median_interval(values)
     figures["worst_rms_mm"] = figures.pop("worst_heldout_rms_mm")
+    refused = {str(robot.seed): robot.refused for robot in robots if robot.refused}
     return {
         **figures,
+        "intervals": intervals,
+        "robots": len(robots),
         "refused": len(refused),
         "refused_why": refused,
-        **fault_figures(faults),
+        # Lips that pass through each other press nothing.
+        "force_over_needed": None,
+        **fault_figures([robot.faults for robot in robots]),
     }
 
 
-def read_seeds(text: str) -> list[int]:
-    """`3` or `0-19`. Raises CalibrationError for anything else."""
-    parts = text.split("-")
-    if len(parts) > 2 or not all(part.isdecimal() for part in parts):
-        raise CalibrationError(f"--seeds {text}: expected one number or a range such as 0-19")
-    seeds = list(range(int(parts[0]), int(parts[-1]) + 1))
-    if not seeds:
-        raise CalibrationError(f"--seeds {text}: the first is larger than the last")
-    return seeds
-
-
 def _map_time_us(model: FaceWithAnimPhos, fit: MeasuredFit) -> float:
-    """Median time of one `positions_deg`, over ten blocks of a hundred."""
+    """Median processor time of one `positions_deg`, over ten blocks of a hundred."""
     frames = model.animphos.frames[:100]
     times_s = []
     for _ in range(10):
-        began_s = time.perf_counter()
+        began_s = time.thread_time()
         for frame in frames:
             fit.calibration.positions_deg(frame)
-        times_s.append((time.perf_counter() - began_s) / len(frames))
+        times_s.append((time.thread_time() - began_s) / len(frames))
     return float(np.median(times_s)) * 1e6
 
 

@@ -4,7 +4,7 @@ A mouth that cannot close is an elastic robot of 1 to 8 servos whose jaw is moun
 open, and whose lips have little room: with all joints at their limits the lips stay apart.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from calibration.mouth_servos import JointRange, MouthServos
 from calibration.simulated.elastic_family import KINDS, robot_of_kinds
 from calibration.simulated.elastic_robot import N_PAIRS, ElasticDraw, ElasticFace
 from calibration.simulated.robot import SimulatedRobot
-from lipsync.animpho.units import FaceWithAnimPhos, load_face_with_animphos
+from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
 
@@ -93,44 +93,55 @@ def _nearest_mm(draw: ElasticDraw, limits_deg: Array) -> float:
     return float(face.state(pose_deg).gaps_mm[0, N_PAIRS // 2])
 
 
-def closing_figures(seeds: Iterable[int]) -> dict[str, object]:
-    """Of mouths that cannot close, one a seed.
+@dataclass(frozen=True, slots=True)
+class TriedMouth:
+    """A mouth that cannot close, and what was said of it: the evidence, or why it was refused."""
+
+    seed: int
+    n_servos: int
+    stay_mm: float
+    closing: Closing | None
+    refused: str
+
+
+def tried_mouth(model: FaceWithAnimPhos, seed: int) -> TriedMouth:
+    """Calibrate the mouth of a seed, from the first pose to the grade."""
+    mouth = open_mouth(model.markers_mm(model.rest[None])[0], seed)
+    robot = SimulatedRobot(ElasticFace(mouth.draw), noise_seed=seed)
+    servos = mouth.servos
+    procedure = Procedure(model, servos.joints, _N_POSES, seed=seed, positive=servos.positive)
+    closing, refused = None, ""
+    try:
+        capture = procedure.capture(MARKERS_47.names, robot.move, robot.measure)
+        fit = fit_measured(model, capture, servos)
+        on = Robot(robot.move, robot.measure)
+        closing = take_grade(fit, servos, MARKERS_47.names, on).calibration.closing
+    except CalibrationError as error:
+        refused = str(error)
+    return TriedMouth(seed, len(servos.joints), mouth.stay_mm, closing, refused)
+
+
+def closing_figures(mouths: Sequence[TriedMouth]) -> dict[str, object]:
+    """Of mouths that cannot close.
 
     cannot_close_reported: the share that is refused for it, or reported with the joint;
     gaps_below: how many of these were reported nearer by more than .3 mm than they come;
     limits_called_contact: how many were said to close.
     """
-    model = load_face_with_animphos()
-    rest_mm = model.markers_mm(model.rest[None])[0]
-    reported = below = contact = 0
-    each: dict[str, object] = {}
-    for seed in seeds:
-        mouth = open_mouth(rest_mm, seed)
-        closing = _measured(model, mouth, seed)
-        # A refusal counts where it says so.
-        if isinstance(closing, str):
-            reported += "not close" in closing
-        elif closing is not None:
-            reported += closing.evidence == LIMITS
-            contact += closing.evidence == CONTACT
-            below += closing.evidence == LIMITS and closing.apart_mm < mouth.stay_mm - _BELOW_MM
-        each[str(seed)] = [len(mouth.servos.joints), round(mouth.stay_mm, 2), str(closing)]
+    limits = [m for m in mouths if m.closing is not None and m.closing.evidence == LIMITS]
+    reported = len(limits) + sum("not close" in mouth.refused for mouth in mouths)
     return {
-        "cannot_close_reported": reported / max(len(each), 1),
-        "gaps_below": below,
-        "limits_called_contact": contact,
-        "cannot_close": each,
+        "cannot_close_reported": reported / max(len(mouths), 1),
+        "gaps_below": sum(m.closing.apart_mm < m.stay_mm - _BELOW_MM for m in limits if m.closing),
+        "limits_called_contact": sum(
+            mouth.closing is not None and mouth.closing.evidence == CONTACT for mouth in mouths
+        ),
+        "cannot_close": {
+            str(mouth.seed): [
+                mouth.n_servos,
+                round(mouth.stay_mm, 2),
+                mouth.refused or str(mouth.closing),
+            ]
+            for mouth in mouths
+        },
     }
-
-
-def _measured(model: FaceWithAnimPhos, mouth: OpenMouth, seed: int) -> Closing | str | None:
-    robot = SimulatedRobot(ElasticFace(mouth.draw), noise_seed=seed)
-    servos = mouth.servos
-    procedure = Procedure(model, servos.joints, _N_POSES, seed=seed, positive=servos.positive)
-    try:
-        capture = procedure.capture(MARKERS_47.names, robot.move, robot.measure)
-        fit = fit_measured(model, capture, servos)
-        on = Robot(robot.move, robot.measure)
-        return take_grade(fit, servos, MARKERS_47.names, on).calibration.closing
-    except CalibrationError as error:
-        return str(error)

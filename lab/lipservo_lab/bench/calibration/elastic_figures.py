@@ -5,7 +5,7 @@ that was left out, against the shapes of wanted_shapes.py, by the true lips and 
 them; beside it the textbook's way from the same capture.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -19,8 +19,14 @@ from calibration.mouth_servos import MouthServos
 from calibration.simulated.elastic_robot import ElasticFace
 from calibration.simulated.robot import SimulatedRobot
 from lipservo_lab.bench.calibration.elastic_draws import draw_elastic_robot
-from lipservo_lab.bench.calibration.hard_captures import count_faults, fault_figures, refusals
-from lipservo_lab.bench.calibration.shipped_ways import way_figures
+from lipservo_lab.bench.calibration.hard_captures import (
+    FaultCount,
+    count_faults,
+    count_measured_faults,
+    fault_figures,
+    refusals,
+)
+from lipservo_lab.bench.calibration.intervals import median_interval, share_interval
 from lipservo_lab.bench.calibration.shown_motion import (
     Motion,
     WantedShapes,
@@ -91,33 +97,50 @@ def score_robot(model: FaceWithAnimPhos, seed: int, n_servos: int | None = None)
     )
 
 
-def elastic_figures(seeds: Iterable[int], ways_seed: int | None = None) -> dict[str, object]:
-    """Medians over the robots that were not refused; `worst_rms_mm` of the worst of them.
+@dataclass(frozen=True, slots=True)
+class ElasticRobot:
+    """What became of one robot: its score, or why it was refused; what faults on it came to.
 
-    ways_seed: of the robots that every shipped way is tried on, as `ways`; None: none.
+    refused_with: for each worse tracker why the healthy robot is refused, or None.
     """
-    from lipsync.animpho.units import load_face_with_animphos
 
-    model = load_face_with_animphos()
-    rest_mm = model.markers_mm(model.rest[None])[0]
-    scores, refused = {}, {}
+    seed: int
+    score: RobotScore | None
+    refused: str
+    refused_with: dict[str, str | None]
+    faults: dict[str, FaultCount]
+
+
+def elastic_robot(model: FaceWithAnimPhos, seed: int) -> ElasticRobot:
+    """Calibrate the healthy robot of a seed, with worse trackers too, then do faults to it."""
+    score, refused = None, ""
+    try:
+        score = score_robot(model, seed)
+    except CalibrationError as error:
+        refused = str(error)
+    draw, servos = draw_elastic_robot(model.markers_mm(model.rest[None])[0], seed)
+    face = ElasticFace(draw)
+    with_worse = refusals(model, face, servos, seed)
+    faults = count_faults(model, face, servos, seed)
+    faults |= count_measured_faults(model, face, servos, seed)
+    return ElasticRobot(seed, score, refused, with_worse, faults)
+
+
+def elastic_figures(robots: Sequence[ElasticRobot]) -> dict[str, object]:
+    """Medians over the robots that were not refused; `worst_rms_mm` of the worst of them."""
     refused_with: dict[str, dict[str, str]] = {}
-    faults = []
-    for seed in seeds:
-        try:
-            scores[seed] = score_robot(model, seed)
-        except CalibrationError as error:
-            refused[seed] = str(error)
-        draw, servos = draw_elastic_robot(rest_mm, seed)
-        for tracker, why in refusals(model, ElasticFace(draw), servos, seed).items():
-            refused_with.setdefault(tracker, {}).update({} if why is None else {str(seed): why})
-        faults.append(count_faults(model, ElasticFace(draw), servos, seed))
-    ways = {} if ways_seed is None else {"ways": way_figures(model, ways_seed)}
+    for robot in robots:
+        for tracker, why in robot.refused_with.items():
+            refused_with.setdefault(tracker, {}).update(
+                {} if why is None else {str(robot.seed): why}
+            )
     return {
-        **summary(scores, refused),
-        **ways,
+        **summary(
+            {robot.seed: robot.score for robot in robots if robot.score is not None},
+            {robot.seed: robot.refused for robot in robots if robot.refused},
+        ),
         "refused_with": refused_with,
-        **fault_figures(faults),
+        **fault_figures([robot.faults for robot in robots]),
     }
 
 
@@ -130,8 +153,16 @@ def summary(scores: Mapping[int, RobotScore], refused: Mapping[int, str]) -> dic
 
     grades = np.array([score.printed_mm / score.true_mm for score in found])
     good = (grades >= _GOOD_GRADE[0]) & (grades <= _GOOD_GRADE[1])
+    touch = [score.closures_touch for score in found]
+    little = sum(score.closure_force_ratio <= _ENOUGH_FORCE for score in found)
     return {
-        "family": "elastic",
+        "intervals": {
+            "true_rms_mm": median_interval([score.true_mm for score in found]),
+            "closures_touch": median_interval(touch),
+            "grades_within": share_interval(int(good.sum()), len(found)),
+            "force_within_4": share_interval(little, len(found)),
+            "refused": share_interval(len(refused), len(found) + len(refused)),
+        },
         "robots": len(scores) + len(refused),
         "true_rms_mm": middle(lambda s: s.true_mm),
         "worst_rms_mm": max((s.true_mm for s in found), default=float("nan")),
@@ -145,9 +176,7 @@ def summary(scores: Mapping[int, RobotScore], refused: Mapping[int, str]) -> dic
         "force_over_needed": (
             float(np.quantile([s.closure_force_ratio for s in found], _MOST)) if found else None
         ),
-        "force_within_4": float(np.mean([s.closure_force_ratio <= _ENOUGH_FORCE for s in found]))
-        if found
-        else 0.0,
+        "force_within_4": little / max(len(found), 1),
         "contact_called": float(np.mean([s.contact_called for s in found])) if found else 0.0,
         "best_rival_ratio": middle(lambda s: s.true_mm / s.rival_mm),
         "rival_rms_mm": middle(lambda s: s.rival_mm),

@@ -47,6 +47,9 @@ _WORDS: Mapping[str, tuple[str, ...]] = {
 }
 #: Faults with a servo to blame.
 _OF_A_SERVO = ("dead", "stuck", "torn", "slipped", "reversed", "reversed jaw")
+#: Those that are also done in `measure`, in the second half of what it takes before the ladders.
+_MEASURED = ", measured"
+_IN_MEASURE = ("slipped", "torn")
 #: Words of a jaw.
 _JAW = ("opens", "closes")
 
@@ -80,12 +83,29 @@ def count_faults(
     return counts
 
 
+def count_measured_faults(
+    model: FaceWithAnimPhos, face: Skin, servos: MouthServos, seed: int
+) -> dict[str, FaultCount]:
+    """What may happen to a drawn servo in `measure`, whose poses go on to ladders and repeats."""
+    joint = int(np.random.default_rng([seed, 23]).integers(len(servos.joints)))
+    counts = {}
+    for kind in _IN_MEASURE:
+        fault = kind + _MEASURED
+        try:
+            seen = _captured(model, face, servos, fault, joint, seed)
+        except CalibrationError as error:  # refused before all of it was taken
+            counts[fault] = _counted(servos, kind, joint, [str(error)])
+            continue
+        counts[fault] = _told(model, servos, kind, joint, seen)
+    return counts
+
+
 def fault_figures(counts: Sequence[Mapping[str, FaultCount]]) -> dict[str, object]:
     """Of the faults on all robots: `faults_named` and `faults_misnamed`, shares; each kind's."""
     every = [count for robot in counts for count in robot.values()]
     tried = max(1, sum(count.tried for count in every))
     each: dict[str, dict[str, int]] = {}
-    for fault in _WORDS:
+    for fault in (*_WORDS, *(kind + _MEASURED for kind in _IN_MEASURE)):
         own = [robot[fault] for robot in counts if fault in robot]
         each[fault] = {f.name: sum(getattr(count, f.name) for count in own) for f in _COUNTED}
     return {
@@ -104,18 +124,22 @@ def _captured(
     seed: int,
 ) -> Capture:
     robot = SimulatedRobot(face, noise_seed=seed)
-    plan = Procedure(model, servos.joints, _N_POSES, seed=seed).whole_range_plan()
+    procedure = Procedure(model, servos.joints, _N_POSES, seed=seed, positive=servos.positive)
+    plan = procedure.whole_range_plan()
     middle, moves = len(plan) // 2, [0]
+    if fault.endswith(_MEASURED):
+        middle = int(np.random.default_rng([seed, 43]).integers(_N_POSES // 2, _N_POSES))
     stuck_deg = [0.0]
+    kind = fault.removesuffix(_MEASURED)
 
     def move(goal_deg: Array) -> Array:
         pose, given = moves[0] // 2, goal_deg.copy()
         moves[0] += 1
-        if fault == "dead" or (fault == "torn" and pose >= middle):
+        if kind == "dead" or (kind == "torn" and pose >= middle):
             given[joint] = 0.0
         elif fault.startswith("reversed"):
             given[joint] = -given[joint]
-        elif fault == "slipped" and pose >= middle:
+        elif kind == "slipped" and pose >= middle:
             given[joint] += _SLIP_DEG
         elif fault == "stuck":
             if pose >= middle:
@@ -124,6 +148,8 @@ def _captured(
         robot.move(given)
         return goal_deg
 
+    if fault.endswith(_MEASURED):
+        return procedure.capture(MARKERS_47.names, move, robot.measure)
     seen = capture_poses(plan, MARKERS_47.names, move, robot.measure)
     return replace(seen, markers_mm=_as_seen(fault, seen.markers_mm, seed))
 
@@ -164,6 +190,10 @@ def _told(
         said = list(check_capture(capture, model, servos.positive).warnings)
     except CalibrationError as error:
         said = [str(error)]
+    return _counted(servos, fault, joint, said)
+
+
+def _counted(servos: MouthServos, fault: str, joint: int, said: list[str]) -> FaultCount:
     said = [line for line in said if " is weak or dead" not in line and "far off" not in line]
     blamed = [name for name in servos.names if any(f"servo {name!r}" in line for line in said)]
     right = servos.names[joint]

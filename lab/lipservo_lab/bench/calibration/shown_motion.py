@@ -92,11 +92,12 @@ def converged_poses_deg(
     damping = np.full(len(wanted), _FIRST_DAMPING)
     for _ in range(_ROUNDS):
         by_deg = shape_slopes(markers_of, shape_features, best.poses_deg, best.shown)
-        bends = np.einsum("nks,nkt->nst", by_deg, by_deg)
+        across = by_deg.transpose(0, 2, 1)
+        bends = across @ by_deg
         bends += (NEUTRAL_WEIGHT_MM_PER_DEG**2 + damping[:, None, None]) * np.eye(n_servos)
-        pull = np.einsum("nks,nk->ns", by_deg, wanted - best.shown)
+        pull = (across @ (wanted - best.shown)[..., None])[..., 0]
         pull -= NEUTRAL_WEIGHT_MM_PER_DEG**2 * best.poses_deg
-        pull += np.einsum("nst,nt->ns", bends, best.poses_deg)
+        pull += (bends @ best.poses_deg[..., None])[..., 0]
         step = tried(bounded_minimum(bends, pull, *limits_deg))
         helped = step.cost < best.cost
         best = best.better_of(step)

@@ -285,9 +285,13 @@ def calibration(
         str, typer.Option(metavar="A-B", help="Robots to draw and calibrate, one a seed.")
     ] = "0-19",
     family: Annotated[
-        RobotFamily,
-        typer.Option(help="own: rubber and play; elastic: lips that stop each other, and more."),
-    ] = RobotFamily.OWN,
+        RobotFamily | None,
+        typer.Option(
+            help="own: rubber and play; elastic: lips that stop each other, and more. Default: "
+            "both.",
+            show_default=False,
+        ),
+    ] = None,
     ways: Annotated[
         bool,
         typer.Option(
@@ -299,27 +303,24 @@ def calibration(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Calibrate simulated robots that nothing is known of, and score them: medians and worst."""
-    from lipservo_lab.bench.calibration.calibration_figures import calibration_figures, read_seeds
-    from lipservo_lab.bench.calibration.closing_figures import N_OPEN_MOUTHS, closing_figures
-    from lipservo_lab.bench.calibration.elastic_figures import elastic_figures
+    """Calibrate simulated robots that nothing is known of, and score them: medians and worst.
 
-    if ways and family is not RobotFamily.ELASTIC:
+    Also: faults done to each of them, and twenty mouths that cannot close.
+    """
+    from lipservo_lab.bench.calibration.every_robot import bench_figures, read_seeds
+
+    if ways and family is RobotFamily.OWN:
         raise typer.BadParameter("--ways goes with --family elastic")
     numbers = read_seeds(seeds)
     began_s = time.perf_counter()
-    figures: Mapping[str, object]
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-        tracked = progress.track(numbers, description="calibrating")
-        if family is RobotFamily.ELASTIC:
-            figures = elastic_figures(tracked, ways_seed=numbers[0] if ways else None)
-        else:
-            # Lips that pass through each other press nothing.
-            own = {"family": family.value, "force_over_needed": None}
-            figures = {**own, **calibration_figures(tracked)}
-        some = range(min(len(numbers), N_OPEN_MOUTHS))
-        open_mouths = progress.track(some, description="mouths that cannot close")
-        figures = {**figures, **closing_figures(open_mouths)}
+        robots = progress.add_task("robots and mouths", total=None)
+        figures = bench_figures(
+            numbers,
+            list(RobotFamily) if family is None else [family],
+            ways=ways,
+            advance=lambda done, of: progress.update(robots, completed=done, total=of),
+        )
     _print(figures, time.perf_counter() - began_s, as_json=as_json)
 
 

@@ -130,7 +130,7 @@ def shapes(
     as_json: Json = False,
 ) -> None:
     """Measure when the mouth closes for P, B and M: drawn by Rhubarb's rules, and ours."""
-    from lipservo.commands.run.exported_speech import spoken_sound
+    from lipservo.rendering.spoken_sound import spoken_sound
     from lipservo.runtime.motion_options import ChosenMotion
     from lipservo.terminal.pictures import check_picture
     from lipservo_lab.bench.shape_figures import closing_figures, compared_shapes

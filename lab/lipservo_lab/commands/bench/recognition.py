@@ -87,6 +87,14 @@ def recognition(
         ),
     ] = None,
     cache: Cache = None,
+    yardstick: Annotated[
+        Path | None,
+        typer.Option(
+            help="Hashes of the alignments that it is to be judged by: those that have moved since "
+            "are counted, new ones are added to the file.",
+            show_default=False,
+        ),
+    ] = None,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes that align.")] = None,
     as_json: Json = False,
@@ -100,6 +108,7 @@ def recognition(
         speaker_groups,
         told_texts,
     )
+    from lipservo_lab.corpus.scored_alignments import fix_alignments
     from lipservo_lab.evaluation.recognition.benchmark import leaving_figures, measure
     from lipservo_lab.evaluation.recognition.conditions import parse_condition
 
@@ -124,6 +133,13 @@ def recognition(
         if text == "another":
             heard.clear()
             figures |= leaving_figures(utterances, alignments, make, count)
+    if yardstick is not None:
+        names = fix_alignments(yardstick, alignments.values())
+        figures["alignments_moved"] = len(names)
+        for name in names:
+            MESSAGES.print(f"alignment has moved: {name}", soft_wrap=True)
+    if not as_json:
+        del figures["visible_error_table"]
     for utterance in alignments.values():
         if utterance.error:
             MESSAGES.print(f"not aligned: {utterance.name}: {utterance.error}", soft_wrap=True)

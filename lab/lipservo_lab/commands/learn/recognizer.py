@@ -91,9 +91,54 @@ def train_recognizer(
     ] = 3e-3,
     copies: Annotated[int, typer.Option(min=0, help="Disturbed copies of the speech.")] = 10,
     channels: Annotated[
-        int,
-        typer.Option(min=8, max=1024, help="Width of the network; what it begins as has its own."),
-    ] = 192,
+        int | None,
+        typer.Option(
+            min=8,
+            max=1024,
+            help="Width of the network; default: 192, or that of what it begins as, which may "
+            "grow.",
+            show_default=False,
+        ),
+    ] = None,
+    dilations: Annotated[
+        str,
+        typer.Option(
+            metavar="D,D,...",
+            help="Of its layers; it hears 20 ms times their sum back. Default: 1,2,4,8,1,2,4,8, or "
+            "those of what it begins as, to which more may be added.",
+            show_default=False,
+        ),
+    ] = "",
+    delays: Annotated[
+        str,
+        typer.Option(
+            metavar="N,N,...",
+            help="Frames that its heads wait; default: 2,7,12. One of 60 is a teacher's, which "
+            "knows what comes.",
+            show_default=False,
+        ),
+    ] = "",
+    teacher: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WEIGHTS",
+            help="Weights that lay the labels of what trains anew and teach their doubt; texts "
+            "that they do not hear are left out.",
+            show_default=False,
+        ),
+    ] = None,
+    soft_share: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="With --teacher: of its posteriors in the loss.")
+    ] = 0.5,
+    visible_weight: Annotated[
+        float, typer.Option(min=0.0, help="Of the visible error in the loss, a mm.")
+    ] = 0.0,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with the run that the folder holds, if any.")
+    ] = False,
+    nice: Annotated[
+        int, typer.Option(min=0, max=19, help="Priority beside other work; 19 is the least.")
+    ] = 0,
     jobs: Annotated[
         int | None,
         typer.Option(
@@ -119,10 +164,18 @@ def train_recognizer(
     n_jobs = jobs or os.cpu_count() or 1
     start = None if start_from is None else find_weights(start_from)
     plan = TrainingPlan(
-        seed=seed, n_steps=steps, peak_rate=rate, n_threads=n_jobs, channels=channels
+        seed=seed,
+        n_steps=steps,
+        peak_rate=rate,
+        n_threads=n_jobs,
+        soft_share=soft_share,
+        visible_weight=visible_weight,
     )
     if start is not None:
         plan = plan.shaped_as(start)
+    plan = plan.shaped(channels, _numbers(dilations, 1, 64), _numbers(delays, 0, 200))
+    if start is not None and start_share and plan != plan.shaped_as(start):
+        raise UserError("--start-share needs a network of the same shape; leave it out to grow")
     run = TrainingRun(
         corpora=tuple(corpora),
         folder=folder,
@@ -134,21 +187,37 @@ def train_recognizer(
         sounds=tuple(noise or ()),
         start=start,
         start_share=start_share,
+        teacher=None if teacher is None else find_weights(teacher),
+        resumes=resume,
         n_copies=copies,
         n_processes=n_jobs,
         plan=plan,
     )
+    os.nice(nice)
     with progress_bar(quiet=quiet) as advance:
         weights = run_training(run, advance)
     save_weights(weights, output)
     MESSAGES.print(f"{output}: done; run log: {folder / 'log.jsonl'}", soft_wrap=True)
 
 
+def _numbers(listed: str, least: int, most: int) -> tuple[int, ...]:
+    """Whole numbers with commas between; none: empty. Raises UserError."""
+    try:
+        numbers = tuple(int(each) for each in listed.split(",") if each.strip())
+    except ValueError:
+        numbers = (least - 1,)
+    if not all(least <= each <= most for each in numbers):
+        raise UserError(
+            f"{listed!r} is no list of whole numbers from {least} to {most}, like 1,2,4"
+        )
+    return numbers
+
+
 def plot_training(
     log: Annotated[Path, typer.Argument(help="The `log.jsonl` of a training's folder.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The picture (PNG) to write.")],
 ) -> None:
-    """Draw the run log of `train-recognizer` (needs the extra `plots`)."""
+    """Draw the run log of `learn recognizer` (needs the extra `plots`)."""
     from lipservo.terminal.pictures import check_picture
 
     check_picture(output, [log])
@@ -313,9 +382,9 @@ def draw_log(records: Sequence[Record], picture: Path) -> None:
     left.set(xlabel="step", ylabel="loss", title="training")
     checked = [r for r in records if len(r) > 2]
     for key in sorted(checked[-1]) if checked else ():
-        if key.endswith("_viseme_all"):
+        if key == "score" or key.endswith("_viseme_all"):
             points = [(r["step"], r[key]) for r in checked if key in r]
-            name = key.removesuffix("_viseme_all").replace("_", " ")
+            name = key.removesuffix("_viseme_all").removeprefix("corpus_").replace("_", " ")
             right.plot(*zip(*points, strict=True), marker="o", label=name)
     right.set(xlabel="step", ylabel="visemes right, all frames", title="validation speakers")
     if right.lines:

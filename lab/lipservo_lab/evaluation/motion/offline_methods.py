@@ -27,6 +27,8 @@ from lipsync.offline.line_methods import (
 )
 from lipsync.offline.line_synthesis import joined_phones
 from lipsync.offline.offline_model import OfflineModel
+from lipsync.recognition.network import load_shipped_weights
+from lipsync.recognition.posteriors import whole_posteriors
 
 Train = Callable[[TrainedModel], OfflineModel]
 _Key = tuple[str, tuple[str, ...]]
@@ -105,8 +107,10 @@ class OfflineMethod:
         samples = read_speech(heard.sound_path)
         # The line is heard to its end, also where its last frames are not asked for.
         duration_s = max(float(times_s[-1]) + 1.0 / rate_hz, len(samples) / SAMPLE_RATE_HZ)
-        line = Line(joined_phones(heard.events, duration_s), samples)
-        speaker = Speaker(model, model.expectation, offline)
+        # Phonemes that are known come without updates, and nobody doubts them.
+        doubted = whole_posteriors(load_shipped_weights(), samples) if heard.updates else None
+        line = Line(joined_phones(heard.events, duration_s), samples, doubted)
+        speaker = Speaker(model, model.expectation, offline, model.soft)
         began_s = time.process_time()
         if self.name == "model-based":
             n_frames = int(np.ceil(duration_s * rate_hz - 1e-6))

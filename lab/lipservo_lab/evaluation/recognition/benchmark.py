@@ -23,6 +23,7 @@ from lipservo_lab.evaluation.recognition.stream_observers import (
     label_frames,
     time_to_leave,
 )
+from lipservo_lab.evaluation.recognition.visible_error import visible_error_table
 from lipservo_lab.learning.recognition import noise
 from lipsync.audio.file import read_speech
 from lipsync.audio_block import SAMPLE_RATE_HZ
@@ -80,6 +81,7 @@ class Figures:
         }
         return {
             **self.score.figures(),
+            "visible_error_table": visible_error_table(self.score.confusion),
             "revisions_per_s": self.n_revisions / self.duration_s if self.duration_s else 0.0,
             "rtf": self.cost_s / self.duration_s if self.duration_s else 0.0,
             "ms_per_phoneme": 1e3 * self.cost_s / max(1, self.n_phones_said),

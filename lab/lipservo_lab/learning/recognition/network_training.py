@@ -5,30 +5,95 @@ head, AdamW under a cosine schedule, a running average of the weights. Every ste
 from (seed, step), so that a run that was interrupted goes on exactly as it would have.
 """
 
+import hashlib
+import io
 import json
 import math
+import pickle
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import nn
 
+from lipservo_lab.evaluation.recognition.visible_error import visible_distances_mm
 from lipservo_lab.learning.recognition.torch_network import TorchNetwork, exported, started_from
 from lipservo_lab.learning.recognition.training_data import (
     NO_TARGET,
+    Taught,
     TrainingArray,
+    TrainingError,
     TrainingPlan,
     draw_windows,
 )
-from lipsync.output_file import written_whole
+from lipsync.errors import UserError
+from lipsync.output_file import write_whole
 from lipsync.phonemes import PHONEMES, VISEME_CLASSES, VISEME_OF
 from lipsync.recognition.features import FeatureScale
-from lipsync.recognition.network import NetworkWeights
+from lipsync.recognition.network import NetworkWeights, load_weights, save_weights
 
 _N_VISEMES = len(VISEME_CLASSES)
+#: Files of a run's folder.
+STATE = "state.pt"
+_LOG, _BEST = "log.jsonl", "best.npz"
+#: Of the figures of a check: what the best weights have most of.
+SCORE = "score"
 
 Checkpoint = Callable[[int, NetworkWeights], Mapping[str, float]]
+
+
+class TrainingStoppedError(UserError):
+    """Learning was stopped in its midst and can go on; the message is one line."""
+
+
+@dataclass(slots=True)
+class _Learner:
+    """All that changes from step to step, and is kept in the state."""
+
+    network: TorchNetwork
+    average: torch.optim.swa_utils.AveragedModel
+    optimizer: torch.optim.Optimizer
+    step: int = 0
+    best: float = -math.inf
+    losses: list[float] = field(default_factory=list)
+
+    def save(self, path: Path, about: str) -> None:
+        """Write the state, whole or not at all. Raises OutputError, on a full disk for one."""
+        state = {
+            "about": about,
+            "step": self.step,
+            "best": self.best,
+            "losses": self.losses,
+            "network": self.network.state_dict(),
+            "average": self.average.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+        }
+        buffer = io.BytesIO()
+        torch.save(state, buffer)
+        write_whole(path, buffer.getvalue())
+
+    def load(self, path: Path, about: str) -> None:
+        """Go on from a state; raises TrainingError for a damaged one and one of another run."""
+        try:
+            state = torch.load(path, weights_only=True)
+            other = json.loads(state["about"])
+        except (OSError, RuntimeError, ValueError, LookupError, TypeError, EOFError) as error:
+            raise TrainingError(f"{path}: damaged or no state; delete it to begin anew") from error
+        except pickle.UnpicklingError as error:
+            raise TrainingError(f"{path}: no state of a training; choose another folder") from error
+        for key, value in json.loads(about).items():
+            if other.get(key) != value:
+                raise TrainingError(
+                    f"{path}: is of another run: {key} was {other.get(key)}, now {value}; give "
+                    "what it was begun with, or choose another folder"
+                )
+        self.network.load_state_dict(state["network"])
+        self.average.load_state_dict(state["average"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.step, self.best, self.losses = state["step"], state["best"], state["losses"]
 
 
 def train_network(
@@ -38,15 +103,20 @@ def train_network(
     *,
     folder: Path,
     start: NetworkWeights | None = None,
+    taught: Taught | None = None,
     check: Checkpoint = lambda _step, _weights: {},
     progress: Callable[[int], None] = lambda _step: None,
+    is_stopped: Callable[[], bool] = lambda: False,
 ) -> NetworkWeights:
     """Learn from arrays (the first one is the light copy); returns the averaged weights.
 
     `folder` keeps the state (`state.pt`) and the run log (`log.jsonl`): a run that finds a state
-    there goes on from it. `start`: weights to begin with in place of random ones. `check` scores
-    the weights so far; its figures go into the log. Raises TrainingError where `start` is of
-    another shape than the plan's.
+    there goes on from it, to the same bits on one thread. `start`: weights to begin with in place
+    of random ones; a smaller network grows. `taught`: what targets from len(PHONEMES) on stand for.
+    `check` scores the weights so far; its figures go into the log, and where it gives a `score` the
+    weights that have most of it are returned, and kept as `best.npz`. `is_stopped`: asked after
+    each step; then the state is saved and TrainingStoppedError raised. Raises TrainingError where
+    `start` or the state does not fit, OutputError where the state cannot be written.
     """
     torch.manual_seed(plan.seed)
     torch.set_num_threads(plan.n_threads)
@@ -57,30 +127,92 @@ def train_network(
         use_buffers=True,
     )
     optimizer = torch.optim.AdamW(network.parameters(), weight_decay=plan.weight_decay)
-    first = _resume(folder / "state.pt", network, average, optimizer)
-    with (folder / "log.jsonl").open("a", encoding="utf-8") as log:
-        losses: list[float] = []
-        for step in range(first, plan.n_steps):
-            losses.append(_learn(network, optimizer, arrays, plan, step))
+    learner = _Learner(network, average, optimizer)
+    state, about = folder / STATE, _about(arrays, plan, start, taught)
+    if state.exists():
+        learner.load(state, about)
+    _shorten_log(folder / _LOG, learner.step)
+    with (folder / _LOG).open("a", encoding="utf-8") as log:
+        while learner.step < plan.n_steps:
+            learner.losses.append(_learn(network, optimizer, arrays, taught, plan, learner.step))
             average.update_parameters(network)
-            progress(step + 1)
-            is_last = step + 1 == plan.n_steps
-            if (step + 1) % plan.log_every == 0 or is_last:
-                record: dict[str, float] = {"step": step + 1, "loss": float(np.mean(losses))}
-                losses.clear()
-                if (step + 1) % plan.check_every == 0 or is_last:
+            learner.step += 1
+            progress(learner.step)
+            is_last = learner.step == plan.n_steps
+            if learner.step % plan.log_every == 0 or is_last:
+                record = {"step": learner.step, "loss": float(np.mean(learner.losses))}
+                learner.losses.clear()
+                if learner.step % plan.check_every == 0 or is_last:
                     weights = exported(average.module, scale, plan)
-                    record |= check(step + 1, weights)
-                    _save(folder / "state.pt", step + 1, network, average, optimizer)
+                    record |= check(learner.step, weights)
+                    if record.get(SCORE, -math.inf) > learner.best:
+                        learner.best = record[SCORE]
+                        save_weights(weights, folder / _BEST)
                 log.write(json.dumps(record) + "\n")
                 log.flush()
+                if learner.step % plan.check_every == 0 or is_last:
+                    learner.save(state, about)
+            if is_stopped() and not is_last:
+                learner.save(state, about)
+                raise TrainingStoppedError(
+                    f"{folder}: stopped after step {learner.step} of {plan.n_steps}; the same "
+                    "command with --resume goes on"
+                )
+    if learner.best > -math.inf:
+        return load_weights(folder / _BEST)
     return exported(average.module, scale, plan)
+
+
+def _about(
+    arrays: Sequence[TrainingArray],
+    plan: TrainingPlan,
+    start: NetworkWeights | None,
+    taught: Taught | None,
+) -> str:
+    """What a state is of, as JSON: a run that goes on must agree in all of it."""
+    learnt = [part for each in arrays for part in (each.features, each.targets)]
+    shape = {key: value for key, value in asdict(plan).items() if key not in _NOT_LEARNT}
+    about = {
+        **shape,
+        "corpus": _digest(learnt),
+        "start": _digest([] if start is None else [start.output]),
+        "teacher": _digest([] if taught is None else [taught.posteriors]),
+    }
+    return json.dumps(about)
+
+
+def _digest(arrays: Sequence[NDArray[np.generic]]) -> str:
+    digest = hashlib.blake2b(digest_size=8)
+    for each in arrays:
+        digest.update(each[::_DIGEST_STEP].tobytes())
+    return digest.hexdigest()
+
+
+#: A state is told from others by every so manyth frame: a corpus that differs does so in many.
+_DIGEST_STEP = 17
+#: Parts of the plan that change no weights but by rounding.
+_NOT_LEARNT = ("n_threads", "log_every", "check_every")
+
+
+def _shorten_log(path: Path, step: int) -> None:
+    """Take out what an interrupted run wrote after the state that it goes on from."""
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True) if path.exists() else []
+    kept = []
+    for line in lines:
+        try:
+            is_kept = line.endswith("\n") and json.loads(line)["step"] <= step
+        except (ValueError, LookupError, TypeError):
+            is_kept = False  # torn by the interruption
+        kept += [line] if is_kept else []
+    if kept != lines:
+        write_whole(path, "".join(kept))
 
 
 def _learn(
     network: TorchNetwork,
     optimizer: torch.optim.Optimizer,
     arrays: Sequence[TrainingArray],
+    taught: Taught | None,
     plan: TrainingPlan,
     step: int,
 ) -> float:
@@ -90,14 +222,41 @@ def _learn(
         group["lr"] = learning_rate(plan, step)
     network.train()
     with torch.autocast("cpu", torch.bfloat16, enabled=_has_bfloat16()):
-        logits = network(torch.from_numpy(features))
-    loss = training_loss(logits.float(), torch.from_numpy(targets), plan)
+        logits = network(torch.from_numpy(features)).float()
+    if taught is None:
+        loss = training_loss(logits, torch.from_numpy(targets), plan)
+    else:
+        labels, rows = taught.decoded(targets)
+        loss = training_loss(logits, torch.from_numpy(labels), plan)
+        loss = loss + plan.soft_share * _soft_loss(logits, rows, taught, plan)
     optimizer.zero_grad()
     loss.backward()
     nn.utils.clip_grad_norm_(network.parameters(), 2.0)
     optimizer.step()
     value: float = loss.item()
     return value
+
+
+def _soft_loss(
+    logits: torch.Tensor, rows: NDArray[np.int64], taught: Taught, plan: TrainingPlan
+) -> torch.Tensor:
+    """Cross entropy with the teacher's posteriors (Hinton, Vinyals and Dean, 2015), less labels'.
+
+    With `soft_share` of it the labels of phones keep the rest.
+    """
+    log_p = torch.log_softmax(logits, dim=2)
+    total = torch.zeros(())
+    for head, weight in enumerate(plan.head_weights):
+        known = torch.from_numpy(rows[:, head] >= 0)
+        if not known.any():
+            continue
+        frames = rows[:, head][known.numpy()]
+        phones = log_p[:, head].permute(0, 2, 1)[known]
+        soft = torch.from_numpy(taught.posteriors[frames].astype(np.float32))
+        labels = torch.from_numpy(taught.labels[frames])
+        hard = nn.functional.nll_loss(phones, labels)
+        total = total + weight * (-(soft * phones).sum(dim=1).mean() - hard)
+    return total
 
 
 def _has_bfloat16() -> bool:
@@ -133,7 +292,16 @@ def training_loss(logits: torch.Tensor, targets: torch.Tensor, plan: TrainingPla
                 visemes, viseme_targets, weight=weights, ignore_index=NO_TARGET
             )
         )
+        if plan.visible_weight:
+            known = viseme_targets != NO_TARGET
+            seen_mm = _seen_mm()[viseme_targets[known]] * visemes.permute(0, 2, 1)[known].exp()
+            total = total + weight * plan.visible_weight * seen_mm.sum(dim=1).mean()
     return total
+
+
+def _seen_mm() -> torch.Tensor:
+    """(n_visemes, n_visemes): how far the faces of two classes lie apart."""
+    return torch.tensor(visible_distances_mm(), dtype=torch.float32)
 
 
 def _viseme_members() -> torch.Tensor:
@@ -155,33 +323,3 @@ def _viseme_weights(plan: TrainingPlan) -> torch.Tensor:
 def _viseme_targets(targets: torch.Tensor) -> torch.Tensor:
     classes = torch.tensor([VISEME_OF[phoneme] for phoneme in PHONEMES])
     return torch.where(targets == NO_TARGET, NO_TARGET, classes[targets.clamp(min=0)])
-
-
-def _resume(
-    path: Path, network: nn.Module, average: nn.Module, optimizer: torch.optim.Optimizer
-) -> int:
-    """Load the state where there is one; the step to go on with."""
-    if not path.exists():
-        return 0
-    state = torch.load(path, weights_only=True)
-    network.load_state_dict(state["network"])
-    average.load_state_dict(state["average"])
-    optimizer.load_state_dict(state["optimizer"])
-    return int(state["step"])
-
-
-def _save(
-    path: Path,
-    step: int,
-    network: nn.Module,
-    average: nn.Module,
-    optimizer: torch.optim.Optimizer,
-) -> None:
-    state = {
-        "step": step,
-        "network": network.state_dict(),
-        "average": average.state_dict(),
-        "optimizer": optimizer.state_dict(),
-    }
-    with written_whole(path) as partial:
-        torch.save(state, partial)

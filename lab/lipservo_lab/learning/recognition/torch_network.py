@@ -20,6 +20,8 @@ from lipsync.recognition.network import Layer, NetworkWeights
 
 #: Windows from which the norms of a network that goes on from other weights are set.
 _NORM_WINDOWS = 64
+#: So much of what goes into a new layer comes out at first; of nothing it would never learn.
+_ADDED_SHARE = 0.003
 
 
 class _Residual(nn.Module):
@@ -78,17 +80,14 @@ def exported(network: nn.Module, scale: FeatureScale, plan: TrainingPlan) -> Net
 def started_from(
     weights: NetworkWeights, arrays: Sequence[TrainingArray], plan: TrainingPlan
 ) -> TorchNetwork:
-    """A network that says what `weights` say, ready to go on learning.
+    """A network that says what `weights` say, ready to go on learning; smaller ones have grown.
 
     The weights hold no norms, these are folded into them; they are set here from what the layers
     give on windows of the arrays, so that the first step finds the network as it was left.
     """
+    weights = grown(weights, plan)
     network = TorchNetwork(plan)
     layers = [weights.entry, *weights.residuals]
-    dilations = tuple(layer.dilation for layer in weights.residuals)
-    channels = len(weights.entry.bias)
-    if (dilations, channels, weights.delays) != (plan.dilations, plan.channels, plan.delays):
-        raise TrainingError("the weights to start from are of another shape than the plan's")
     rng = np.random.default_rng([plan.seed, plan.n_steps])
     sample = replace(plan, batch=_NORM_WINDOWS)
     hidden = torch.from_numpy(draw_windows(arrays, sample, rng)[0])
@@ -109,6 +108,54 @@ def started_from(
         network.exit.weight.copy_(torch.from_numpy(weights.output.T[:, :, None]))
         network.exit.bias.copy_(torch.from_numpy(weights.output_bias))
     return network
+
+
+def grown(weights: NetworkWeights, plan: TrainingPlan) -> NetworkWeights:
+    """The weights in the plan's shape: their channels and layers kept, new ones beside and behind.
+
+    Nothing old hears a new channel, and new layers add next to nothing (Net2Net: Chen, Goodfellow
+    and Shlens, ICLR 2016, has the idea), so that the network says what it said and has room. Raises
+    TrainingError for a plan that is narrower, shorter, or of other dilations or delays.
+    """
+    dilations = tuple(layer.dilation for layer in weights.residuals)
+    channels, n_old = len(weights.entry.bias), len(dilations)
+    is_room = plan.channels >= channels and plan.dilations[:n_old] == dilations
+    if not is_room or weights.delays != plan.delays:
+        raise TrainingError(
+            "the weights to start from are of another shape than the plan's: a network may only "
+            f"grow from {channels} channels, dilations {','.join(map(str, dilations))} (more may "
+            f"follow) and delays {','.join(map(str, weights.delays))}"
+        )
+    if (plan.channels, plan.dilations) == (channels, dilations):
+        return weights
+    rng = np.random.default_rng(plan.seed)
+
+    def widened(layer: Layer, n_in: int) -> Layer:
+        old_in = len(layer.kernel) // 3
+        kernel = np.zeros((3, n_in, plan.channels), np.float32)
+        kernel[:, :old_in, :channels] = layer.kernel.reshape(3, old_in, channels)
+        spread = np.sqrt(1.0 / (3 * n_in))
+        kernel[:, :, channels:] = spread * rng.standard_normal((3, n_in, plan.channels - channels))
+        bias = np.zeros(plan.channels, np.float32)
+        bias[:channels] = layer.bias
+        return Layer(kernel.reshape(3 * n_in, plan.channels), bias, layer.dilation)
+
+    def added(dilation: int) -> Layer:
+        spread = _ADDED_SHARE * np.sqrt(1.0 / (3 * plan.channels))
+        kernel = spread * rng.standard_normal((3 * plan.channels, plan.channels))
+        return Layer(kernel.astype(np.float32), np.zeros(plan.channels, np.float32), dilation)
+
+    output = np.zeros((plan.channels, weights.output.shape[1]), np.float32)
+    output[:channels] = weights.output
+    return replace(
+        weights,
+        entry=widened(weights.entry, N_BANDS),
+        residuals=(
+            *(widened(layer, plan.channels) for layer in weights.residuals),
+            *(added(dilation) for dilation in plan.dilations[n_old:]),
+        ),
+        output=output,
+    )
 
 
 def _kernel(weight: torch.Tensor) -> NDArray[np.float32]:

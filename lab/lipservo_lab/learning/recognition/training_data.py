@@ -55,6 +55,24 @@ class TrainingArray:
     targets: NDArray[np.int64]
 
 
+@dataclass(frozen=True, slots=True)
+class Taught:
+    """What a teacher says of the frames of all recordings, one recording after the other.
+
+    A target from len(PHONEMES) on is a frame of these: so posteriors go through every change of
+    speed with their labels, and are kept once, not once a copy. labels: (n,), posteriors:
+    (n, n_phonemes) float16.
+    """
+
+    labels: NDArray[np.int64]
+    posteriors: NDArray[np.float16]
+
+    def decoded(self, targets: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Phonemes' numbers, and rows of `posteriors`, -1 where there are none."""
+        rows = np.maximum(targets - len(PHONEMES), -1)
+        return np.where(rows >= 0, self.labels[rows], targets), rows
+
+
 def read_labelled(utterance: TranscribedUtterance, aligned: AlignedUtterance) -> LabelledSamples:
     """The utterance's samples, with a tail of silence, and labels."""
     samples = read_speech(utterance.sound)
@@ -96,17 +114,21 @@ def training_arrays(
     n_heavy: int,
     seed: int,
     found_sounds: Sequence[Array32] = (),
+    is_taught: bool = False,
     n_processes: int = 1,
     progress: Callable[[int], None] = lambda _n: None,
 ) -> list[TrainingArray]:
     """One lightly augmented copy, `n_heavy` heavily; the same seed gives the same arrays.
 
-    found_sounds: recordings (n,) in which nobody speaks, beside those that are made.
+    found_sounds: recordings (n,) in which nobody speaks, beside those that are made. is_taught:
+    targets are frames of `Taught`, which has those of `clean` in this order.
     """
     jobs = [(copy, seed, scale, tuple(delays)) for copy in range(1 + n_heavy)]
     arrays: list[TrainingArray] = []
     _SHARED[:] = clean
     _FOUND[:] = found_sounds
+    ends = np.cumsum([len(each.labels) for each in clean]) if is_taught else np.zeros(0, np.int64)
+    _TAUGHT_ENDS[:] = ends.tolist()
     if n_processes <= 1:
         for job in jobs:
             arrays.append(_one_array(job))
@@ -122,6 +144,8 @@ def training_arrays(
 
 _SHARED: list[LabelledSamples] = []
 _FOUND: list[Array32] = []
+#: Frames up to the end of each recording; empty where nobody teaches.
+_TAUGHT_ENDS: list[int] = []
 
 
 def _one_array(job: tuple[int, int, FeatureScale, tuple[int, ...]]) -> TrainingArray:
@@ -141,6 +165,9 @@ def _augmented(clean: Sequence[LabelledSamples], copy: int, seed: int) -> Iterab
     silence = PHONEMES.index(SILENCE)
     for index, each in enumerate(clean):
         rng = np.random.default_rng([seed, copy, index])
+        if _TAUGHT_ENDS:
+            end = len(PHONEMES) + _TAUGHT_ENDS[index]
+            each = replace(each, labels=np.arange(end - len(each.labels), end))
         if copy == 0:
             yield augmentation.augment_lightly(rng, each)
         else:
@@ -164,8 +191,11 @@ class TrainingError(UserError):
 class TrainingPlan:
     """How to learn; the defaults are those of `lipservo learn recognizer`.
 
+    dilations: of the residual layers; the network sees 2 sum(dilations) + 2 frames back.
     closure_weight: of a frame of P B M or F V in the loss of the viseme classes. A closure that is
-    missed is seen by everybody, one too many by few, so missing one costs more.
+    missed is seen by everybody, one too many by few, so missing one costs more. visible_weight: of
+    the visible error that is to be expected from the posteriors, a mm (`visible_error`).
+    soft_share: of a teacher's posteriors in place of labels, where a frame has them.
     """
 
     delays: tuple[int, ...] = (2, 7, 12)
@@ -178,6 +208,8 @@ class TrainingPlan:
     peak_rate: float = 3e-3
     weight_decay: float = 0.02
     closure_weight: float = 2.0
+    visible_weight: float = 0.0
+    soft_share: float = 0.5
     seed: int = 0
     n_threads: int = 2
     log_every: int = 50
@@ -195,6 +227,21 @@ class TrainingPlan:
             delays=weights.delays,
             dilations=tuple(layer.dilation for layer in weights.residuals),
             channels=len(weights.entry.bias),
+        )
+
+    def shaped(
+        self, channels: int | None, dilations: tuple[int, ...], delays: tuple[int, ...]
+    ) -> "TrainingPlan":
+        """Another shape; None and empty leave what is. Heads of other delays weigh alike."""
+        delays, weights = delays or self.delays, self.head_weights
+        if delays != TrainingPlan().delays:
+            weights = tuple(1.0 / len(delays) for _ in delays)
+        return replace(
+            self,
+            channels=channels or self.channels,
+            dilations=dilations or self.dilations,
+            delays=delays,
+            head_weights=weights,
         )
 
 

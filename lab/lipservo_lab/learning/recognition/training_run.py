@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from firmware_bridge.stop_signals import SignalCounter
 from lipservo_lab.corpus.alignment_cache import AlignedUtterance, align_corpus
 from lipservo_lab.corpus.transcribed import (
     TranscribedUtterance,
@@ -23,8 +24,9 @@ from lipservo_lab.corpus.transcribed import (
 )
 from lipservo_lab.learning.recognition import noise
 from lipservo_lab.learning.recognition.augmentation import LabelledSamples
-from lipservo_lab.learning.recognition.network_training import train_network
+from lipservo_lab.learning.recognition.network_training import SCORE, STATE, train_network
 from lipservo_lab.learning.recognition.noise import read_found_sounds
+from lipservo_lab.learning.recognition.retimed_labels import taught_by
 from lipservo_lab.learning.recognition.synthetic_corpus import SyntheticVoice, write_voice
 from lipservo_lab.learning.recognition.training_data import (
     TrainingArray,
@@ -43,8 +45,10 @@ from lipsync.recognition.network import NetworkWeights, StreamingNetwork
 
 #: The scale needs no more than every sixth utterance.
 _SCALE_STEP = 6
-#: So many validation utterances are enough for a curve.
+#: So many validation utterances of a corpus are enough for a curve.
 _MOST_VALIDATION = 40
+#: Conditions of one corpus alone are called so and then as the corpus.
+_CORPUS = "corpus_"
 #: Texts that a synthetic voice reads: short enough for every synthesiser, long enough for prosody.
 _TEXT_CHARACTERS = range(20, 200)
 _CLASS_OF = np.array([VISEME_OF[phoneme] for phoneme in PHONEMES])
@@ -61,7 +65,9 @@ class TrainingRun:
     held_out, validation: speakers; left_out: utterances. limit: only so many of each speaker; None:
     all. voices: synthetic ones, which read texts of the corpora that train, so many each. sounds:
     folders of files in which nobody speaks. start: weights to go on from; start_share: how much of
-    them is in the mean that comes out.
+    them is in the mean that comes out. teacher: lays the labels of what trains anew, leaves out
+    texts that it does not hear, and its posteriors are learned beside them; None: the aligner's.
+    resumes: whether the folder may hold a run already, which then goes on.
     """
 
     corpora: tuple[Path, ...]
@@ -75,6 +81,8 @@ class TrainingRun:
     sounds: tuple[Path, ...] = ()
     start: NetworkWeights | None = None
     start_share: float = 0.0
+    teacher: NetworkWeights | None = None
+    resumes: bool = False
     n_copies: int = 10
     n_processes: int = 1
     plan: TrainingPlan = field(default_factory=TrainingPlan)
@@ -83,12 +91,17 @@ class TrainingRun:
 def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
     """Learn; a run that was interrupted goes on from what its folder holds.
 
-    What is held or left out is not even aligned. Raises TrainingError where no speaker is left,
-    and for two utterances of one name; TranscriptError for an utterance to be left out that is in
-    none of the corpora.
+    What is held or left out is not even aligned. What validates keeps the aligner's labels. Raises
+    TrainingError where no speaker is left, for two utterances of one name, and for a folder with a
+    run that is not to go on; TrainingStoppedError after SIGTERM or Ctrl-C while it learns, its
+    state saved; TranscriptError for an utterance to be left out that is in none of the corpora.
     """
     run.folder.mkdir(parents=True, exist_ok=True)
     plan = run.plan
+    if not run.resumes and (run.folder / STATE).exists():
+        raise TrainingError(
+            f"{run.folder}: holds a run already; go on with --resume, or give another --folder"
+        )
     sounds = [sound for folder in run.sounds for sound in read_found_sounds(folder)]
     utterances, alignments = _aligned(run, advance)
     usable = [u for u in utterances if _is_said(alignments[u.name])]
@@ -96,6 +109,16 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
     if not training:
         raise TrainingError("no utterance is left to learn from; hold out fewer speakers")
     clean = [read_labelled(u, alignments[u.name]) for u in training]
+    taught = None
+    if run.teacher is not None:
+        told = taught_by(
+            run.teacher,
+            [(each, alignments[u.name]) for each, u in zip(clean, training, strict=True)],
+            lambda n: advance("teaching", n, len(training)),
+        )
+        if not told.recordings:
+            raise TrainingError("the teacher hears none of the texts; train one first")
+        clean, taught = list(told.recordings), told.taught
     scale = feature_scale(clean[::_SCALE_STEP]) if run.start is None else run.start.scale
     arrays = training_arrays(
         clean,
@@ -104,23 +127,38 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
         n_heavy=run.n_copies,
         seed=plan.seed,
         found_sounds=sounds,
+        is_taught=taught is not None,
         n_processes=min(run.n_processes, 1 + run.n_copies),
         progress=lambda n: advance("disturbing", n, 1 + run.n_copies),
     )
     validation = [u for u in usable if u.speaker in run.validation]
-    step = max(1, len(validation) // _MOST_VALIDATION)
-    recordings = [read_labelled(u, alignments[u.name]) for u in validation[::step]]
-    conditions = _conditions(recordings, scale, plan.delays)
-    learned = train_network(
-        arrays,
-        scale,
-        plan,
-        folder=run.folder,
-        start=run.start,
-        check=lambda _step, weights: figures(weights, conditions),
-        progress=lambda n: advance("learning", n, plan.n_steps),
-    )
+    conditions = _conditions(validation, alignments, scale, plan.delays)
+    with SignalCounter() as stops:
+        learned = train_network(
+            arrays,
+            scale,
+            plan,
+            folder=run.folder,
+            start=run.start,
+            taught=taught,
+            check=lambda _step, weights: checked(weights, conditions, plan),
+            progress=lambda n: advance("learning", n, plan.n_steps),
+            is_stopped=lambda: stops.count > 0,
+        )
     return learned if run.start is None else averaged(learned, run.start, run.start_share)
+
+
+def checked(
+    weights: NetworkWeights, conditions: Mapping[str, TrainingArray], plan: TrainingPlan
+) -> dict[str, float]:
+    """The figures, and the score by which weights are kept: the mean over corpora.
+
+    Each corpus counts alike: visemes of its speech at the head that counts most in the loss.
+    """
+    found = figures(weights, conditions)
+    delay = plan.delays[int(np.argmax(plan.head_weights))]
+    each = [found[f"{c}_delay{delay}_viseme_speech"] for c in conditions if c.startswith(_CORPUS)]
+    return found | ({SCORE: float(np.mean(each))} if each else {})
 
 
 def figures(weights: NetworkWeights, conditions: Mapping[str, TrainingArray]) -> dict[str, float]:
@@ -201,11 +239,23 @@ def _spoken(
 
 
 def _conditions(
-    recordings: Sequence[LabelledSamples], scale: FeatureScale, delays: Sequence[int]
+    validation: Sequence[TranscribedUtterance],
+    alignments: Mapping[str, AlignedUtterance],
+    scale: FeatureScale,
+    delays: Sequence[int],
 ) -> dict[str, TrainingArray]:
-    """The validation utterances clean, in white noise at 10 dB, and 30 dB lower; none: nothing."""
-    if not recordings:
+    """The validation utterances clean, in white noise at 10 dB, and 30 dB lower; none: nothing.
+
+    And clean by corpus, which is the folder that the folder of the sound lies in.
+    """
+    if not validation:
         return {}
+    by_corpus: dict[str, list[LabelledSamples]] = {}
+    for corpus in sorted({_corpus_of(u) for u in validation}):
+        of_corpus = [u for u in validation if _corpus_of(u) == corpus]
+        step = max(1, len(of_corpus) // _MOST_VALIDATION)
+        by_corpus[corpus] = [read_labelled(u, alignments[u.name]) for u in of_corpus[::step]]
+    recordings = [each for listed in by_corpus.values() for each in listed]
     rng = np.random.default_rng(0)
     noisy = [
         replace(h, samples=noise.add_noise(h.samples, noise.white(rng, len(h.samples)), 10.0))
@@ -213,4 +263,9 @@ def _conditions(
     ]
     quiet = [replace(h, samples=h.samples * np.float32(10.0**-1.5)) for h in recordings]
     ways = {"clean": recordings, "white_10db": noisy, "level_-30db": quiet}
+    ways |= {f"{_CORPUS}{corpus}": listed for corpus, listed in by_corpus.items()}
     return {name: as_array(way, scale, delays) for name, way in ways.items()}
+
+
+def _corpus_of(utterance: TranscribedUtterance) -> str:
+    return utterance.sound.parent.parent.name

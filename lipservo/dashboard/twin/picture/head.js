@@ -8,6 +8,9 @@ const BACKGROUND = 0xe9eef3;
 const LOOK_AT_MM = [0, -52, -45];
 const DISTANCE_MM = 640;
 const FIELD_OF_VIEW_DEG = 27;
+/** The same from near: the middle of the mouth, and from how far it is seen. */
+const MOUTH_AT_MM = [0, -84, 5];
+const NEAR_MM = 205;
 /** Light reaches the teeth when the lips are open: least, and from which gap to which. */
 const MOUTH_LIGHT = { least: 0.12, fromMm: 0.9, toMm: 5 };
 const IN_MOUTH = ["teeth_upper", "teeth_lower", "mouth"];
@@ -62,7 +65,7 @@ export function makeHead(container, asset, onDrawn, { inSoftware }) {
   const controls = new OrbitControls(camera, renderer.domElement);
   controls.target.set(...LOOK_AT_MM);
   controls.enablePan = false;
-  controls.minDistance = 250;
+  controls.minDistance = 120;
   controls.maxDistance = 1500;
   controls.update();
 
@@ -94,6 +97,13 @@ export function makeHead(container, asset, onDrawn, { inSoftware }) {
   fit();
 
   return {
+    closeUp(isNear) {
+      const [x, y, z] = isNear ? MOUTH_AT_MM : LOOK_AT_MM;
+      controls.target.set(x, y, z);
+      camera.position.set(x, isNear ? y : y + 10, z + (isNear ? NEAR_MM : DISTANCE_MM));
+      controls.update();
+      drawSoon();
+    },
     triangles: asset.parts[0].triangles.length / 3,
     element: renderer.domElement,
     show(pose) {

@@ -22,6 +22,7 @@ export class TwinPicture {
     this.triangles = 0;
     this.pose = null;
     this.gapMm = null;
+    this.isNear = false;
     this._container = document.createElement("div");
     this._container.style.cssText = "position:absolute;inset:0";
     this._stopped = false;
@@ -61,6 +62,12 @@ export class TwinPicture {
     if (!alike(pose, this.pose)) this._show(pose);
   }
 
+  /** Look at the mouth from near, or at the whole head. The simple drawing stays as it is. */
+  closeUp(isNear) {
+    this.isNear = isNear;
+    this._view?.closeUp?.(isNear);
+  }
+
   stop() {
     this._stopped = true;
     this._view?.stop();
@@ -77,6 +84,7 @@ export class TwinPicture {
     this._view = make(this._container, this._asset, () => {
       this.drawn += 1;
     });
+    this._view.closeUp?.(this.isNear);
     this.kind = kind;
     this.triangles = this._view.triangles;
     this._show(this.last ? poseOf(this.last, this._asset) : restingPose(this._asset));

@@ -14,6 +14,13 @@ pytest.importorskip("torch", reason="the extra `train` is not installed")
         (["--synthetic", "piper:amy"], "is no SYNTHESISER:VOICE"),
         (["--noise", "{folder}/none"], "none: no such folder"),
         (["--noise", "{folder}/empty"], "holds no sound file"),
+        (["--dilations", "1,2,x"], "'1,2,x' is no list of whole numbers from 1 to 64"),
+        (["--delays", "2,900"], "'2,900' is no list of whole numbers from 0 to 200"),
+        (["--teacher", "{folder}/none.npz"], "none.npz: no such file"),
+        (
+            ["--start-from", "default", "--start-share", "0.3", "--channels", "256"],
+            "--start-share needs a network of the same shape",
+        ),
         (["--held-out", "{folder}/none.csv"], "cannot be read as a table of speakers"),
     ],
 )

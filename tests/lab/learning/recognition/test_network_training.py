@@ -1,5 +1,8 @@
+import errno
 import json
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -7,10 +10,13 @@ import scipy.signal
 import soundfile
 from lipservo_lab.corpus.alignment_cache import read_alignments
 from lipservo_lab.evaluation.recognition.conditions import ConditionError, parse_condition
+from lipservo_lab.evaluation.recognition.visible_error import visible_distances_mm
 from lipservo_lab.learning.recognition import augmentation, noise
 from lipservo_lab.learning.recognition.augmentation import LabelledSamples
 from lipservo_lab.learning.recognition.training_data import (
     NO_TARGET,
+    Taught,
+    TrainingArray,
     TrainingError,
     TrainingPlan,
     delayed,
@@ -20,7 +26,8 @@ from lipservo_lab.learning.recognition.training_data import (
 from small_network import random_weights
 from speech import CLIP_PATH
 
-from lipsync.phonemes import PHONEMES, SILENCE
+from lipsync.output_file import OutputError
+from lipsync.phonemes import PHONEMES, SILENCE, VISEME_OF
 from lipsync.recognition.network import StreamingNetwork
 from lipsync.textgrid import write_tiers
 
@@ -199,6 +206,190 @@ def test_a_run_that_was_interrupted_ends_with_the_same_weights(
     assert [record["step"] for record in log] == [2, 4, 6]
 
 
+def test_a_run_that_is_stopped_ends_after_the_step_and_goes_on_to_the_same_bits(
+    training, plan, small_arrays, tmp_path
+):
+    """Stopped between two lines of the log: what it says of the interval must be whole as well."""
+    arrays, scale = small_arrays
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    whole.mkdir()
+    parts.mkdir()
+    expected = training.train_network(arrays, scale, plan, folder=whole)
+    steps = []
+    with pytest.raises(training.TrainingStoppedError, match=r"after step 3 of 6; .*--resume"):
+        training.train_network(
+            arrays,
+            scale,
+            plan,
+            folder=parts,
+            progress=steps.append,
+            is_stopped=lambda: steps[-1] == 3,
+        )
+    resumed = training.train_network(arrays, scale, plan, folder=parts, progress=steps.append)
+
+    assert steps == [1, 2, 3, 4, 5, 6]
+    assert np.array_equal(resumed.output, expected.output)
+    assert np.array_equal(resumed.entry.kernel, expected.entry.kernel)
+    assert (parts / "log.jsonl").read_text() == (whole / "log.jsonl").read_text()
+
+
+def test_a_log_that_is_ahead_of_the_state_is_taken_back(training, plan, small_arrays, tmp_path):
+    arrays, scale = small_arrays
+    whole = training.train_network(arrays, scale, plan, folder=tmp_path)
+    lines = (tmp_path / "log.jsonl").read_text()
+    with (tmp_path / "log.jsonl").open("a") as log:
+        log.write('{"step": 8, "loss": 1.0}\n{"step": 10, "lo')
+    again = training.train_network(arrays, scale, plan, folder=tmp_path)
+
+    assert np.array_equal(again.output, whole.output)
+    assert (tmp_path / "log.jsonl").read_text() == lines
+
+
+def half(path):
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+@pytest.mark.parametrize(
+    ("change", "other", "told"),
+    [
+        (lambda _path: None, {"channels": 16}, "another run: channels was 8, now 16"),
+        (lambda _path: None, {"seed": 4}, "another run: seed was 0, now 4"),
+        (half, {}, "damaged or no state; delete it"),
+        (lambda path: path.write_bytes(b""), {}, "damaged or no state; delete it"),
+        (lambda path: path.write_text("no state\n"), {}, "state"),
+    ],
+)
+def test_a_state_that_does_not_fit_is_refused_in_one_line_and_kept(
+    training, plan, small_arrays, tmp_path, change, other, told
+):
+    arrays, scale = small_arrays
+    training.train_network(arrays, scale, replace(plan, n_steps=2), folder=tmp_path)
+    plan = replace(plan, n_steps=2, **other)
+    change(tmp_path / "state.pt")
+    kept = (tmp_path / "state.pt").read_bytes()
+    with pytest.raises(TrainingError, match=told) as raised:
+        training.train_network(arrays, scale, plan, folder=tmp_path)
+
+    assert "\n" not in str(raised.value)
+    assert (tmp_path / "state.pt").read_bytes() == kept
+
+
+def test_a_state_of_another_corpus_is_refused(training, plan, small_arrays, tmp_path):
+    arrays, scale = small_arrays
+    training.train_network(arrays, scale, replace(plan, n_steps=2), folder=tmp_path)
+    others = [replace(each, features=each.features + np.float16(1)) for each in arrays]
+    with pytest.raises(TrainingError, match="of another run: corpus was"):
+        training.train_network(others, scale, replace(plan, n_steps=2), folder=tmp_path)
+
+
+def test_a_disk_that_fills_leaves_the_last_state(
+    training, plan, small_arrays, tmp_path, monkeypatch
+):
+    arrays, scale = small_arrays
+    with pytest.raises(training.TrainingStoppedError):
+        training.train_network(arrays, scale, plan, folder=tmp_path, is_stopped=lambda: True)
+    kept = (tmp_path / "state.pt").read_bytes()
+    write = Path.write_bytes
+
+    def full(path, content):
+        write(path, content[: len(content) // 2])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "write_bytes", full)
+        with pytest.raises(OutputError, match=r"state\.pt.*[Nn]o space"):
+            training.train_network(arrays, scale, plan, folder=tmp_path)
+    assert (tmp_path / "state.pt").read_bytes() == kept
+    assert not list(tmp_path.glob("*.partial"))
+    training.train_network(arrays, scale, plan, folder=tmp_path)
+
+
+def test_the_weights_with_the_best_score_are_returned(training, plan, small_arrays, tmp_path):
+    arrays, scale = small_arrays
+    seen = {}
+
+    def check(step, weights):
+        seen[step] = weights.output
+        return {"score": {2: 0.1, 4: 0.3, 6: 0.2}[step]}
+
+    best = training.train_network(arrays, scale, plan, folder=tmp_path, check=check)
+
+    assert np.abs(best.output - seen[4]).max() < 1e-3
+    assert np.abs(best.output - seen[6]).max() > 0.0
+
+
+def one_phone(said, sure):
+    """Logits (1, 1 head, 40, 1) that are nearly sure of a phone."""
+    import torch
+
+    logits = torch.zeros(1, 1, len(PHONEMES), 1)
+    logits[0, 0, PHONEMES.index(said), 0] = sure
+    return logits
+
+
+def test_the_visible_term_costs_what_is_seen(training, plan):
+    """AA for P is 8.5 mm of gap, F for P 1.4; a K for a T nobody sees."""
+    import torch
+
+    plain = replace(plan, delays=(2,), head_weights=(1.0,))
+    seen = replace(plain, visible_weight=1.0)
+
+    def costs_mm(said, heard):
+        target = torch.tensor([[[PHONEMES.index(said)]]])
+        logits = one_phone(heard, 20.0)
+        with_term = training.training_loss(logits, target, seen)
+        return float(with_term - training.training_loss(logits, target, plain))
+
+    distances = visible_distances_mm()
+    for said, heard in (("P", "AA"), ("P", "F"), ("T", "K"), ("UW", "IY"), ("N", "SIL")):
+        expected_mm = distances[VISEME_OF[said], VISEME_OF[heard]]
+        assert costs_mm(said, heard) == pytest.approx(expected_mm, abs=1e-3)
+    assert costs_mm("P", "B") == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_grown_network_says_what_the_small_one_said_and_can_learn(
+    torch_network, training, plan, small_arrays, tmp_path
+):
+    arrays, scale = small_arrays
+    small = random_weights(n_channels=8, dilations=(1, 2), delays=(2, 7))
+    small = replace(small, scale=scale)
+    large = replace(plan, channels=12, dilations=(1, 2, 4))
+    network = torch_network.started_from(small, arrays, large)
+    weights = torch_network.exported(network, scale, large)
+    features = arrays[0].features[:80].astype(np.float32)
+    expected = StreamingNetwork(small).push(features)
+
+    assert len(weights.entry.bias) == 12
+    assert np.abs(StreamingNetwork(weights).push(features) - expected).max() < 0.02
+    learned = training.train_network(arrays, scale, large, folder=tmp_path, start=small)
+    assert np.abs(learned.residuals[2].kernel - weights.residuals[2].kernel).max() > 1e-4
+
+
+def test_taught_frames_keep_their_labels_and_posteriors_in_every_copy(
+    training, plan, clip, small_arrays, tmp_path
+):
+    """A teacher that is sure of the labels teaches what the labels say, by codes through copies."""
+    _, scale = small_arrays
+    labels = np.random.default_rng(0).integers(0, len(PHONEMES), len(clip) // 160)
+    clean = [LabelledSamples(clip, labels)] * 2
+    sure = np.eye(len(PHONEMES), dtype=np.float16)
+    taught = Taught(np.tile(labels, 2), sure[np.tile(labels, 2)])
+    plain = training_arrays(clean, scale, (2, 7), n_heavy=1, seed=3)
+    coded = training_arrays(clean, scale, (2, 7), n_heavy=1, seed=3, is_taught=True)
+
+    for one, other in zip(plain, coded, strict=True):
+        decoded, rows = taught.decoded(other.targets)
+        assert np.array_equal(decoded, one.targets)
+        assert np.array_equal(taught.posteriors[rows[rows >= 0]].argmax(1), decoded[rows >= 0])
+        assert (rows >= 0).mean() > 0.5
+    folders = [tmp_path / name for name in ("plain", "taught")]
+    for folder in folders:
+        folder.mkdir()
+    by_labels = training.train_network(plain, scale, plan, folder=folders[0])
+    by_teacher = training.train_network(coded, scale, plan, folder=folders[1], taught=taught)
+    assert np.abs(by_labels.output - by_teacher.output).max() < 1e-4
+
+
 def test_learning_lowers_the_loss(training, plan, small_arrays, tmp_path):
     arrays, scale = small_arrays
     longer = replace(plan, n_steps=40, log_every=10, check_every=40)
@@ -248,6 +439,34 @@ def test_what_is_left_out_is_not_even_read(plan, speaker, tmp_path):
 
     assert weights.delays == plan.delays
     assert list(read_alignments(tmp_path / "alignments.jsonl")) == ["one"]
+
+
+@pytest.mark.usefixtures("training")
+def test_each_corpus_counts_alike_in_the_score_however_long_it_is(plan, small_arrays):
+    from lipservo_lab.learning.recognition.training_run import checked
+
+    arrays, scale = small_arrays
+    weights = random_weights(n_channels=8, dilations=(1, 2), delays=(2, 7))
+    long, short = arrays[0], TrainingArray(arrays[0].features[:90], arrays[0].targets[:90])
+    conditions = {"clean": long, "corpus_long": long, "corpus_short": short}
+    found = checked(replace(weights, scale=scale), conditions, plan)
+    each = [found[f"corpus_{name}_delay2_viseme_speech"] for name in ("long", "short")]
+
+    assert each[0] != each[1]
+    assert found["score"] == pytest.approx(sum(each) / 2)
+    assert "score" not in checked(weights, {"clean": long}, plan)
+
+
+@pytest.mark.usefixtures("training")
+def test_a_folder_that_holds_a_run_is_not_taken_up_unless_that_is_asked_for(
+    plan, speaker, tmp_path
+):
+    from lipservo_lab.learning.recognition.training_run import TrainingRun, run_training
+
+    (tmp_path / "state.pt").write_bytes(b"of another run")
+    with pytest.raises(TrainingError, match="holds a run already; go on with --resume"):
+        run_training(TrainingRun((speaker,), tmp_path, plan=plan), lambda *_: None)
+    assert (tmp_path / "state.pt").read_bytes() == b"of another run"
 
 
 @pytest.mark.usefixtures("training")

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import threading
 import time
 
 import numpy as np
@@ -113,6 +114,44 @@ def test_a_question_is_asked_while_the_servos_are_held():
         assert robot._driven.bridge.status.n_ticks > n_ticks
         with pytest.raises(EOFError, match="no more"):
             robot.hold_while(lambda: (_ for _ in ()).throw(EOFError("no more")))
+
+
+def test_a_job_moves_the_servos_from_a_thread_of_its_own_and_its_errors_are_raised():
+    _, robot = held(settings_of(), speed_deg_s=200.0)
+    goal = np.array([10.0, -20.0, 15.0, 5.0])
+    with robot:
+        ticks = threading.current_thread()
+
+        def job(here):
+            assert threading.current_thread() is not ticks
+            assert here(threading.current_thread) is ticks
+            return here(lambda: robot.move(goal))
+
+        assert np.abs(robot.work(job) - goal).max() < 1.0
+        with pytest.raises(ValueError, match="in the job"):
+            robot.work(lambda _: (_ for _ in ()).throw(ValueError("in the job")))
+        with pytest.raises(TimeoutError):
+            robot.work(lambda here: here(lambda: (_ for _ in ()).throw(TimeoutError())))
+
+
+def test_a_stop_does_not_wait_for_a_job_that_computes():
+    face, robot = held(settings_of())
+    computing, may_end = threading.Event(), threading.Event()
+
+    def job(_):
+        os.kill(os.getpid(), signal.SIGTERM)
+        computing.set()
+        may_end.wait(60.0)
+
+    def work():
+        with robot:
+            robot.work(job)
+
+    with pytest.raises(FaceStopped):
+        work()
+    assert computing.is_set()
+    assert not any(servo.torque_on for servo in face.chain.servos)
+    may_end.set()
 
 
 def test_a_plug_that_is_pulled_ends_it():

@@ -1,0 +1,116 @@
+"""`lipservo bench calibration`: every robot of a run, on all cores, and what is counted of them.
+
+A robot is a task of its own, and says in the end what became of it: its score, or why it was
+refused. So a run ends with figures whatever becomes of single robots.
+"""
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import as_completed
+from functools import cache
+from multiprocessing import get_context
+from typing import TypeVar
+
+from threadpoolctl import threadpool_limits
+
+from calibration.calibration import CalibrationError
+from calibration.simulated.robot_family import RobotFamily
+from lipservo_lab.bench.calibration.calibration_figures import OwnRobot, own_figures, own_robot
+from lipservo_lab.bench.calibration.closing_figures import (
+    N_OPEN_MOUTHS,
+    TriedMouth,
+    closing_figures,
+    tried_mouth,
+)
+from lipservo_lab.bench.calibration.elastic_figures import (
+    ElasticRobot,
+    elastic_figures,
+    elastic_robot,
+)
+from lipservo_lab.bench.calibration.hard_captures import fault_figures
+from lipservo_lab.bench.calibration.shipped_ways import way_figures
+from lipservo_lab.worker_pool import worker_pool
+from lipsync.animpho.units import FaceWithAnimPhos, load_face_with_animphos
+
+_Outcome = OwnRobot | ElasticRobot | TriedMouth | dict[str, dict[str, float | str]]
+_Task = Callable[[FaceWithAnimPhos, int], _Outcome]
+_Kept = TypeVar("_Kept")
+
+
+def read_seeds(text: str) -> list[int]:
+    """`3` or `0-19`. Raises CalibrationError for anything else."""
+    parts = text.split("-")
+    if len(parts) > 2 or not all(part.isdecimal() for part in parts):
+        raise CalibrationError(f"--seeds {text}: expected one number or a range such as 0-19")
+    seeds = list(range(int(parts[0]), int(parts[-1]) + 1))
+    if not seeds:
+        raise CalibrationError(f"--seeds {text}: the first is larger than the last")
+    return seeds
+
+
+def bench_figures(
+    seeds: Sequence[int],
+    families: Sequence[RobotFamily],
+    *,
+    ways: bool = False,
+    advance: Callable[[int, int], None] = lambda _, __: None,
+) -> dict[str, object]:
+    """What one run counts: of healthy robots, of faults, of mouths that cannot close.
+
+    With both families the figures of the second are in `elastic`, and `refused`, `faults_named`
+    and `faults_misnamed` are of both. ways: every shipped way, on robots of the first seed.
+    """
+    of_family: Mapping[RobotFamily, _Task] = {
+        RobotFamily.OWN: own_robot,
+        RobotFamily.ELASTIC: elastic_robot,
+    }
+    tasks = [(of_family[family], seed) for seed in seeds for family in families]
+    tasks += [(tried_mouth, seed) for seed in range(N_OPEN_MOUTHS)]
+    tasks += [(way_figures, seeds[0])] if ways else []
+    outcomes = _worked_off(tasks, advance)
+    own, elastic = _of(OwnRobot, outcomes), _of(ElasticRobot, outcomes)
+    figures: dict[str, object] = {"family": "+".join(families)}
+    found = [own_figures(own)] if RobotFamily.OWN in families else []
+    if RobotFamily.ELASTIC in families:
+        found.append(elastic_figures(elastic))
+    figures |= found[0]
+    if len(found) > 1:
+        figures["elastic"] = found[1]
+        figures["force_over_needed"] = found[1]["force_over_needed"]
+        figures |= fault_figures([robot.faults for robot in own] + [r.faults for r in elastic])
+        figures["refused"] = sum(int(str(each["refused"])) for each in found)
+    figures |= closing_figures(_of(TriedMouth, outcomes))
+    if ways:
+        figures["ways"] = outcomes[-1]
+    return figures
+
+
+def _of(kind: type[_Kept], outcomes: Sequence[object]) -> list[_Kept]:
+    return [outcome for outcome in outcomes if isinstance(outcome, kind)]
+
+
+def _worked_off(
+    tasks: Sequence[tuple[_Task, int]], advance: Callable[[int, int], None]
+) -> list[_Outcome]:
+    """In the order of the tasks. A worker a core: small products gain nothing by threads."""
+    advance(0, len(tasks))
+    n_workers = min(len(tasks), len(os.sched_getaffinity(0)))
+    with worker_pool(n_workers, get_context("spawn")) as pool:
+        futures = [pool.submit(_run, task, seed) for task, seed in tasks]
+        try:
+            for done, _ in enumerate(as_completed(futures), start=1):
+                advance(done, len(tasks))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+        return [future.result() for future in futures]
+
+
+def _run(task: _Task, seed: int) -> _Outcome:
+    with threadpool_limits(limits=1):
+        return task(_model(), seed)
+
+
+@cache
+def _model() -> FaceWithAnimPhos:
+    return load_face_with_animphos()

@@ -1,0 +1,188 @@
+"""Films by what is in their files: how fast they are made, sound against picture, and their pixels.
+
+The pixels are looked at by the tracker that imports video, as if the film were one of a talker.
+"""
+
+import json
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import soundfile
+
+from lipservo.display.film import Display, film, write_film
+from lipservo.display.filmed_faces import FilmAsked, make_film
+from lipservo.runtime.motion_options import ChosenMotion
+from lipservo_lab.corpus.utterance import Utterance
+from lipservo_lab.evaluation.readability.readers import (
+    LIP_READER,
+    Motions,
+    known_fold,
+    read_words,
+    slotted,
+)
+from lipservo_lab.evaluation.readability.reading_scores import (
+    known_score,
+    recorded_motions,
+    seen_motions,
+)
+from lipservo_lab.video.face_track import RIGID
+from lipsync.arrays import Array
+from lipsync.audio.file import read_sound
+from lipsync.face.frame import Frame
+from lipsync.face.head_motion import apply_similarity, fit_similarity, refine_mean
+from lipsync.face.model import FaceModel
+from lipsync.markers import CLOSED_GAP_MM
+from lipsync.video.face_tracker import FaceTracker
+from lipsync.video.video_file import video_pictures, video_sound
+
+Advance = Callable[[str, int, int], None]
+
+_RATE_HZ = 25
+_SYNC_SIZE, _SYNC_PICTURES, _FLASHES = (320, 240), 100, (10, 33, 57, 84)
+_LONG_S = 60.0
+#: Still pictures before the first sentence of a film, from which the tracker's zero is taken.
+_STILL = 5
+_EYES, _EYE_DISTANCE_MM = (RIGID.index(33), RIGID.index(263)), 90.0
+_TO_FACE_AXES = np.array([1.0, -1.0, -1.0])
+_LIPS_MEET = ("P", "B", "M")
+
+
+def film_sync_ms() -> float:
+    """How far the sound of a film is from its pictures at the most: flashes with clicks."""
+    rate_hz = 48_000
+    clicks = np.zeros(_SYNC_PICTURES * rate_hz // _RATE_HZ, dtype=np.float32)
+    for n in _FLASHES:
+        at = n * rate_hz // _RATE_HZ
+        clicks[at : at + 48] = np.hanning(48) * 0.9
+    dark = np.zeros((_SYNC_SIZE[1], _SYNC_SIZE[0], 3), dtype=np.uint8)
+    pictures = (dark + 255 if n in _FLASHES else dark for n in range(_SYNC_PICTURES))
+    with tempfile.TemporaryDirectory() as folder:
+        sound, out = Path(folder) / "clicks.wav", Path(folder) / "film.mp4"
+        soundfile.write(sound, clicks, rate_hz)
+        write_film(pictures, _SYNC_SIZE, sound, out)
+        seen_s = [time_s for time_s, picture in video_pictures(out) if picture.mean() > 128]
+        heard = video_sound(out)
+    loud = np.flatnonzero(np.abs(heard.samples) > 0.2) / 16_000 + heard.begins_s
+    return max(1e3 * float(np.abs(loud - each - 0.0005).min()) for each in seen_s)
+
+
+def film_times() -> dict[str, float]:
+    """How long a film of 60 s takes, listening included; of the bundled clip again and again."""
+    with tempfile.TemporaryDirectory() as folder:
+        sound = Path(folder) / "minute.wav"
+        with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
+            samples, rate_hz = read_sound(clip)
+        minute = np.resize(samples, round(_LONG_S * rate_hz))
+        soundfile.write(sound, minute, rate_hz)
+        asked = FilmAsked(
+            str(sound), Path(folder) / "film.mp4", "twin", (640, 480), _RATE_HZ, "face_sim", None
+        )
+        cpu_s, began_s = time.process_time(), time.perf_counter()
+        make_film(asked, ChosenMotion(), lambda *_: None)
+        return {
+            "film_60_s": round(time.perf_counter() - began_s, 1),
+            "film_60_cpu_s": round(time.process_time() - cpu_s, 1),
+        }
+
+
+def tracked_film(
+    display: Display,
+    face: FaceModel,
+    motions: Mapping[str, Array],
+    tracker: FaceTracker,
+    advance: Advance,
+) -> dict[str, Array]:
+    """Points (n, 478, 3) of every sentence, and of `rest`, tracked in one film of them all."""
+    frames = [Frame(0.0, face.rest)] * _STILL
+    frames += [Frame(0.0, each) for shown in motions.values() for each in shown]
+    points: list[Array] = []
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "film.mp4"
+        film(frames, None, display, out, progress=lambda n: advance("filming", n, len(frames)))
+        for _, picture in video_pictures(out):
+            faces = tracker.faces(picture)
+            points.append(faces[0] if faces else np.full((478, 3), np.nan))
+            advance("tracking", len(points), len(frames))
+    return cut_track(np.stack(points), motions)
+
+
+def cut_track(points: Array, motions: Mapping[str, Array]) -> dict[str, Array]:
+    """The points of a film sentence by sentence, and of the still pictures before them."""
+    found, at = {"rest": points[:_STILL]}, _STILL
+    for name, shown in motions.items():
+        found[name] = points[at : at + len(shown)]
+        at += len(shown)
+    return found
+
+
+def seen_figures(
+    face: FaceModel,
+    tracks: Mapping[str, Array],
+    motions: Mapping[str, Array],
+    sentences: Sequence[Utterance],
+) -> dict[str, object]:
+    """Lip gaps, closures and words of tracks against those of the frames that were asked for.
+
+    tracks: of `tracked_film`. sentences: of the corpus, those of `motions` held out; the reader
+    learns from the others as they were recorded.
+    """
+    markers = _markers_mm(face, tracks)
+    asked = {name: face.lip_gaps_mm(face.markers_mm(shown)) for name, shown in motions.items()}
+    # Lips touch at rest: what a tracker says of them there is its zero.
+    closed_mm = float(np.median(face.lip_gaps_mm(markers["rest"])))
+    seen = {name: face.lip_gaps_mm(markers[name]) - closed_mm for name in motions}
+    n_shut, n_asked = 0, 0
+    for one in sentences:
+        if one.name not in motions:
+            continue
+        for phone in one.phones:
+            if phone.phoneme not in _LIPS_MEET:
+                continue
+            first, last = round(phone.start_s * _RATE_HZ), round((phone.end_s or 0.0) * _RATE_HZ)
+            during = slice(max(0, first - 1), last + 2)
+            if len(asked[one.name][during]) and asked[one.name][during].min() < CLOSED_GAP_MM:
+                n_asked += 1
+                n_shut += bool(seen[one.name][during].min() < CLOSED_GAP_MM)
+    wanted, shown = (np.concatenate([each[name] for name in motions]) for each in (asked, seen))
+    read = slotted(sentences)
+    recorded = recorded_motions(face, read, LIP_READER)
+    folds = known_fold(LIP_READER, read, frozenset(motions), recorded)
+
+    def score(made: Motions) -> float:
+        return float(known_score(read_words(folds, made, recorded)).score)
+
+    of_frames = score(seen_motions(face, motions, LIP_READER))
+    of_film = score({name: LIP_READER.view(face, markers[name]) for name in motions})
+    return {
+        "gap_r": round(float(np.corrcoef(wanted, shown)[0, 1]), 4),
+        "pbm_shut": round(n_shut / max(1, n_asked), 4),
+        "pbm_asked": n_asked,
+        "read_frames": round(of_frames, 4),
+        "read_film": round(of_film, 4),
+        "read_loss": round(of_film - of_frames, 4),
+        "pictures_tracked": int(sum(np.isfinite(each[:, 0, 0]).sum() for each in tracks.values())),
+    }
+
+
+def _markers_mm(face: FaceModel, tracks: Mapping[str, Array]) -> dict[str, Array]:
+    """The model's points of tracks, as they move from the film's own rest, laid at the model's."""
+    rigid = np.concatenate([each[:, RIGID] for each in tracks.values()]) * _TO_FACE_AXES
+    mean = refine_mean(rigid, (*_EYES, _EYE_DISTANCE_MM))
+    chosen = list(face.layout.landmarks)
+    placed = {}
+    for name, points in tracks.items():
+        at = points * _TO_FACE_AXES
+        placed[name] = apply_similarity(at[:, chosen], *fit_similarity(at[:, RIGID], mean))
+    rest = placed["rest"].mean(axis=0)
+    model_rest = face.markers_mm(face.rest[None])[0]
+    _, turn, _ = fit_similarity(rest[None], model_rest)
+    return {name: model_rest + (each - rest) @ turn[0].T for name, each in placed.items()}
+
+
+def held_out(corpus: Path) -> frozenset[str]:
+    """The sentences of `random_test`."""
+    return frozenset(json.loads((corpus / "splits.json").read_text())["random_test"])

@@ -1,0 +1,77 @@
+"""`lipservo bench display`: a photograph that is warped, and its film, against what was asked."""
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lipservo.commands.options import Json, Quiet
+from lipservo.terminal.output import RESULTS, machine_class, print_json, progress_bar
+from lipsync.errors import UserError, check_extra
+
+
+def display(
+    corpus: Annotated[Path, typer.Option(help="Folder laid out like grid_s1.")],
+    sentences: Annotated[
+        int | None,
+        typer.Option(min=1, help="Of random_test, the first so many.", show_default="all"),
+    ] = None,
+    track: Annotated[
+        bool,
+        typer.Option(
+            "--track", help="Also film the twin, and look at its pixels with the face tracker."
+        ),
+    ] = False,
+    landmarker: Annotated[
+        Path | None,
+        typer.Option(help="For --track: face_landmarker.task; else mediapipe.", show_default=False),
+    ] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure folds and errors of the warp on three faces, and a film's time and sound.
+
+    Every recorded frame of random_test is shown. Without --track no tracker is needed.
+    """
+    check_extra("cv2", "drawing a photograph")
+    check_extra("av", "making a film")
+    from lipservo.display.photo_display import PhotoDisplay
+    from lipservo.display.shipped_faces import twin_face
+    from lipservo_lab.bench.display.film_figures import (
+        film_sync_ms,
+        film_times,
+        held_out,
+        seen_figures,
+        tracked_film,
+    )
+    from lipservo_lab.bench.display.warp_figures import SIZE, known_faces, warp_figures
+    from lipservo_lab.corpus.grid import read_grid
+    from lipsync.face.model import load_face
+    from lipsync.video.face_tracker import open_tracker
+
+    began_s = time.perf_counter()
+    tracker = open_tracker(landmarker) if track else None
+    face = load_face()
+    try:
+        test = sorted(held_out(corpus))[:sentences]
+    except OSError as error:
+        raise UserError(f"{corpus}: no splits.json ({error.strerror}); give grid_s1") from error
+    with progress_bar(quiet=quiet) as advance:
+        advance("reading", 0, 1)
+        recorded = read_grid(corpus, face.layout, skip_bad=True).utterances
+        advance("reading", 1, 1)
+        by_name = {each.name: each for each in recorded}
+        motions = {name: face.coefficients(by_name[name].markers_mm) for name in test}
+        figures = warp_figures(face, known_faces(corpus), motions, advance)
+        figures |= {"film_sync_ms": round(film_sync_ms(), 2), **film_times()}
+        if tracker is not None:
+            shown = PhotoDisplay(twin_face(face, SIZE))
+            tracks = tracked_film(shown, face, motions, tracker, advance)
+            figures |= seen_figures(face, tracks, motions, recorded)
+    figures |= {"machine": machine_class(), "seconds": round(time.perf_counter() - began_s, 1)}
+    if as_json:
+        print_json(figures)
+        return
+    for name, value in figures.items():
+        RESULTS.print(f"{name}: {value}")

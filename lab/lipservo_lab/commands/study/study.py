@@ -1,0 +1,430 @@
+"""`lipservo study`: `make`, `serve`, `report` one with people; `rehearse`, `power` before."""
+
+import contextlib
+import secrets
+from collections.abc import Iterator, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.progress import Progress
+from rich.table import Table
+
+from lipservo.commands.options import (
+    DashboardListen,
+    Json,
+    Landmarker,
+    Quiet,
+    SkipBad,
+)
+from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json
+from lipsync.errors import check_extra
+
+if TYPE_CHECKING:
+    from lipservo.display.film import Display
+    from lipservo_lab.corpus.utterance import Corpus, Utterance
+    from lipservo_lab.learning.motion.trained_model import TrainedModel
+    from lipservo_lab.study.making import Film
+
+_METHODS = "recorded,ears,words,scripted,wei-deng,edge,cohen-massaro,catmull-rom,rhubarb,still"
+#: Square, so that the face fills it: a mouth is what is judged.
+_SIZE = (640, 640)
+Folder = Annotated[Path, typer.Argument(help="Folder of the study.")]
+Ratings = Annotated[int, typer.Option(min=0, max=400, help="Clips that a rater rates.")]
+Pairs = Annotated[int, typer.Option(min=0, max=400, help="Pairs that a rater compares.")]
+Sentences = Annotated[int, typer.Option(min=0, max=2000, help="Sentences that are rated.")]
+
+
+def make(
+    folder: Annotated[Path, typer.Argument(help="Folder to write.")],
+    corpus: Annotated[Path, typer.Option(help="Folder laid out like grid_s1, with splits.json.")],
+    methods: Annotated[str, typer.Option(help="What is compared, comma between.")] = _METHODS,
+    ratings: Ratings = 40,
+    pairs: Pairs = 20,
+    readings: Annotated[
+        int, typer.Option(min=0, max=400, help="Clips that a rater reads without sound.")
+    ] = 10,
+    sentences: Sentences = 20,
+    face: Annotated[
+        str, typer.Option(help="Whose head: twin, or a photograph of a face.")
+    ] = "twin",
+    landmarker: Landmarker = None,
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            help="A face model trained without the splits' random_test; default: one is trained.",
+            show_default=False,
+        ),
+    ] = None,
+    title: Annotated[str, typer.Option(help="What raters see above it.")] = "Talking faces",
+    consent: Annotated[
+        Path | None,
+        typer.Option(help="What raters agree to, a text file; default: ours.", show_default=False),
+    ] = None,
+    seed: Annotated[
+        str | None,
+        typer.Option(help="Decides sheets and names; default: by chance.", show_default=False),
+    ] = None,
+    skip_bad: SkipBad = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Film the clips of a study and deal them out, blind and balanced.
+
+    Raters get FOLDER/served alone; FOLDER/key.json says what they saw.
+    """
+    from lipservo_lab.corpus.grid import read_grid
+    from lipservo_lab.output_folder import check_output_folder
+    from lipservo_lab.study.making import (
+        Material,
+        Plan,
+        held_out,
+        planned_study,
+        write_made_study,
+    )
+    from lipservo_lab.study.sheets import Size
+    from lipservo_lab.study.shown_methods import chosen_methods, faces_of_methods
+    from lipsync.markers import MARKERS_47
+
+    size = Size(ratings, pairs, readings, sentences)
+    names = chosen_methods(methods)
+    check_output_folder(folder, "study")
+    check_extra("av", "filming a study")
+    plan = Plan(names, size, seed or secrets.token_hex(8), title, _consent_text(consent))
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        recordings = read_grid(
+            corpus,
+            MARKERS_47,
+            skip_bad=skip_bad,
+            progress=lambda each: progress.track(each, description="reading"),
+        ).labelled()
+        test = _test_of(corpus, recordings)
+        learned = tuple(u for u in recordings.utterances if u.name not in test)
+        read = held_out(recordings, test, plan.seed)
+        study, key = planned_study(plan, read, learned)
+        trained = _model_for(recordings, test, model, progress)
+        material = Material(trained, read, learned, faces_of_methods(trained, recordings))
+        film = _film_on(face, landmarker, trained)
+        step = progress.add_task("filming", total=len(key.clips))
+        write_made_study(
+            folder, study, key, material, film,
+            lambda done, _of: progress.update(step, completed=done),
+        )  # fmt: skip
+    shown = {
+        "study": study.identity, "folder": str(folder), "methods": list(names),
+        "clips": len(key.clips), "items_per_rater": len(study.sheets[0]),
+    }  # fmt: skip
+    if as_json:
+        print_json(shown)
+        return
+    RESULTS.print(
+        f"{folder}: {len(key.clips)} clips of {len(names)} methods, {len(study.sheets[0])} items a "
+        f"rater. Now: lipservo study serve {folder}",
+        soft_wrap=True,
+    )
+
+
+def _consent_text(path: Path | None) -> str:
+    from lipservo_lab.study.sheets import StudyError
+
+    if path is None:
+        return (files("lipservo_lab.study.page") / "consent.txt").read_text("utf-8")
+    try:
+        return path.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise StudyError(f"{path}: cannot be read as a text ({error})") from error
+
+
+def _test_of(folder: Path, recordings: "Corpus") -> frozenset[str]:
+    from lipservo_lab.evaluation.readability.reading_scores import KNOWN, reading_parts
+
+    return next(part.test for part in reading_parts(folder, recordings) if part.split == KNOWN)
+
+
+def _model_for(
+    recordings: "Corpus", test: frozenset[str], path: Path | None, progress: Progress
+) -> "TrainedModel":
+    """One that has not learned what is shown: a mouth that is recited is no synthesis."""
+    from lipservo_lab.learning.motion.model_teacher import ModelTeacher
+    from lipservo_lab.learning.motion.trained_model import load_trained_model
+    from lipservo_lab.study.sheets import StudyError
+    from lipsync.recognition.network import DEFAULT_WEIGHTS
+
+    if path is not None:
+        model = load_trained_model(path)
+        seen = sorted(test.intersection(model.training_sentences))
+        if seen:
+            raise StudyError(
+                f"{path}: was trained on {len(seen)} of the sentences to be shown ({seen[0]}, "
+                "...); give one trained without them, or leave --model out"
+            )
+        return model
+    step = progress.add_task("training", total=None)
+
+    def track(what: str, items: "Sequence[Utterance]") -> "Iterator[Utterance]":
+        yield from progress.track(items, description=what, task_id=None)
+
+    known = recordings.keep({u.name for u in recordings.utterances if u.name not in test})
+    teacher = ModelTeacher(
+        known, DEFAULT_WEIGHTS, track, lambda text: progress.update(step, description=text)
+    )
+    model = teacher(known)
+    progress.remove_task(step)
+    return model
+
+
+def _film_on(face: str, landmarker: Path | None, model: "TrainedModel") -> "Film":
+    """One head for all clips."""
+    from lipservo.display.film import film
+    from lipservo.display.filmed_faces import photograph
+    from lipservo.display.photo_display import PhotoDisplay
+    from lipservo.display.shipped_faces import twin_face
+    from lipsync.arrays import Array
+    from lipsync.face.frame import Frame
+
+    shown = (
+        twin_face(model, _SIZE)
+        if face == "twin"
+        else photograph(Path(face), None, landmarker, _SIZE, model)
+    )
+    display: Display = PhotoDisplay(shown)
+
+    def filmed(faces: Array, rate_hz: float, sound: Path, out: Path) -> None:
+        frames = (Frame(n / rate_hz, each) for n, each in enumerate(faces))
+        film(frames, sound, display, out, rate_hz=round(rate_hz))
+
+    return filmed
+
+
+def serve(
+    folder: Folder,
+    listen: DashboardListen = None,
+    quiet: Quiet = False,
+) -> None:
+    """Show a study to raters in a browser, and keep what they answer.
+
+    Beyond this computer: --listen 0.0.0.0:8080. Everybody opens the address that is printed; a
+    rater goes on where they were, whatever was closed or started again.
+    """
+    for library in ("starlette", "uvicorn"):
+        check_extra(library, "serving a study")
+    from lipservo.dashboard.child import address_of, bound_dashboard
+    from lipservo.dashboard.web.serving import bounded, server_of
+    from lipservo_lab.study.answers import AnswerFile
+    from lipservo_lab.study.serving import StudyDesk, minutes_of, study_app, study_token
+    from lipservo_lab.study.sheets import ANSWERS_FILE, StudyError, missing_clips, read_study
+
+    study = read_study(folder)
+    missing = missing_clips(folder, study)
+    if missing:
+        raise StudyError(
+            f"{folder}: {len(missing)} of {len(study.duration_s)} clips are missing "
+            f"({missing[0]}, ...); copy them back, or make the study anew"
+        )
+    token = study_token(folder)
+    with (
+        AnswerFile(folder / ANSWERS_FILE, study.identity) as answers,
+        bound_dashboard(listen, token) as listener,
+    ):
+        if answers.n_torn and not quiet:
+            MESSAGES.print(
+                f"{answers.path}: its last line was cut short ({answers.n_torn} bytes); it lies in "
+                f"{answers.path.name}.torn, and its rater is asked again",
+                soft_wrap=True,
+            )
+
+        def ready() -> None:
+            if not quiet:
+                MESSAGES.print(f"study: {address_of(listener, token)}", soft_wrap=True)
+
+        app = study_app(StudyDesk(study, answers, minutes_of(study)), folder, token)
+        # Ctrl-C is how it ends; the server raises it again when every request is answered.
+        with contextlib.suppress(KeyboardInterrupt):
+            server_of(app, ready).run([bounded(listener)])
+        if not quiet:
+            done = sum(
+                len(each.answers) == len(study.sheets[each.sheet])
+                for each in answers.raters.values()
+            )
+            MESSAGES.print(
+                f"{answers.path}: {len(answers.raters)} raters, {done} to the end. "
+                f"lipservo study report {folder}",
+                soft_wrap=True,
+            )
+
+
+def report(
+    folder: Folder,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="HTML to write; default: report.html in the folder.",
+            show_default=False,
+        ),
+    ] = None,
+    answers: Annotated[
+        Path | None,
+        typer.Option(help="Another file of answers, as of `rehearse`.", show_default=False),
+    ] = None,
+    mixed: Annotated[
+        bool, typer.Option(help="Fit a linear mixed model too (extra study; half a minute).")
+    ] = True,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """What the raters said: one page with intervals, pictures, and who was left out."""
+    from lipservo_lab.study.answers import now, read_answers
+    from lipservo_lab.study.counted import counted
+    from lipservo_lab.study.mixed_model import mixed_model
+    from lipservo_lab.study.report_page import report_page
+    from lipservo_lab.study.sheets import ANSWERS_FILE, MACHINES_FILE, read_key, read_study
+    from lipservo_lab.study.study_figures import machine_tables, study_figures
+    from lipsync.output_file import check_output, write_whole
+
+    check_extra("matplotlib", "the pictures of a report")
+    if mixed:
+        check_extra("statsmodels", "a linear mixed model (--no-mixed leaves it out)")
+    path = output or folder / "report.html"
+    check_output(path, replaces=_is_page, kind="page", inputs=[answers])
+    study, key = read_study(folder), read_key(folder)
+    file = answers or folder / ANSWERS_FILE
+    given = read_answers(file, study.identity)
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        progress.add_task("counting", total=None)
+        found = counted(study, key, given)
+        reference = key.methods.index("recorded") if "recorded" in key.methods else 0
+        fitted = mixed_model(found.tables, reference) if mixed else None
+        machines = machine_tables(folder / MACHINES_FILE, study, key)
+        figures = study_figures(study, key, found, fitted, machines)
+        about = f"Study {study.identity}, answers of {file.name}, reported {now()}"
+        page = report_page(figures, about=about, is_rehearsal=given.is_simulated)
+        write_whole(path, page)
+    if as_json:
+        print_json(figures)
+        return
+    _print_figures(figures)
+    RESULTS.print(f"{path}", soft_wrap=True)
+
+
+def _is_page(head: bytes) -> bool:
+    return head.startswith(b"<!doctype html>")
+
+
+def _print_figures(figures: dict[str, object]) -> None:
+    raters = figures["raters"]
+    assert isinstance(raters, dict)
+    left = ", ".join(f"{n} {reason}" for reason, n in raters["left_out"].items()) or "nobody"
+    RESULTS.print(f"{raters['began']} raters, {raters['counted']} counted; left out: {left}")
+    table = Table("method", "mean", "95 %", "less reference", "95 %", box=None, pad_edge=False)
+    rows = figures["ratings"]
+    assert isinstance(rows, list)
+    for row in rows:
+        names = ("mean", "mean_95", "less_reference", "less_reference_95")
+        table.add_row(row["method"], *(_cell(row[name]) for name in names))
+    RESULTS.print(table)
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, list):
+        return f"{value[0]:.2f} {value[1]:.2f}"
+    return f"{value:.2f}" if isinstance(value, float) else ""
+
+
+def rehearse(
+    folder: Folder,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Answers to write; default: rehearsal.jsonl in the folder.",
+            show_default=False,
+        ),
+    ] = None,
+    raters: Annotated[int, typer.Option(min=1, max=1000, help="Who does what is asked.")] = 20,
+    lazy: Annotated[
+        int, typer.Option(min=0, max=1000, help="Who does not, of each of three kinds.")
+    ] = 1,
+    inverted: Annotated[
+        int, typer.Option(min=0, max=1000, help="Who reads the scale backwards.")
+    ] = 1,
+    seed: Annotated[int, typer.Option(help="The same gives the same.")] = 0,
+) -> None:
+    """Let simulated raters of known taste sit a study, before people do.
+
+    They prefer its methods in the order in which they were named.
+    """
+    import numpy as np
+
+    from lipservo_lab.study.answers import line_of
+    from lipservo_lab.study.rehearsal import Crew
+    from lipservo_lab.study.sheets import read_key, read_study
+    from lipservo_lab.study.simulated_raters import even_taste, simulated_records
+    from lipsync.output_file import check_output, write_whole
+
+    path = output or folder / "rehearsal.jsonl"
+    check_output(path, replaces=_is_rehearsal, kind="rehearsal")
+    study, key = read_study(folder), read_key(folder)
+    characters = Crew(raters, lazy, lazy, lazy, inverted).characters
+    records = simulated_records(
+        study, key, even_taste(key.methods), characters, np.random.default_rng(seed)
+    )
+    write_whole(path, b"".join(map(line_of, records)))
+    RESULTS.print(
+        f"{path}: {len(characters)} simulated raters. lipservo study report {folder} "
+        f"--answers {path}",
+        soft_wrap=True,
+    )
+
+
+def _is_rehearsal(head: bytes) -> bool:
+    """What people answered is never written over."""
+    return b'"simulated"' in head.partition(b"\n")[0]
+
+
+def power(
+    raters: Annotated[str, typer.Option(help="How many, comma between.")] = "5,10,20,40",
+    methods: Annotated[int, typer.Option(min=2, max=20, help="How many are compared.")] = 10,
+    ratings: Ratings = 40,
+    sentences: Sentences = 20,
+    studies: Annotated[int, typer.Option(min=10, max=10_000, help="Simulated for each.")] = 100,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """How many raters are needed to see which difference, by simulated studies."""
+    from lipservo_lab.study.rehearsal import power_rows
+    from lipservo_lab.study.sheets import Size, StudyError
+
+    try:
+        counts = [int(text) for text in raters.split(",")]
+    except ValueError:
+        raise StudyError(f"--raters {raters}: give numbers with commas, such as 10,20") from None
+    if min(counts) < 2:
+        raise StudyError("--raters: two at least, or nothing is known of other raters")
+    size = Size(ratings, 0, 0, sentences, sheets=max(counts))
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        rows = power_rows(
+            counts, methods, size, studies,
+            lambda n: progress.track(range(n), description="simulating"),
+        )  # fmt: skip
+    about = {
+        "methods": methods, "ratings": ratings, "sentences": sentences, "studies": studies,
+        "machine": machine_class(),
+    }  # fmt: skip
+    if as_json:
+        print_json({"rows": rows, **about})
+        return
+    gaps = list(rows[0]["seen"])
+    table = Table(
+        "raters", *(f"{gap:.2f}" for gap in gaps), "seen in 4 of 5", box=None, pad_edge=False,
+        title="Share of studies that see a difference of so many points", title_justify="left",
+    )  # fmt: skip
+    for row in rows:
+        shares = (f"{row['seen'][gap]:.2f}" for gap in gaps)
+        smallest = row["smallest_seen"]
+        table.add_row(str(row["raters"]), *shares, "" if smallest is None else f"{smallest:.2f}")
+    RESULTS.print(table)
+    RESULTS.print(f"{methods} methods, {ratings} ratings a rater, {sentences} sentences")

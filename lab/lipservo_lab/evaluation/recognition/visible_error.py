@@ -1,0 +1,71 @@
+"""How wrong a mouth looks that shows the viseme heard in place of the one said.
+
+A wrong T for a K is a wrong frame that nobody sees, a rounded vowel for a spread one is seen by
+everybody. So frames are weighed by how far the mean faces of two classes lie apart: gap, width and
+protrusion of the lips, in mm, of the face that ships (the mean of its frames of each class).
+"""
+
+from collections.abc import Mapping
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipservo_lab.baselines.baselines import read_baselines, viseme_centres
+from lipservo_lab.evaluation.motion.measures import lip_shapes_mm
+from lipsync.arrays import Array
+from lipsync.face.model import open_model, read_face
+from lipsync.phonemes import PHONEMES, VISEME_CLASSES
+
+
+@cache
+def visible_distances_mm() -> Array:
+    """(n_visemes, n_visemes): distance of the lips' shapes of two classes; 0 on the diagonal.
+
+    Classes that the face's sentences lack look like what stands in for them there.
+    """
+    with open_model() as file:
+        face = read_face(file)
+        learned = read_baselines(file, face.n_components)
+    faces = viseme_centres(learned.centres, learned.counts)
+    shapes_mm = lip_shapes_mm(face, face.markers_mm(faces))
+    by_class = shapes_mm[[PHONEMES.index(members[0]) for members in VISEME_CLASSES]]
+    distances: Array = np.linalg.norm(by_class[:, None] - by_class[None], axis=2)
+    distances.setflags(write=False)
+    return distances
+
+
+def visible_error_mm(confusion: NDArray[np.int64]) -> float:
+    """Mean over all frames; confusion (n_visemes, n_visemes), rows are what was said."""
+    n_frames = int(confusion.sum())
+    return float((confusion * visible_distances_mm()).sum()) / n_frames if n_frames else 0.0
+
+
+def visible_error_table(confusion: NDArray[np.int64]) -> Mapping[str, Mapping[str, object]]:
+    """For each class that was said its frames, their mean error, and what they were heard as.
+
+    heard_as: share of the class's frames and mm that it adds to the class's mean, the worst first.
+    """
+    table: dict[str, Mapping[str, object]] = {}
+    for said, counts in enumerate(confusion):
+        if not (n_frames := int(counts.sum())):
+            continue
+        shares = counts / n_frames
+        errors_mm = shares * visible_distances_mm()[said]
+        worst = [int(heard) for heard in np.argsort(-errors_mm, kind="stable") if counts[heard]]
+        table[_name(said)] = {
+            "frames": n_frames,
+            "visible_error_mm": float(errors_mm.sum()),
+            "heard_as": {
+                _name(heard): {
+                    "share": float(shares[heard]),
+                    "visible_error_mm": float(errors_mm[heard]),
+                }
+                for heard in worst
+            },
+        }
+    return table
+
+
+def _name(viseme: int) -> str:
+    return " ".join(VISEME_CLASSES[viseme])

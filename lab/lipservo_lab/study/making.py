@@ -1,0 +1,163 @@
+"""The folder of a study: its clips, what raters get, the key, and what two lip readers read.
+
+The readers sit the part without sound as people do: they were fitted on the recorded words of
+sentences that the study does not show, and read every clip once.
+"""
+
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from lipservo_lab.corpus.utterance import Corpus, Utterance
+from lipservo_lab.evaluation.readability.readers import (
+    READERS,
+    fit_reader,
+    slotted,
+    spoken_words,
+    words_of_slot,
+)
+from lipservo_lab.learning.motion.trained_model import TrainedModel
+from lipservo_lab.output_folder import folder_written_whole
+from lipservo_lab.study.answers import Record, line_of
+from lipservo_lab.study.sheets import (
+    CLIPS,
+    MACHINES_FILE,
+    Key,
+    Sentence,
+    Size,
+    Study,
+    StudyError,
+    make_study,
+    sentences_needed,
+    write_study,
+)
+from lipservo_lab.study.shown_methods import FacesOf, vocabulary_of
+from lipsync.arrays import Array
+from lipsync.output_file import write_whole
+
+#: Films faces (n, n_components), of so many a second, with a sound into a file.
+Film = Callable[[Array, float, Path, Path], None]
+Advance = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What a study is to be. seed: decides sheets and names of clips."""
+
+    methods: tuple[str, ...]
+    size: Size
+    seed: str
+    title: str
+    consent: str
+
+
+@dataclass(slots=True)
+class Material:
+    """The sentences of a study, and their faces, made once for film and readers.
+
+    read: held out, to choose from; learned: what the readers are fitted on.
+    """
+
+    model: TrainedModel
+    read: Sequence[Utterance]
+    learned: Sequence[Utterance]
+    faces_of: FacesOf
+    _made: dict[tuple[str, str], Array] = field(default_factory=dict)
+
+    def faces(self, method: str, utterance: Utterance) -> Array:
+        """(n_frames, n_components)."""
+        key = method, utterance.name
+        if key not in self._made:
+            self._made[key] = self.faces_of(method, utterance)
+        return self._made[key]
+
+
+def held_out(corpus: Corpus, test: frozenset[str], seed: str) -> tuple[Utterance, ...]:
+    """The test's sentences whose words are known, in an order that the seed decides."""
+    sentences = [u for u in slotted(corpus.utterances) if u.name in test]
+    order = np.random.default_rng(list(seed.encode())).permutation(len(sentences))
+    return tuple(sentences[i] for i in order)
+
+
+def planned_study(
+    plan: Plan, read: Sequence[Utterance], learned: Sequence[Utterance]
+) -> tuple[Study, Key]:
+    """The study without its clips; read, learned: as `Material` has them. Raises StudyError."""
+    sentences = [
+        Sentence(
+            u.name,
+            tuple(word.text.lower() for word in spoken_words(u)),
+            round(len(u.markers_mm) / u.frame_rate_hz, 3),
+        )
+        for u in read[: sentences_needed(plan.size, len(plan.methods))]
+    ]
+    said = [tuple(w.text.lower() for w in spoken_words(u)) for u in learned]
+    return make_study(
+        plan.methods,
+        sentences,
+        plan.size,
+        plan.seed,
+        title=plan.title,
+        consent=plan.consent,
+        vocabulary=vocabulary_of(said),
+    )
+
+
+def write_made_study(
+    folder: Path, study: Study, key: Key, material: Material, film: Film, advance: Advance
+) -> None:
+    """The whole folder, or nothing. Raises OutputError, and what the film raises."""
+    by_name = {u.name: u for u in material.read}
+    with folder_written_whole(folder) as partial:
+        (partial / CLIPS).mkdir(parents=True)
+        for number, (name, clip) in enumerate(key.clips.items()):
+            utterance = by_name[clip.sentence]
+            faces = material.faces(clip.method, utterance)
+            path = partial / CLIPS / f"{name}.mp4"
+            film(faces, utterance.frame_rate_hz, utterance.sound_path, path)
+            advance(number + 1, len(key.clips))
+        records = machine_records(study, key, material)
+        write_whole(partial / MACHINES_FILE, b"".join(map(line_of, records)))
+        write_study(partial, study, key)
+        free = shutil.disk_usage(partial).free
+        if free < _LEAST_FREE_BYTES:
+            raise StudyError(f"{folder}: the disk is nearly full; answers need 100 MB of room")
+
+
+_LEAST_FREE_BYTES = 100_000_000
+
+
+def machine_records(study: Study, key: Key, material: Material) -> list[Record]:
+    """What each reader reads of each clip that is shown without sound."""
+    by_name = {u.name: u for u in material.read}
+    shown = sorted(
+        {
+            clip
+            for sheet in study.sheets
+            for item in sheet
+            if item.kind == "reading"
+            for clip in item.clips
+        }
+    )
+    if not shown:
+        return []
+    found: list[Record] = []
+    model, fitted = material.model, list(material.learned)
+    slots = range(len(spoken_words(fitted[0])))
+    for kind in READERS:
+        recorded = {u.name: kind.view(model, u.markers_mm) for u in fitted}
+        reader = fit_reader(kind, fitted, recorded, slots)
+        for name in shown:
+            clip = key.clips[name]
+            utterance = by_name[clip.sentence]
+            faces = material.faces(clip.method, utterance)
+            seen: Mapping[str, Array] = {utterance.name: kind.view(model, model.markers_mm(faces))}
+            words = [
+                str(reader.classifiers[slot].predict(words_of_slot([utterance], seen, slot))[0])
+                for slot in slots
+            ]
+            found.append({"reader": kind.name, "clip": name, "answer": " ".join(words).lower()})
+    return found

@@ -1,0 +1,78 @@
+"""Ratings by a linear mixed model, beside the bootstrap: statsmodels, the extra `study`.
+
+points = method + rater + sentence + rater's taste for the method + noise, each but the first a
+normal variable (Baayen, Davidson and Bates, "Mixed-effects modeling with crossed random effects
+for subjects and items", 2008), fitted by restricted maximum likelihood. It takes the scale for even
+and its parts for normal, which the bootstrap does not.
+"""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+
+from lipservo_lab.study.counted import Tables
+from lipservo_lab.study.estimates import Figure
+from lipsync.arrays import Array, Indices
+from lipsync.errors import check_extra
+
+_NORMAL_95 = 1.959964
+
+
+@dataclass(frozen=True, slots=True)
+class MixedModel:
+    """own: of each method, on the scale. spread: standard deviations by what they are of."""
+
+    own: tuple[Figure, ...]
+    less_reference: tuple[Figure, ...]
+    spread: dict[str, float]
+
+
+def mixed_model(tables: Tables, reference: int) -> MixedModel | None:
+    """None where there is too little to fit one: a rater, a sentence, or a method without ratings.
+
+    Raises MissingExtraError.
+    """
+    check_extra("statsmodels", "a linear mixed model")
+    from statsmodels.regression.mixed_linear_model import MixedLM, VCSpec
+
+    rater, sentence, method = tables.ratings.T
+    n = len(tables.methods)
+    present = [len(np.unique(each)) for each in (rater, sentence, method)]
+    if present[0] < 2 or present[1] < 2 or present[2] < n or len(rater) < 2 * n:
+        return None
+    parts = {"rater": rater, "sentence": sentence, "taste": rater * n + method}
+    designs = [[_indicators(each)] for each in parts.values()]
+    columns = [[[str(k) for k in range(each[0].shape[1])]] for each in designs]
+    with warnings.catch_warnings():
+        # A part that is 0 lies on the boundary, which is an answer.
+        warnings.simplefilter("ignore")
+        fitted = MixedLM(
+            tables.points,
+            _indicators(method),
+            groups=np.zeros(len(rater)),
+            exog_re=None,
+            exog_vc=VCSpec(list(parts), columns, designs),
+        ).fit(reml=True, method="lbfgs")
+    own, covariance = np.asarray(fitted.fe_params), np.asarray(fitted.cov_params())[:n, :n]
+    less = np.eye(n) - np.eye(n)[reference]
+    spread = {name: float(np.sqrt(v)) for name, v in zip(parts, fitted.vcomp, strict=True)}
+    return MixedModel(
+        _figures(own, covariance),
+        _figures(less @ own, less @ covariance @ less.T),
+        spread | {"moment": float(np.sqrt(fitted.scale))},
+    )
+
+
+def _indicators(numbers: Indices) -> Array:
+    """(n, k): a column for each number that there is."""
+    found = np.unique(numbers, return_inverse=True)[1]
+    return np.eye(found.max() + 1)[found]
+
+
+def _figures(values: Array, covariance: Array) -> tuple[Figure, ...]:
+    far = _NORMAL_95 * np.sqrt(np.diag(covariance))
+    return tuple(
+        Figure(float(v), float(v - d), float(v + d)) if d > 0 else Figure(float(v), None, None)
+        for v, d in zip(values, far, strict=True)
+    )

@@ -1,0 +1,208 @@
+"""Simulated studies, from sheets to report: whether figures hold the truth, and what a study sees.
+
+Nothing is filmed: raters of `simulated_raters.py` answer the items of real sheets, their answers
+are lines of a file, and what is left out and reported is what a study's report would.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from lipservo_lab.study.answers import line_of, parse_answers
+from lipservo_lab.study.counted import Counted, counted
+from lipservo_lab.study.estimates import Figure, preferred, rated, strengths, words_read
+from lipservo_lab.study.sheets import Key, Sentence, Size, Study, make_study, sentences_needed
+from lipservo_lab.study.shown_methods import METHODS
+from lipservo_lab.study.simulated_raters import (
+    LAZY,
+    Character,
+    Taste,
+    even_taste,
+    simulated_records,
+    strengths_of,
+)
+from lipsync.arrays import Array
+
+Track = Callable[[int], Iterable[int]]
+#: Places of six words each, as in the sentences of GRID.
+_WORDS: Final = (
+    ("bin", "lay", "place", "set"), ("blue", "green", "red", "white"), ("at", "by", "in", "with"),
+    tuple("abcdefghijklmnopqrstuvxyz"), tuple("0123456789"), ("again", "now", "please", "soon"),
+)  # fmt: skip
+_SECONDS: Final = 3.0
+#: So many raters show what is read on average.
+_MANY_READERS: Final = 1000
+#: Of the comparison of methods that differ by as much, on the latent scale.
+_DIFFERENCES: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.3)
+_NATURAL: Final = 3.9
+
+
+@dataclass(frozen=True, slots=True)
+class Crew:
+    """Who sits a simulated study."""
+
+    honest: int
+    alike: int = 0
+    random: int = 0
+    hasty: int = 0
+    inverted: int = 0
+
+    @property
+    def characters(self) -> tuple[Character, ...]:
+        """One for each rater, mixed: the first sheets are not all of one kind."""
+        kinds: tuple[Character, ...] = ("honest", *LAZY, "inverted")
+        counts = {kind: getattr(self, kind) for kind in kinds}
+        every = [kind for kind, n in counts.items() for _ in range(n)]
+        order = np.random.default_rng(len(every)).permutation(len(every))
+        return tuple(every[i] for i in order)
+
+
+def trial_study(methods: Sequence[str], size: Size, seed: int = 0) -> tuple[Study, Key]:
+    """A study of made-up sentences. Raises StudyError."""
+    numbers = np.random.default_rng(seed)
+    sentences = [
+        Sentence(f"s{n}", tuple(str(numbers.choice(place)) for place in _WORDS), _SECONDS)
+        for n in range(sentences_needed(size, len(methods)))
+    ]
+    return make_study(methods, sentences, size, f"trial {seed}", vocabulary=_WORDS)
+
+
+def simulated_study(
+    study: Study, key: Key, taste: Taste, characters: Sequence[Character], seed: int
+) -> Counted:
+    """What counts of the answers of simulated raters, written and read as a file's lines."""
+    numbers = np.random.default_rng(seed)
+    records = simulated_records(study, key, taste, characters, numbers)
+    content = b"".join(map(line_of, records))
+    return counted(study, key, parse_answers(Path("simulated"), content, study.identity))
+
+
+def coverage_figures(n_studies: int, crew: Crew, size: Size, track: Track) -> dict[str, Any]:
+    """How often intervals hold the truth, and who is left out, over many simulated studies.
+
+    Every study has other raters, sentences and moments of the same population.
+    """
+    methods = tuple(METHODS)
+    study, key = trial_study(methods, size)
+    taste = even_taste(methods)
+    truth = _truth(study, key, taste)
+    held: dict[str, list[bool]] = {name: [] for name in truth}
+    out: Counter[tuple[Character, bool]] = Counter()
+    ranks: list[float] = []
+    for seed in track(n_studies):
+        found = simulated_study(study, key, taste, crew.characters, seed)
+        for number, character in enumerate(crew.characters):
+            out[character, f"{character}-{number}" in found.left_out] += 1
+        ratings, pairs = rated(found.tables, 0, seed), preferred(found.tables, 0, seed)
+        words = words_read(found.tables, 0, seed)[0]
+        estimated = {
+            "ratings": ratings.own, "rating_differences": ratings.less_reference[1:],
+            "strengths": pairs.own, "strength_differences": pairs.less_reference[1:],
+            "words": words.own,
+        }  # fmt: skip
+        for name, figures in estimated.items():
+            held[name] += [_holds(f, t) for f, t in zip(figures, truth[name], strict=True)]
+        means = [figure.value for figure in ratings.own]
+        ranks.append(
+            float(np.corrcoef(np.argsort(np.argsort(means)), -np.arange(len(means)))[0, 1])
+        )
+    every = [each for values in held.values() for each in values]
+    return {
+        "coverage": _share(every),
+        "coverage_of": {name: _share(values) for name, values in held.items()},
+        "lazy_excluded": _left_share(out, LAZY),
+        "lazy_excluded_of": {kind: _left_share(out, (kind,)) for kind in LAZY},
+        "honest_kept": 1.0 - (_left_share(out, ("honest",)) or 0.0),
+        "inverted_found": _left_share(out, ("inverted",)),
+        "taste_found_r": round(float(np.mean(ranks)), 4),
+        "studies": n_studies,
+        "raters": len(crew.characters),
+        "intervals": len(every),
+    }
+
+
+def _truth(study: Study, key: Key, taste: Taste) -> dict[str, Array]:
+    """Of methods that differ; words by a crowd, since a wrong one may be right by chance."""
+    means = np.array([taste.mean_rating(method) for method in key.methods])
+    odds = strengths(1e6 * strengths_of(taste, key.methods))
+    crowd = simulated_study(study, key, taste, Crew(_MANY_READERS).characters, 0)
+    read = words_read(crowd.tables, 0)[0]
+    return {
+        "ratings": means,
+        "rating_differences": means[1:] - means[0],
+        "strengths": odds,
+        "strength_differences": odds[1:] - odds[0],
+        "words": np.array([figure.value for figure in read.own]),
+    }
+
+
+def _holds(figure: Figure, truth: float) -> bool:
+    if figure.low is None or figure.high is None:
+        return False
+    return figure.low <= truth <= figure.high
+
+
+def _share(values: Sequence[bool]) -> float:
+    return round(float(np.mean(values)), 4)
+
+
+def _left_share(out: Counter[tuple[Character, bool]], kinds: Sequence[Character]) -> float | None:
+    gone, there = (sum(out[kind, is_out] for kind in kinds) for is_out in (True, False))
+    return round(gone / (gone + there), 4) if gone + there else None
+
+
+def power_rows(
+    raters: Sequence[int], n_methods: int, size: Size, n_studies: int, track: Track
+) -> list[dict[str, Any]]:
+    """For each number of raters, how often a difference from the reference is seen.
+
+    A difference is seen where its interval leaves out 0. smallest_seen: in points of the scale,
+    what is seen in four of five studies; None where none of those tried is.
+    """
+    methods = tuple(f"method {n}" for n in range(n_methods))
+    gaps = np.array([0.0, *_DIFFERENCES, *[_DIFFERENCES[-1]] * n_methods][:n_methods])
+    # With few methods the differences are tried in turns.
+    turns = [gaps] if n_methods > len(_DIFFERENCES) else _in_turns(n_methods)
+    study, key = trial_study(methods, size)
+    rows = []
+    for n_raters in raters:
+        seen: dict[float, list[bool]] = {}
+        for turn in turns:
+            natural = dict(zip(methods, (_NATURAL - turn).tolist(), strict=True))
+            taste = Taste(natural, dict.fromkeys(methods, 0.3))
+            means = np.array([taste.mean_rating(method) for method in methods])
+            for seed in track(n_studies):
+                found = simulated_study(study, key, taste, Crew(n_raters).characters, seed)
+                differences = rated(found.tables, 0, seed).less_reference
+                for figure, gap in zip(differences[1:], (means[0] - means)[1:], strict=True):
+                    is_seen = figure.high is not None and not _holds(figure, 0.0)
+                    seen.setdefault(round(float(gap), 3), []).append(is_seen)
+        power = {gap: _share(values) for gap, values in sorted(seen.items())}
+        rows.append({"raters": n_raters, "seen": power, "smallest_seen": _smallest(power)})
+    return rows
+
+
+def _in_turns(n_methods: int) -> list[Array]:
+    each = n_methods - 1
+    parts = [_DIFFERENCES[i : i + each] for i in range(0, len(_DIFFERENCES), each)]
+    return [np.array([0.0, *part, *[part[-1]] * (each - len(part))]) for part in parts]
+
+
+_POWER: Final = 0.8
+
+
+def _smallest(power: dict[float, float]) -> float | None:
+    """Between two differences that were tried, on a straight line."""
+    gaps, shares = list(power), list(power.values())
+    if not shares or max(shares) < _POWER:
+        return None
+    first = next(n for n, share in enumerate(shares) if share >= _POWER)
+    if first == 0:
+        return gaps[0]
+    low, high = shares[first - 1], shares[first]
+    between = (_POWER - low) / (high - low)
+    return round(gaps[first - 1] + between * (gaps[first] - gaps[first - 1]), 2)

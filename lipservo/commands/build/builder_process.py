@@ -1,0 +1,260 @@
+"""`builder-process`: one step of the first hour, led by a page; started by `new-face --page`.
+
+It owns the port while it runs, does what the command of the same purpose does, and ends, with its
+servos limp, when the page's server does.
+"""
+
+import json
+import os
+import sys
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+import typer
+
+from lipservo.runtime.servos.face_stopped import exit_status
+from lipsync.errors import UserError
+
+if TYPE_CHECKING:
+    from lipservo.calibrating.calibration_setup import CalibrationSetup
+    from lipservo.calibrating.measured_calibration import CalibrationResult
+    from lipservo.terminal.page_line import PageLine
+
+Request = Mapping[str, Any]
+#: Servos that were found are spoken to at the rate that answers.
+_FIRST_RATE: Final = 1_000_000
+
+
+def builder_process(
+    step: Annotated[str, typer.Argument(help="Which step.")],
+    request: Annotated[str, typer.Argument(help="What it needs, a JSON object.")],
+    parent: Annotated[int, typer.Option(help="The server's process.")],
+) -> None:
+    """One step of the first hour on the servos; JSON lines in and out."""
+    from firmware_bridge.process.operating_system import die_with_parent, write_from_background
+
+    die_with_parent()
+    write_from_background()
+    if os.getppid() != parent:  # it was gone before we asked
+        raise typer.Exit(1)
+    from lipservo.terminal.page_line import PageLine
+
+    page = PageLine()
+    try:
+        _STEPS[step](json.loads(request), page)
+    finally:
+        page.finish()
+
+
+def _find(request: Request, page: "PageLine") -> None:
+    """Who answers at the port, and what another program has written into them."""
+    from firmware_bridge.bus_kinds import bus_kind
+
+    tools, port = bus_kind(request["kind"]).workshop(), request["port"]
+    rate, found = tools.find_unknown(port, _FIRST_RATE)
+    foreign = tools.foreign_settings(port, rate, found)
+    if request.get("clear"):
+        tools.clear_foreign_settings(port, rate, found, foreign)
+        foreign = {}
+    page.tell(
+        "found",
+        rate=rate,
+        servos={str(servo_id): model for servo_id, model in found.items()},
+        foreign={str(servo_id): [str(each) for each in some] for servo_id, some in foreign.items()},
+    )
+
+
+def _nudge(request: Request, page: "PageLine") -> None:
+    """One servo moves by 3 degrees and back."""
+    from firmware_bridge.bus_kinds import bus_kind
+    from lipservo.runtime.servos.new_face import nudge
+
+    tools, servo_id = bus_kind(request["kind"]).workshop(), request["id"]
+    nudge(tools, request["port"], request["rate"], servo_id, request["model"])
+    page.tell("nudged", id=servo_id)
+
+
+def _limits(request: Request, page: "PageLine") -> None:
+    """Torque off, and where each joint is turned by hand; the server keeps what is set."""
+    from firmware_bridge.clock import MonotonicClock
+    from firmware_bridge.loop.targets import MemoryTargetChannel
+    from firmware_bridge.stopping import named_by_reason
+    from lipservo.runtime.servos.assembly import load_settings
+    from lipservo.runtime.servos.driven_face import ControlOptions, DriveOptions, driven_face
+    from lipservo.runtime.servos.limp_servos import STEADY_LOOKS, LimpPose, LimpServos
+    from lipservo.runtime.status.silent_board import SilentBoard
+
+    config = request["config"]
+    settings = load_settings(config)[0].at_port(request["port"])
+    clock = MonotonicClock()
+    with ExitStack() as stack:
+        board = stack.enter_context(SilentBoard.create(settings, config))
+        control = ControlOptions(about={"config": config}, watched_fd=board.fileno)
+        # Nothing here ever switches torque on, whatever is asked of it meanwhile.
+        how = DriveOptions(dry_run=True, control=control)
+        driven = stack.enter_context(driven_face(settings, clock, MemoryTargetChannel(), how))
+        servos = LimpServos(settings, driven.bus, clock, list(settings.servos))
+        report = servos.let_go()
+        if not report.complete:
+            raise UserError(
+                f"torque off is NOT confirmed by {named_by_reason(report.unconfirmed)}; keep your "
+                "hands away"
+            )
+        page.tell("limp", confirmed=report.confirmed)
+        looks: deque[LimpPose] = deque(maxlen=STEADY_LOOKS)
+        for time_s, late in driven.life.ticks():
+            looks.append(servos.look())
+            seen = servos.steady(looks)
+            board.tell(driven.bridge, driven.bridge.tick(time_s, late))
+            places = zip(servos.names, seen.positions_deg.tolist(), strict=True)
+            page.tell(
+                "turned",
+                deg={name: round(deg, 1) if deg == deg else None for name, deg in places},
+                obstacles=seen.obstacles,
+            )
+            if (page.next_order(0.0) or {}).get("key") == "q":
+                return
+
+
+def _jog(request: Request, _page: "PageLine") -> None:
+    """Held in neutral and moved by the sliders of the page Servos."""
+    from firmware_bridge.clock import MonotonicClock
+    from lipservo.runtime.servos.assembly import allow_first_start, load_settings
+    from lipservo.runtime.servos.hand_driven import drive_by_hand
+
+    settings = load_settings(request["config"])[0].at_port(request["port"])
+    if request.get("may_jump"):
+        allow_first_start(settings)
+    status = exit_status(*drive_by_hand(settings, request["config"], MonotonicClock()))
+    if status:
+        raise typer.Exit(status)
+
+
+def _set_up(request: Request, _page: "PageLine") -> None:
+    """The servos' own limits, as the YAML has them now."""
+    from lipservo.commands.build.setup_servos import setup_servos
+
+    with open(os.devnull) as nobody:
+        sys.stdin = nobody  # who would be asked to plug one servo in alone
+        try:
+            setup_servos(port=request["port"], config=request["config"], dry_run=False)
+        except typer.Abort:
+            raise UserError(
+                "not every servo answers at its own id, so none was set up: check power and cable"
+            ) from None
+
+
+def _setup(request: Request, page: "PageLine") -> "CalibrationSetup":
+    from lipservo.calibrating.on_page import PageWatch
+    from lipservo.commands.calibrate.making import check_files, load_setup
+
+    config = request["config"]
+    keep = None if request.get("keep") is None else Path(request["keep"])
+    check_files(Path(request["output"]), keep=keep)
+    setup = load_setup(config, None)
+    setup = replace(
+        setup,
+        settings=setup.settings.at_port(request["port"]),
+        keep=keep,
+        quiet=True,
+        lags=bool(request.get("lags")),
+        accept=bool(request.get("accept")),
+        config=config,
+    )
+    return replace(setup, watch=PageWatch(page, setup).watch)
+
+
+def _by_eye(request: Request, page: "PageLine") -> None:
+    """Mouth shapes matched with sliders."""
+    from lipservo.calibrating.on_page import calibrate_by_eye_on_page
+
+    setup = _setup(request, page)
+    simulated = bool(request.get("simulated"))
+    _finish(setup, calibrate_by_eye_on_page(setup, page, simulated=simulated), request, page)
+
+
+def _measure(request: Request, page: "PageLine") -> None:
+    """Poses, and who sees the markers of them."""
+    from lipservo.calibrating.face_source import is_seen_from_the_front, tracker_source
+    from lipservo.calibrating.measured_calibration import (
+        calibrate_on_computed_skin,
+        calibrate_on_servos,
+    )
+    from lipservo.commands.calibrate.making import mesh_options
+
+    setup, tracker = _setup(request, page), request["tracker"]
+    if tracker == "computed":
+        _finish(setup, calibrate_on_computed_skin(setup), request, page)
+        return
+    mesh = mesh_options(None, request.get("eye_distance_mm"), request.get("camera") or "0")
+    setup = replace(setup, sees_forward=not is_seen_from_the_front(Path(tracker), mesh))
+    with tracker_source(setup, tracker, "x y z", mesh) as make_tracker:
+        result = calibrate_on_servos(setup, make_tracker)
+    _finish(setup, result, request, page)
+
+
+def _drawn(request: Request, page: "PageLine") -> None:
+    """A map for a face of usual shape, for servos that cannot say where they stand."""
+    from lipservo.calibrating.measured_calibration import fit_simulated_face
+
+    setup = _setup(request, page)
+    _finish(setup, fit_simulated_face(setup), request, page)
+
+
+def _finish(
+    setup: "CalibrationSetup", result: "CalibrationResult", request: Request, page: "PageLine"
+) -> None:
+    """Save it, name it in the face's YAML, and say how good it is."""
+    from lipservo.calibrating.shown_calibration import closing_values, report_lines
+    from lipservo.calibrating.within_speeds import speed_line, within_speeds
+    from lipservo.commands.calibrate.making import saved
+    from lipservo.settings.edited_yaml import edited
+
+    output = Path(request["output"])
+    calibration, kept = saved(setup, result, output)
+    edited(Path(request["config"]), {("calibration",): output.name}).write()
+    if setup.keep is not None:
+        setup.keep.unlink(missing_ok=True)
+    lines = report_lines(calibration, output.name, result.fit)
+    lines.append(speed_line(within_speeds(setup.model, calibration, setup.settings)))
+    page.tell(
+        "graded",
+        lines=lines,
+        warnings=[*result.warnings, *kept],
+        closing=closing_values(calibration),
+    )
+
+
+def _speak(request: Request, _page: "PageLine") -> None:
+    """The face as `daemon` runs it."""
+    from lipservo.commands.run.dashboard_beside import with_sounds
+    from lipservo.commands.run.run import ANY_PORT, daemon
+
+    token = request.get("token_file")
+    daemon(
+        play=bool(request.get("play")),
+        listen=ANY_PORT,
+        token_file=None if token is None else Path(token),
+        open_to_this_computer=token is None,
+        sounds=Path(str(with_sounds(None).sounds)),
+        config=request["config"],
+        port=request["port"],
+        quiet=True,
+    )
+
+
+_STEPS: Final[Mapping[str, Callable[[Request, "PageLine"], None]]] = {
+    "find": _find,
+    "nudge": _nudge,
+    "limits": _limits,
+    "jog": _jog,
+    "set_up": _set_up,
+    "by_eye": _by_eye,
+    "measure": _measure,
+    "drawn": _drawn,
+    "speak": _speak,
+}

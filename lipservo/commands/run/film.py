@@ -1,0 +1,131 @@
+"""`film`: what a face says, as a film with sound."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Quiet, SaidText
+from lipservo.commands.run.motion_choice import takes_motion
+from lipservo.commands.run.voice_choice import said_text
+from lipservo.runtime.motion_options import ChosenMotion
+from lipservo.terminal.output import MESSAGES, print_json, progress_bar
+from lipsync.errors import UserError
+
+#: What is no name of a photograph.
+_TWIN, _ROBOT, _BESIDE = "twin", "robot", "beside"
+
+
+@takes_motion
+def film(
+    *,
+    speech: Annotated[
+        str | None,
+        typer.Argument(
+            help="Sound file, text in quotes, or a performance (.perf).", show_default=False
+        ),
+    ] = None,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Film to write: .mp4 .mov .mkv.")],
+    face: Annotated[
+        str,
+        typer.Option(help="twin, robot, beside (both), or a photograph of a face (JPEG, PNG ...)."),
+    ] = _TWIN,
+    landmarks: Annotated[
+        Path | None,
+        typer.Option(
+            help="Where the face in the photograph is (JSON), instead of a tracker.",
+            show_default=False,
+        ),
+    ] = None,
+    landmarker: Annotated[
+        Path | None,
+        typer.Option(help="The tracker's face_landmarker.task.", show_default=False),
+    ] = None,
+    beside: Annotated[
+        str | None,
+        typer.Option(
+            metavar="STRATEGY|PERF",
+            help="The same with another strategy, or a performance, at its right.",
+            show_default=False,
+        ),
+    ] = None,
+    trace: Annotated[
+        Path | None,
+        typer.Option(
+            help="Film a run that was; the argument is its sound, if any.", show_default=False
+        ),
+    ] = None,
+    phonemes: Annotated[
+        Path | None,
+        typer.Option(
+            help="TextGrid with a tier `phones`, instead of the recogniser.", show_default=False
+        ),
+    ] = None,
+    text: SaidText = "",
+    still_head: Annotated[
+        bool, typer.Option("--still-head", help="Head, eyes and lids do not move.")
+    ] = False,
+    size: Annotated[
+        str, typer.Option(metavar="WIDTHxHEIGHT", help="Pixels of one face.")
+    ] = "640x480",
+    rate_hz: Annotated[int, typer.Option(min=10, max=60, help="Pictures a second.")] = 25,
+    config: Config = DEFAULT_FACE,
+    model: Model = None,
+    motion: ChosenMotion,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Film a face that says a sound, a text or a scripted line; or a run that was.
+
+    The sound is in the film. Faster than it sounds; nothing is left half-written.
+    """
+    from lipservo.display.film import check_film, is_film
+    from lipservo.display.filmed_faces import FilmAsked, make_film
+    from lipsync.output_file import check_output
+
+    if speech is None and trace is None:
+        raise typer.BadParameter("give a sound, a text or a performance, or --trace FILE")
+    if trace is not None and beside is not None:
+        raise typer.BadParameter("give --trace or --beside, not both")
+    if landmarks is not None and face in (_TWIN, _ROBOT, _BESIDE):
+        raise UserError(f"--landmarks: {face} needs none; give a photograph as --face")
+    inputs = [
+        Path(face),
+        trace,
+        phonemes,
+        model,
+        landmarks,
+        None if speech is None else Path(speech),
+    ]
+    check_film(output)
+    check_output(
+        output, replaces=is_film, kind="film", inputs=[each for each in inputs if _is_file(each)]
+    )
+    asked = FilmAsked(
+        speech, output, face, _size(size), rate_hz, config, model,
+        landmarks=landmarks, landmarker=landmarker, beside=beside, trace=trace,
+        script=phonemes, text=said_text(text), still_head=still_head,
+    )  # fmt: skip
+    with progress_bar(quiet=quiet or as_json) as advance:
+        done = make_film(asked, motion, advance)
+    if as_json:
+        print_json({"output": str(output), **done})
+    else:
+        MESSAGES.print(f"{output}: {done['duration_s']:.1f} s, filmed in {done['seconds']:.1f} s")
+
+
+def _is_file(path: Path | None) -> bool:
+    try:
+        return path is not None and path.is_file()
+    except OSError:  # a text, too long for a file's name
+        return False
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal()):
+        raise typer.BadParameter(f"--size {text}: write WIDTHxHEIGHT, 640x480 for one")
+    found = int(width), int(height)
+    if min(found) < 128 or max(found) > 1920 or any(each % 2 for each in found):
+        raise typer.BadParameter(f"--size {text}: even numbers from 128 to 1920")
+    return found

@@ -1,0 +1,454 @@
+"""The first hour of a face: from servos that nobody has named to its first words.
+
+All that a page shows and does is here, so that a page that is reloaded, or opened twice, goes on
+where it was. What was made is in files; what was typed and not yet written is here alone. Servos
+belong to the step that runs (`StepProcess`), never to this process. Methods are called by threads
+of the server, one at a time, and raise FaceError.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+from lipservo_client.protocol import FaceError
+
+from calibration.files.calibration_file import load_calibration
+from firmware_bridge.bus_kinds import bus_kind, bus_names, kind_at
+from firmware_bridge.errors import BusError
+from firmware_bridge.process.runtime_folder import (
+    SOCKET_SUFFIX,
+    read_socket_name,
+    runtime_folder,
+)
+from lipservo.dashboard.first_hour.step_process import StepProcess
+from lipservo.runtime.servos.assembly import load_settings
+from lipservo.runtime.servos.new_face import (
+    FoundJoint,
+    WiredJoint,
+    check_face_file,
+    check_joint_name,
+    check_wiring,
+    face_yaml,
+    parse_channel,
+    pulse_face_yaml,
+)
+from lipservo.runtime.servos.sim_process import SimulatedServos, simulated_servos
+from lipservo.settings.found_limits import turned_values, with_ranges
+from lipservo.settings.settings import FaceSettings, ServoSettings, parse_face
+from lipsync.errors import UserError
+from lipsync.output_file import write_whole
+
+#: Servos are held for a person only while a page looks so often.
+PRESENCE_S: Final = 15.0
+_FOR_A_PERSON: Final = frozenset({"limits", "jog", "by_eye"})
+#: Of a rehearsal: a jaw, both corners and a pout are a mouth.
+_SIMULATED: Final = ("--servos", "4", "--first-id", "11", "--baud-rate", "1000000")
+_S_A_MINUTE: Final = 60.0
+Told = dict[str, Any]
+#: When a file was written last, and how long it is; None: it is not there.
+Stamp = tuple[int, int] | None
+
+
+class FirstHour:
+    """State of one face that is being made. path: of its YAML, which need not be there yet."""
+
+    def __init__(
+        self,
+        path: Path,
+        port: str | None = None,
+        token_file: Path | None = None,
+        *,
+        simulated: bool = False,
+    ) -> None:
+        """port: of the servos; None: of the YAML, or chosen on the page. simulated: made here.
+
+        token_file: of the face's servers.
+        """
+        if not path.exists():
+            check_face_file(path)
+        elif load_settings(str(path))[0].buses:
+            raise UserError(f"{path}: has several buses; each is set up in a terminal")
+        self.path = path
+        self._token_file = token_file
+        self._lock = threading.RLock()
+        self._stack = ExitStack()
+        self._simulated: SimulatedServos | None = None
+        self._port = port
+        self._kind: str | None = None
+        self._found: Told | None = None
+        self._named: dict[int, FoundJoint] = {}
+        self._wired: list[WiredJoint] = []
+        self._moved: set[int] = set()
+        self._ends: dict[str, dict[str, float]] = {}
+        self._step: StepProcess | None = None
+        self._seen_s = time.monotonic()
+        self._robot_s: dict[str, float] = {}
+        self._note: str | None = None
+        self._graded: Mapping[str, Any] | None = None
+        #: What stands in both files, and which state of the file that was.
+        self._read: tuple[Stamp, tuple[FaceSettings | None, str | None]] = None, (None, None)
+        self._calibration: tuple[Stamp, str] = None, ""
+        if simulated:
+            self._port = self._simulate()
+        if self._port is not None and not path.exists():
+            self.choose_port(self._port, "dynamixel" if simulated else None, simulated=False)
+
+    # ---- what is so ----
+
+    def state(self) -> Told:
+        """Everything that a page draws; to be asked for all the time by a page that is open."""
+        self._seen_s = time.monotonic()
+        with self._lock:
+            settings, trouble = self._settings()
+            step = self._step
+            runs = step is not None and step.runs
+            return {
+                "file": str(self.path),
+                "trouble": trouble,
+                "port": self._port,
+                "kind": self._kind,
+                "kinds": {name: self._wiring_of(name) for name in bus_names()},
+                "ports": [] if settings else known_ports(),
+                "simulated": self._simulated is not None,
+                "found": self._found,
+                "named": {str(each): _told_joint(joint) for each, joint in self._named.items()},
+                "wired": [_told_wired(each) for each in self._wired],
+                "moved": sorted(self._moved),
+                "face": None if settings is None else self._told_face(settings),
+                "ends": self._ends,
+                "keeps": self._keep_file().exists(),
+                "step": None if step is None else _told_step(step),
+                "drives": self._socket() is not None,
+                "works": step.step if step is not None and runs else None,
+                "note": self._note,
+                "graded": self._graded,
+                "robot_min": {k: round(s / _S_A_MINUTE, 2) for k, s in self._robot_s.items()},
+            }
+
+    def control_path(self) -> Path:
+        """Where the step that runs is stopped. Raises UserError where none drives servos."""
+        path = self._socket()
+        if path is None:
+            raise UserError("No step of the first hour drives servos now")
+        return path
+
+    # ---- what a person does ----
+
+    def choose_port(self, port: str | None, kind: str | None, *, simulated: bool) -> None:
+        """Where the servos are; simulated: behind a port that is made now."""
+        with self._lock:
+            self._check_idle()
+            if simulated:
+                port, kind = self._simulate(), "dynamixel"
+            try:
+                chosen = bus_kind(kind) if kind else kind_at(port or "")
+            except BusError as error:
+                raise FaceError("refused", str(error)) from error
+            if port is None and not chosen.board_key:
+                raise FaceError("refused", "which port? Servos there are asked who they are")
+            self._port, self._kind = port, chosen.name
+            self._found, self._named, self._wired = None, {}, []
+        if not chosen.board_key:
+            self.start("find")
+
+    def start(self, step: str, **options: Any) -> None:
+        """Begin a step on the servos. Raises FaceError while another runs."""
+        with self._lock:
+            self._check_idle()
+            request: Told = {"port": self._port, "kind": self._kind, **options}
+            if step in ("find", "nudge"):
+                self._check_port()
+                if step == "nudge":
+                    servo_id = options["id"]
+                    request |= {"rate": self._known()["rate"], "model": self._model_of(servo_id)}
+            else:
+                settings, trouble = self._settings()
+                if settings is None:
+                    raise FaceError("not_available", trouble or "name the servos first")
+                request |= {
+                    "config": str(self.path),
+                    "port": self._port or settings.servo_port,
+                    "output": str(self.path.with_suffix(".calibration.yaml")),
+                    "keep": str(self._keep_file(step)),
+                    "simulated": self._simulated is not None,
+                    "token_file": None if self._token_file is None else str(self._token_file),
+                }
+            self._note = None
+            self._seen_s = time.monotonic()
+            self._step = StepProcess(step, request, is_wanted=self._wanted(step), ended=self._over)
+
+    def order(self, order: Mapping[str, Any]) -> None:
+        """To the step that runs."""
+        step = self._step
+        if step is None or not step.runs:
+            raise FaceError("not_available", "nothing runs that could take it; begin the step")
+        step.order(order)
+
+    def end(self) -> None:
+        """The step that runs ends softly: to rest, then limp."""
+        if self._step is not None:
+            self._step.end()
+
+    def name(self, servo_id: int, name: str, positive: str, part: str, *, same: bool) -> None:
+        """What a person says of a servo that was found.
+
+        same: its first move did what `positive` says.
+        """
+        with self._lock, _refusals():
+            model = self._model_of(servo_id)
+            taken = [each.name for key, each in self._named.items() if key != servo_id]
+            if not positive.strip():
+                raise UserError("say what a positive angle should do, opens for one")
+            checked, sign = check_joint_name(name, taken), 1 if same else -1
+            joint = FoundJoint(checked, servo_id, model, positive.strip(), sign, part=part)
+            parse_face(self._yaml([joint]), self.path.name)
+            self._named[servo_id] = joint
+
+    def wire(self, channel: str) -> None:
+        """A hobby servo as a person wired it, `jaw=0:opens`; the same name again takes it back."""
+        with self._lock, _refusals():
+            left = [each for each in self._wired if each.name != channel]
+            if len(left) == len(self._wired):
+                left.append(parse_channel(channel, self._wired))
+            self._wired = left
+
+    def write_face(self, board: str | None = None) -> None:
+        """Write the face's YAML of what was named; a file that is there is never lost."""
+        with self._lock, _refusals():
+            check_face_file(self.path)
+            kind = bus_kind(self._kind or "")
+            if kind.board_key:
+                if not self._wired:
+                    raise UserError("which servos: say what is on which channel first")
+                which = board or kind.usual_board
+                text = pulse_face_yaml(self.path.stem, kind, self._port, which, self._wired)
+                check_wiring(text, self.path.name)
+            else:
+                missing = [each for each in self._known()["servos"] if int(each) not in self._named]
+                if missing:
+                    raise UserError(f"id {missing[0]} has no name yet")
+                text = self._yaml([self._named[key] for key in sorted(self._named)])
+                parse_face(text, self.path.name)
+            write_whole(self.path, text)
+
+    def set_end(self, servo: str, end: str) -> None:
+        """One end of a joint, or its neutral, where a hand holds it now; min, neutral or max."""
+        with self._lock:
+            step = self._step
+            turned = {} if step is None or step.step != "limits" else step.events.get("turned", {})
+            deg = turned.get("deg", {}).get(servo)
+            if step is None or not step.runs or deg is None:
+                raise FaceError("not_available", f"{servo} does not say where it stands now")
+            if (why := turned["obstacles"].get(servo)) is not None:
+                raise FaceError("not_available", f"{servo} {why}")
+            self._ends.setdefault(servo, {})[end] = deg
+
+    def write_limits(self) -> None:
+        """Into the YAML what was set, all or nothing; then into the servos.
+
+        The servos are asked for nothing more before.
+        """
+        step = self._step
+        if step is not None and step.step == "limits" and step.runs:
+            step.end()
+            step.wait()
+        with self._lock:
+            self._check_idle()
+            settings, trouble = self._settings()
+            if settings is None:
+                raise FaceError("not_available", trouble or "name the servos first")
+            whole = {name: each for name, each in self._ends.items() if {"min", "max"} <= set(each)}
+            if not whole:
+                raise FaceError("refused", "set min and max of a joint first")
+            with _refusals():
+                found = {name: _limits_of(name, ends, settings) for name, ends in whole.items()}
+                with_ranges(self.path, found).write()
+            for made in ("by_eye", "measure"):  # poses of other limits, and of another neutral
+                self._keep_file(made).unlink(missing_ok=True)
+            self._ends = {}
+        if settings.capabilities.set_up:
+            self.start("set_up")
+
+    def turn(self, servo: str, by_deg: float) -> None:
+        """In a rehearsal: a hand turns a limp servo, by degrees of its joint."""
+        settings, _ = self._settings()
+        if self._simulated is None or settings is None or servo not in settings.servos:
+            raise FaceError("refused", "only simulated servos have a simulated hand")
+        sign = settings.servos[servo].sign
+        self._simulated.turn(list(settings.servos).index(servo), sign * by_deg)
+
+    def close(self) -> None:
+        """The server ends: the step that runs lets its servos go first, and is waited for."""
+        if self._step is not None:
+            self._step.end()
+            self._step.wait()
+        self._stack.close()
+
+    # ---- parts ----
+
+    def _settings(self) -> tuple[FaceSettings | None, str | None]:
+        """The face of the YAML; None before it is there, or with why it cannot be read."""
+        stamp = _stamp(self.path)
+        if self._read[0] != stamp:
+            self._read = stamp, (None, None)
+            if stamp is not None:
+                try:
+                    self._read = stamp, (load_settings(str(self.path))[0], None)
+                except (UserError, OSError) as error:
+                    self._read = stamp, (None, " ".join(str(error).split()))
+        return self._read[1]
+
+    def _socket(self) -> Path | None:
+        """Of the step that runs; None: it has none, or none yet."""
+        step = self._step
+        if step is None or not step.runs or step.pid is None:
+            return None
+        paths = runtime_folder().glob(f"*-{step.pid}{SOCKET_SUFFIX}")
+        return next((path for path in paths if read_socket_name(path)), None)
+
+    def _told_face(self, settings: FaceSettings) -> Told:
+        return {
+            "name": settings.name,
+            "servos": {name: _told_servo(each) for name, each in settings.servos.items()},
+            "has_place": settings.capabilities.place,
+            "calibration": settings.calibration if self._is_calibrated(settings) else None,
+        }
+
+    def _is_calibrated(self, settings: FaceSettings) -> bool:
+        """Whether the calibration that the YAML names is of these limits."""
+        if settings.calibration is None:
+            return False
+        file = self.path.with_name(settings.calibration)
+        stamp = _stamp(file)
+        if stamp is not None and self._calibration[0] != stamp:
+            try:
+                self._calibration = stamp, load_calibration(file).face_checksum
+            except UserError:
+                self._calibration = stamp, ""
+        return stamp is not None and self._calibration[1] == settings.checksum
+
+    def _yaml(self, joints: list[FoundJoint]) -> str:
+        kind = bus_kind(self._kind or "")
+        return face_yaml(self.path.stem, kind, self._port or "", self._known()["rate"], joints)
+
+    def _known(self) -> Told:
+        if self._found is None:
+            raise FaceError("not_available", "no servos were found yet")
+        return self._found
+
+    def _model_of(self, servo_id: int) -> str:
+        models = self._known()["servos"]
+        if str(servo_id) not in models:
+            raise FaceError("not_found", f"no servo {servo_id}; there are: {', '.join(models)}")
+        return str(models[str(servo_id)])
+
+    def _wiring_of(self, kind: str) -> str | None:
+        """What names the board of hobby servos of that kind; None: servos there are found."""
+        try:
+            return bus_kind(kind).board_key or None
+        except BusError:
+            return None
+
+    def _keep_file(self, step: str = "by_eye") -> Path:
+        """Poses that were made and not yet fitted."""
+        return self.path.with_suffix(f".{step}.json")
+
+    def _check_port(self) -> None:
+        if self._port is None:
+            raise FaceError("refused", "which port? Servos there are asked who they are")
+
+    def _check_idle(self) -> None:
+        if self._step is not None and self._step.runs:
+            shown = self._step.step.replace("_", " ")
+            raise FaceError("not_available", f"'{shown}' runs on the servos; end it first")
+
+    def _wanted(self, step: str) -> Callable[[], bool]:
+        def is_wanted() -> bool:
+            return time.monotonic() - self._seen_s < PRESENCE_S
+
+        return is_wanted if step in _FOR_A_PERSON else lambda: True
+
+    def _over(self, step: StepProcess) -> None:
+        """In the step's own thread: what stays of it."""
+        with self._lock:
+            self._robot_s[step.step] = self._robot_s.get(step.step, 0.0) + step.seconds
+            if (found := step.events.get("found")) is not None:
+                self._found = dict(found)
+                self._named, self._moved = {}, set()
+            if (nudged := step.events.get("nudged")) is not None:
+                self._moved.add(int(nudged["id"]))
+            if (graded := step.events.get("graded")) is not None:
+                self._graded = graded
+            if step.was_left:
+                self._note = (
+                    "nobody had this page open, so the servos were let go; what was kept is kept"
+                )
+
+    def _simulate(self) -> str:
+        if self._simulated is None:
+            made = ("--config", str(self.path)) if self.path.exists() else _SIMULATED
+            self._simulated = self._stack.enter_context(simulated_servos(made))
+        return self._simulated.port
+
+
+def known_ports() -> list[Told]:
+    """Serial ports of this computer that hang on USB, and what each says that it is."""
+    from serial.tools import list_ports
+
+    found = [port for port in list_ports.comports() if port.vid is not None]
+    return [{"port": port.device, "what": port.description} for port in sorted(found)]
+
+
+def _stamp(path: Path) -> Stamp:
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_size
+
+
+def _limits_of(name: str, ends: Mapping[str, float], settings: FaceSettings) -> dict[str, float]:
+    """Raises UserError, which says of which joint."""
+    low_deg, high_deg = sorted((ends["min"], ends["max"]))
+    offset_deg = settings.servos[name].zero_offset_deg
+    try:
+        return turned_values(low_deg, high_deg, ends.get("neutral", 0.0), offset_deg)
+    except UserError as error:
+        raise UserError(f"{name} {error}") from error
+
+
+@contextmanager
+def _refusals() -> Iterator[None]:
+    """What cannot be done is refused, in one line."""
+    try:
+        yield
+    except (UserError, BusError) as error:
+        raise FaceError("refused", "; ".join(str(error).splitlines())) from error
+
+
+def _told_joint(joint: FoundJoint) -> Told:
+    names = ("name", "positive", "part", "sign")
+    return {name: getattr(joint, name) for name in names}
+
+
+def _told_wired(joint: WiredJoint) -> Told:
+    return {"name": joint.name, "channel": joint.channel, "positive": joint.positive}
+
+
+def _told_servo(servo: ServoSettings) -> Told:
+    names = ("positive", "part", "min_deg", "max_deg")
+    return {"id": servo.address, **{name: getattr(servo, name) for name in names}}
+
+
+def _told_step(step: StepProcess) -> Told:
+    return {
+        "name": step.step,
+        "runs": step.runs,
+        "error": step.error,
+        "seconds": round(step.seconds or time.monotonic() - step.began_s, 1),
+        "notes": list(step.notes),
+        "events": dict(step.events),
+    }

@@ -1,0 +1,21 @@
+"""The page for an audience: the face large, its mouth from near, and the robot by its own model."""
+
+from typing import Final
+
+from nicegui import ui
+
+from lipservo.dashboard.pages.page_frame import STATIC_URL, card, grid, html
+from lipservo.dashboard.twin.element import Twin
+
+SHOW_SCRIPTS: Final = ("live/twin_feed.js", "show/close_up.js", "show/own_robot.js")
+
+
+def show_page() -> None:
+    """Filled into a page's frame."""
+    ui.add_head_html(f'<link rel="stylesheet" href="{STATIC_URL}/show/show.css">')
+    with grid("show-page"):
+        with card("The face", "as it is asked to be", "twin"):
+            html("<face-close-up></face-close-up>")
+            Twin().classes("drawn")
+        with card("Your robot", "its own model, as its encoders say", "own-robot"):
+            html("<face-model></face-model>")

@@ -1,0 +1,1 @@
+"""What the live page draws, and other pages with it."""

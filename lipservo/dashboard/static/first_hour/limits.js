@@ -1,0 +1,167 @@
+// Limits by hand: torque off, every joint's place live, its ends set where a hand holds it.
+import { escaped, shown, spoken } from "../words.js";
+import { draw, write } from "./dom.js";
+
+const HAND_DEG = [-10, -2, 2, 10]; // of a simulated hand
+const AROUND_DEG = 10;
+const ENDS = { min: "Set as min", neutral: "Neutral", max: "Set as max" };
+
+/** Whether limits are no more the careful ones of `new-face`: 10 degrees, of hobby servos 9. Pure. */
+export function hasOwnLimits({ min_deg, max_deg }) {
+  return !(min_deg === -max_deg && (max_deg === 10 || max_deg === 9));
+}
+
+export class Limits {
+  static title = "Limits";
+
+  constructor(hour, body, warning) {
+    Object.assign(this, { hour, body, warning, ranges: {} });
+    body.addEventListener("click", (event) => this.click(event.target.closest("button")));
+  }
+
+  can(state) {
+    return state.face !== null;
+  }
+
+  summary(state) {
+    if (state.face === null) return "";
+    const found = Object.values(state.face.servos).filter(hasOwnLimits).length;
+    return `${found} of ${Object.keys(state.face.servos).length} joints have limits of their own`;
+  }
+
+  update(state) {
+    if (!state.face) return;
+    if (!state.face.has_place) this.byPulse(state);
+    else if (this.hour.runs("limits")) this.turning(state);
+    else if (this.hour.runs("set_up")) {
+      draw(this.body, '<p class="busy"><i></i>The limits are in the YAML. Now they are written into the servos, torque off.</p>');
+    } else this.before(state);
+  }
+
+  before(state) {
+    const set = Object.entries(state.ends).map(([name, ends]) => `<li>${escaped(spoken(name))}: ${told(ends)}</li>`);
+    const kept = set.length
+      ? `<p>Set, and not written yet:</p><ul>${set.join("")}</ul><button type="button" class="act first" data-do="write">Write the limits</button> `
+      : "";
+    const skip = state.robot_min.set_up || state.face.calibration ? "" : `<button type="button" class="act" data-do="set-up">Keep the limits as they are</button>`;
+    draw(
+      this.body,
+      '<p>The servos are let go, and you turn each joint by hand to where it may go at most. <b>What they hold falls: hold the jaw.</b></p>' +
+        `${kept}<div class="buttons"><button type="button" class="act${set.length ? "" : " first"}" data-do="let-go">Let the servos go</button>${skip}</div>` +
+        result(this.hour),
+    );
+  }
+
+  turning(state) {
+    const turned = this.hour.event("limits", "turned");
+    if (!turned) {
+      draw(this.body, '<p class="busy"><i></i>Letting go …</p>');
+      return;
+    }
+    const names = Object.keys(state.face.servos);
+    draw(
+      this.body,
+      "<p>Torque is off, confirmed by every servo. Hold a joint at its end and press <b>Set as min</b> or <b>max</b>; where the mouth rests closed, <b>Neutral</b>. The limits lie 2° inside.</p>" +
+        `<div class="turned">${names.map((name) => row(name, state.face.servos[name], state.simulated)).join("")}</div>` +
+        '<div class="buttons end"><button type="button" class="act first" data-do="write">Write the limits</button><button type="button" class="act" data-do="end">Leave them</button></div>',
+    );
+    for (const name of names) this.live(name, turned, state);
+    const whole = Object.values(state.ends).filter((ends) => "min" in ends && "max" in ends).length;
+    const button = this.body.querySelector("[data-do=write]");
+    button.disabled = whole === 0;
+    write(button, whole ? `Write the limits of ${whole === names.length ? "all" : whole} ${whole === 1 ? "joint" : "joints"}` : "Write the limits");
+  }
+
+  live(name, turned, state) {
+    const line = this.body.querySelector(`[data-servo="${name}"]`);
+    const deg = turned.deg[name];
+    const ends = state.ends[name] ?? {};
+    const seen = (this.ranges[name] ??= [0, 0]);
+    if (deg !== null) this.ranges[name] = [Math.min(seen[0], deg), Math.max(seen[1], deg)];
+    const all = [...this.ranges[name], ...Object.values(ends)];
+    const [low, high] = [Math.min(...all) - AROUND_DEG, Math.max(...all) + AROUND_DEG];
+    const at = (each) => `${((100 * (each - low)) / (high - low)).toFixed(2)}%`;
+    write(line.querySelector("output"), deg === null ? "–" : `${shown(deg, 1)}°`);
+    const mark = line.querySelector(".here");
+    mark.hidden = deg === null;
+    if (deg !== null) mark.style.left = at(deg);
+    const range = line.querySelector(".range");
+    const [from, to] = [ends.min, ends.max].every((each) => each !== undefined) ? [ends.min, ends.max].sort((a, b) => a - b) : [null, null];
+    range.hidden = from === null;
+    if (from !== null) {
+      range.style.left = at(from);
+      range.style.right = `${100 - Number.parseFloat(at(to))}%`;
+    }
+    for (const end of Object.keys(ENDS)) {
+      const button = line.querySelector(`[data-end=${end}]`);
+      button.classList.toggle("set", end in ends);
+      write(button.querySelector("small"), end in ends ? `${shown(ends[end], 1)}°` : "");
+      const flag = line.querySelector(`.flag.${end}`);
+      flag.hidden = !(end in ends);
+      if (end in ends) flag.style.left = at(ends[end]);
+    }
+    write(line.querySelector(".why"), turned.obstacles[name] ?? "");
+  }
+
+  /** Hobby servos: sliders in microseconds, through the gate. */
+  byPulse(state) {
+    if (this.hour.runs("jog")) {
+      const made = draw(this.body, `<face-jog data-warning="${escaped(this.warning)}"></face-jog><div class="buttons end"><button type="button" class="act first" data-do="jogged">The limits are found</button></div>`);
+      if (made) import("../jog.js");
+      return;
+    }
+    draw(
+      this.body,
+      "<p>Hobby servos do not say where they stand: each joint is led by a slider to where it should stop, slowly. Set as min, neutral and max are written at once.</p>" +
+        '<p class="note warn">The first start may throw a servo to its neutral. Hands off, and the supply\'s switch in reach.</p>' +
+        '<button type="button" class="act first" data-do="jog">Drive the servos</button>',
+    );
+    void state;
+  }
+
+  click(button) {
+    if (button === null) return;
+    const servo = button.closest("[data-servo]")?.dataset.servo;
+    const { end, hand, do: what } = button.dataset;
+    if (end) this.hour.post("limit", { servo, end });
+    else if (hand) this.hour.post("turn", { servo, by_deg: Number(hand) });
+    else if (what === "let-go") this.begin();
+    else if (what === "write") this.hour.post("limits");
+    else if (what === "end" || what === "jogged") this.hour.post("end");
+    else if (what === "jog") this.hour.post("start", { step: "jog", may_jump: true });
+    else if (what === "set-up") this.hour.post("start", { step: "set_up" });
+  }
+
+  begin() {
+    this.ranges = {};
+    this.hour.post("start", { step: "limits" });
+  }
+}
+
+function row(name, servo, isSimulated) {
+  const buttons = Object.entries(ENDS)
+    .map(([end, text]) => `<button type="button" class="act" data-end="${end}">${text} <small></small></button>`)
+    .join("");
+  const hand = isSimulated
+    ? `<span class="hand">a hand turns it ${HAND_DEG.map((deg) => `<button type="button" class="act small" data-hand="${deg}">${deg > 0 ? "+" : "−"}${Math.abs(deg)}°</button>`).join("")}</span>`
+    : "";
+  return (
+    `<div class="turn" data-servo="${escaped(name)}"><span class="name">${escaped(spoken(name))} <small>${escaped(servo.positive)} →</small></span><output></output>` +
+    '<span class="track"><i class="range"></i><b class="flag min"></b><b class="flag neutral"></b><b class="flag max"></b><u class="here"></u></span>' +
+    `<span class="buttons">${buttons}</span>${hand}<small class="why"></small></div>`
+  );
+}
+
+/** What became of the last writing into the servos. */
+function result(hour) {
+  const step = hour.state.step;
+  if (step?.name !== "set_up" || step.runs || step.error) return "";
+  const lines = step.notes.filter((line) => line.includes("limit") || line.includes("nothing"));
+  return `<details><summary>The servos hold their limits.</summary><ul>${lines.map((line) => `<li>${escaped(line)}</li>`).join("")}</ul></details>`;
+}
+
+function told(ends) {
+  return Object.entries(ends)
+    .map(([end, deg]) => `${end} ${shown(deg, 1)}°`)
+    .join(", ");
+}

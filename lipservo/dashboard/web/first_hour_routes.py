@@ -1,0 +1,94 @@
+"""`/api/first-hour`: what the page of the first hour shows, and what a person does there."""
+
+import asyncio
+from typing import Any
+
+from fastapi import APIRouter
+
+from lipservo.dashboard.first_hour.first_hour import FirstHour
+from lipservo.dashboard.web.api_models import (
+    EndBody,
+    NameBody,
+    OrderBody,
+    PortBody,
+    StepBody,
+    TurnBody,
+    WireBody,
+    WriteBody,
+)
+
+Told = dict[str, Any]
+
+
+def first_hour_routes(hour: FirstHour) -> APIRouter:
+    """Each answers with the whole state after it."""
+    routes = APIRouter(prefix="/api/first-hour")
+
+    @routes.get("")
+    async def state() -> Told:
+        """Everything that the page shows. Servos are held for a person only while it is asked."""
+        return await asyncio.to_thread(hour.state)
+
+    @routes.post("/port")
+    async def port(body: PortBody) -> Told:
+        """Choose where the servos are; those that can be asked are found at once."""
+        await asyncio.to_thread(hour.choose_port, body.port, body.kind, simulated=body.simulated)
+        return await state()
+
+    @routes.post("/name")
+    async def name(body: NameBody) -> Told:
+        """Name a servo that was found."""
+        named = (body.id, body.name, body.positive, body.part)
+        await asyncio.to_thread(hour.name, *named, same=body.same)
+        return await state()
+
+    @routes.post("/wire")
+    async def wire(body: WireBody) -> Told:
+        """Say how a hobby servo is wired, or take one back."""
+        await asyncio.to_thread(hour.wire, body.channel)
+        return await state()
+
+    @routes.post("/face")
+    async def face(body: WriteBody) -> Told:
+        """Write the face's YAML."""
+        await asyncio.to_thread(hour.write_face, body.board)
+        return await state()
+
+    @routes.post("/start")
+    async def start(body: StepBody) -> Told:
+        """Begin a step on the servos; they may move."""
+        options = body.model_dump(exclude={"step"}, exclude_none=True)
+        await asyncio.to_thread(lambda: hour.start(body.step, **options))
+        return await state()
+
+    @routes.post("/order")
+    async def order(body: OrderBody) -> Told:
+        """To the step that runs."""
+        await asyncio.to_thread(hour.order, body.model_dump(exclude_none=True))
+        return await state()
+
+    @routes.post("/end")
+    async def end() -> Told:
+        """The step that runs ends: to rest, then limp."""
+        hour.end()
+        return await state()
+
+    @routes.post("/limit")
+    async def limit(body: EndBody) -> Told:
+        """Set min, neutral or max of a limp joint where it is held now."""
+        await asyncio.to_thread(hour.set_end, body.servo, body.end)
+        return await state()
+
+    @routes.post("/limits")
+    async def limits() -> Told:
+        """Write what was set, into the YAML and into the servos."""
+        await asyncio.to_thread(hour.write_limits)
+        return await state()
+
+    @routes.post("/turn")
+    async def turn(body: TurnBody) -> Told:
+        """Turn a simulated servo as a hand would."""
+        await asyncio.to_thread(hour.turn, body.servo, body.by_deg)
+        return await state()
+
+    return routes

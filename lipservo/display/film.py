@@ -1,0 +1,181 @@
+"""Pictures and sound become a film: H.264 and AAC in an MP4, by PyAV, whole or not at all.
+
+Both are on one axis of time that begins with the first sample: picture n is shown at n / rate, and
+the samples that the encoder puts before the sound are told to the player (an edit list).
+"""
+
+import errno
+import os
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.audio.file import read_sound
+from lipsync.errors import UserError, check_extra
+from lipsync.face.frame import Frame
+from lipsync.output_file import written_whole
+from lipsync.video.face_detection import Picture
+
+FILM_RATE_HZ = 25
+#: What is written by the name of the file.
+FILM_ENDINGS = (".mp4", ".mov", ".mkv")
+#: Speech is encoded as well at this rate as at any other, and every player knows it.
+_SOUND_RATE_HZ = 48_000
+_SOUND_BITS_PER_S = 128_000
+#: Constant rate factor of x264: 18 can hardly be told from the picture itself.
+_QUALITY = "18"
+#: Each picture of a film is asked for so many samples of sound before it.
+_SAMPLES_A_FRAME = 1024
+
+
+class FilmError(UserError):
+    """A film that cannot be made; one line: which, why, what to do."""
+
+
+class Display(Protocol):
+    """Whatever shows a frame as a picture."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+
+    def draw(self, frame: Frame) -> Picture:
+        """(height, width, 3), red, green, blue."""
+
+
+def check_film(path: Path) -> None:
+    """Raises UserError for a name that says no kind of film, MissingExtraError without PyAV."""
+    if path.suffix.lower() not in FILM_ENDINGS:
+        raise FilmError(f"{path}: name a film {' or '.join(FILM_ENDINGS)}")
+    check_extra("av", "making a film")
+
+
+def is_film(head: bytes) -> bool:
+    """Whether a file that begins so is an MP4, MOV or Matroska file."""
+    return head[4:8] == b"ftyp" or head.startswith(b"\x1a\x45\xdf\xa3")
+
+
+def film(
+    frames: Iterable[Frame],
+    sound: Path | None,
+    face: Display,
+    out: Path,
+    *,
+    rate_hz: int = FILM_RATE_HZ,
+    progress: Callable[[int], None] = lambda _n: None,
+) -> int:
+    """Film a face: one picture a frame, frame n of sound time n / rate_hz; how many there were.
+
+    sound: its file; None: a silent film. out: replaced. progress: called with the number of
+    pictures so far. Raises FilmError, OutputError, SoundError.
+    """
+    return write_film(
+        (face.draw(frame) for frame in frames), face.size, sound, out, rate_hz, progress
+    )
+
+
+def write_film(
+    pictures: Iterable[Picture],
+    size: tuple[int, int],
+    sound: Path | None,
+    out: Path,
+    rate_hz: int = FILM_RATE_HZ,
+    progress: Callable[[int], None] = lambda _n: None,
+) -> int:
+    """Pictures of one size, even in width and height, and their sound. Raises as `film` does."""
+    check_film(out)
+    import av
+
+    samples = None if sound is None else _stereo(*read_sound(sound))
+    n = 0
+    with written_whole(out) as partial, _explained(out, av.FFmpegError):
+        kind = {"mkv": "matroska"}.get(out.suffix.lower()[1:], out.suffix.lower()[1:])
+        with open_film(str(partial), "w", format=kind, options=_options(kind)) as file:
+            video = file.add_stream(
+                "libx264", rate=rate_hz, options={"crf": _QUALITY, "preset": "veryfast"}
+            )
+            video.width, video.height = size
+            video.pix_fmt = "yuv420p"
+            video.time_base = Fraction(1, rate_hz)
+            voice = None if samples is None else _Voice(file, samples)
+            for n, picture in enumerate(pictures, start=1):
+                if voice is not None:
+                    voice.encode_until(n / rate_hz)
+                shot = av.VideoFrame.from_ndarray(picture, format="rgb24")
+                shot.pts, shot.time_base = n - 1, Fraction(1, rate_hz)
+                file.mux(video.encode(shot))
+                progress(n)
+            if voice is not None:
+                voice.encode_until(n / rate_hz)
+                voice.end()
+            file.mux(video.encode(None))
+        if not n:
+            raise FilmError(f"{out}: nothing to film; the sound is empty")
+    return n
+
+
+def open_film(*given: Any, **how: Any) -> Any:
+    """As `av.open`."""
+    import av
+
+    return av.open(*given, **how)
+
+
+class _Voice:
+    """The sound of a film, encoded as far as the pictures are."""
+
+    def __init__(self, file: Any, samples: NDArray[np.float32]) -> None:
+        self._file, self._samples = file, samples
+        self._stream = file.add_stream("aac", rate=_SOUND_RATE_HZ, layout="stereo")
+        self._stream.bit_rate = _SOUND_BITS_PER_S
+        self._next = 0
+
+    def encode_until(self, time_s: float) -> None:
+        """All samples before a time, in whole blocks."""
+        until = min(round(time_s * _SOUND_RATE_HZ), self._samples.shape[1])
+        while self._next < until:
+            block = self._samples[:, self._next : self._next + _SAMPLES_A_FRAME]
+            self._encode(np.ascontiguousarray(block))
+            self._next += block.shape[1]
+
+    def _encode(self, block: NDArray[np.float32]) -> None:
+        import av
+
+        sound = av.AudioFrame.from_ndarray(block, format="fltp", layout="stereo")
+        sound.sample_rate = _SOUND_RATE_HZ
+        sound.pts, sound.time_base = self._next, Fraction(1, _SOUND_RATE_HZ)
+        self._file.mux(self._stream.encode(sound))
+
+    def end(self) -> None:
+        """What the encoder holds back."""
+        self._file.mux(self._stream.encode(None))
+
+
+def _options(kind: str) -> dict[str, str]:
+    return {} if kind == "matroska" else {"movflags": "faststart"}
+
+
+def _stereo(samples: NDArray[np.float32], rate_hz: int) -> NDArray[np.float32]:
+    import soxr
+
+    at_rate = samples
+    if rate_hz != _SOUND_RATE_HZ:
+        at_rate = soxr.resample(samples, rate_hz, _SOUND_RATE_HZ)
+    return np.broadcast_to(np.clip(at_rate, -1.0, 1.0), (2, len(at_rate))).astype(np.float32)
+
+
+@contextmanager
+def _explained(out: Path, fault: type[Exception]) -> Iterator[None]:
+    """What FFmpeg says against writing is the disk's, and written_whole's to tell."""
+    try:
+        yield
+    except fault as error:
+        number = getattr(error, "errno", None)
+        if isinstance(number, int) and number in errno.errorcode:
+            raise OSError(number, os.strerror(number)) from error
+        raise FilmError(f"{out}: cannot be filmed ({getattr(error, 'strerror', error)})") from error

@@ -1,0 +1,179 @@
+"""A film from what was asked for: whose motion, on which face, one or two of them."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from lipservo.display.film import Display, write_film
+from lipservo.display.filmed_motion import FilmedMotion, SpeechAsked, filmed, filmed_trace
+from lipservo.display.photo_display import PhotoDisplay
+from lipservo.display.photo_face import PhotoError, PhotoFace, photo_face
+from lipservo.display.photo_file import framed, read_landmarks, read_photo, tracked
+from lipservo.display.robot_display import RobotDisplay
+from lipservo.display.shipped_faces import twin_face
+from lipservo.runtime.motion_options import ChosenMotion, motion_options
+from lipservo.runtime.servos.assembly import assemble_face, load_settings
+from lipservo.settings.motion_names import STRATEGIES
+from lipservo.terminal.output import Advance
+from lipsync.errors import UserError
+from lipsync.face.model import FaceModel, load_face
+from lipsync.offline.performance import SUFFIX
+from lipsync.video.face_detection import Picture
+from lipsync.video.face_tracker import open_tracker
+
+#: Whose head a film moves head and eyes as, where none is asked to be still.
+_HEAD = "face_head"
+
+
+@dataclass(frozen=True, slots=True)
+class FilmAsked:
+    """A film as it was typed; see `lipservo film --help`."""
+
+    speech: str | None
+    output: Path
+    face: str
+    size: tuple[int, int]
+    rate_hz: int
+    config: str
+    model: Path | None
+    landmarks: Path | None = None
+    landmarker: Path | None = None
+    beside: str | None = None
+    trace: Path | None = None
+    script: Path | None = None
+    text: str = ""
+    still_head: bool = False
+
+
+def make_film(asked: FilmAsked, chosen: ChosenMotion, advance: Advance) -> dict[str, float]:
+    """Make it; what it took. Raises UserError."""
+    began_s = time.perf_counter()
+    # What can be wrong with the face is told before anything is heard.
+    displays = [_display(asked)]
+    if asked.beside is not None:
+        displays.append(_display(asked))
+    with ExitStack() as stack:
+        advance("listening", 0, 1)
+        if asked.trace is not None:
+            sound = None if asked.speech is None else Path(asked.speech)
+            motions = [filmed_trace(asked.trace, sound, asked.model, asked.rate_hz)]
+        else:
+            assert asked.speech is not None
+            speech = _speech(asked, chosen)
+            motions = [stack.enter_context(filmed(asked.speech, speech, asked.rate_hz))]
+            if asked.beside is not None:
+                motions.append(_other(asked, chosen, motions[0], stack))
+        advance("listening", 1, 1)
+        n_all = len(motions[0].frames)
+        n = write_film(
+            _pictures(motions, displays),
+            (sum(each.size[0] for each in displays), displays[0].size[1]),
+            motions[0].sound,
+            asked.output,
+            asked.rate_hz,
+            lambda n_done: advance("filming", n_done, n_all),
+        )
+    seconds = time.perf_counter() - began_s
+    return {"pictures": n, "duration_s": n / asked.rate_hz, "seconds": round(seconds, 3)}
+
+
+class Beside:
+    """Two displays of one frame, side by side."""
+
+    def __init__(self, left: Display, right: Display) -> None:
+        self._both = left, right
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Of both together."""
+        return sum(each.size[0] for each in self._both), self._both[0].size[1]
+
+    def draw(self, frame: object) -> Picture:
+        """Left and right."""
+        return np.hstack([each.draw(frame) for each in self._both])  # type: ignore[arg-type]
+
+
+def photograph(
+    path: Path,
+    landmarks: Path | None,
+    landmarker: Path | None,
+    size: tuple[int, int],
+    face: FaceModel,
+) -> PhotoFace:
+    """A photograph in the size of a film, its face found or told. Raises UserError."""
+    picture, share = read_photo(path)
+    if landmarks is not None:
+        points = read_landmarks(landmarks, share)
+    else:
+        points = tracked(picture, open_tracker(landmarker), str(path))
+    try:
+        return photo_face(*framed(picture, points, size), face)
+    except PhotoError as error:
+        raise PhotoError(f"{path}: {error}") from error
+
+
+def _display(asked: FilmAsked) -> Display:
+    face = load_face(asked.model)
+    if asked.face == "twin":
+        return PhotoDisplay(twin_face(face, asked.size))
+    if asked.face == "robot":
+        return RobotDisplay(assemble_face(asked.config, asked.model), asked.size, 1 / asked.rate_hz)
+    if asked.face == "beside":
+        return Beside(_display(replace(asked, face="twin")), _display(replace(asked, face="robot")))
+    return PhotoDisplay(
+        photograph(Path(asked.face), asked.landmarks, asked.landmarker, asked.size, face)
+    )
+
+
+def _speech(asked: FilmAsked, chosen: ChosenMotion) -> SpeechAsked:
+    settings, folder = load_settings(asked.config)
+    return SpeechAsked(
+        motion_options(chosen, settings.motion, folder),
+        asked.config,
+        asked.model,
+        asked.script,
+        asked.text,
+        None if asked.still_head else _HEAD,
+    )
+
+
+def _other(
+    asked: FilmAsked, chosen: ChosenMotion, first: FilmedMotion, stack: ExitStack
+) -> FilmedMotion:
+    """The motion at the right: of a performance, or of the same sound with another strategy."""
+    assert asked.beside is not None
+    if Path(asked.beside).suffix == SUFFIX:
+        other = _speech(asked, chosen)
+        found = stack.enter_context(filmed(asked.beside, other, asked.rate_hz))
+    else:
+        if first.sound is None or (asked.speech or "").endswith(SUFFIX):
+            raise UserError(f"--beside {asked.beside}: beside a performance stands another one")
+        strategy = next((each for each in STRATEGIES if each == asked.beside), None)
+        if strategy is None:
+            raise UserError(
+                f"--beside {asked.beside}: name a performance (.perf), or {', '.join(STRATEGIES)}"
+            )
+        other = _speech(asked, replace(chosen, strategy=strategy))
+        found = stack.enter_context(filmed(asked.speech or "", other, asked.rate_hz))
+    frames = found.frames[: len(first.frames)]
+    frames += (frames[-1],) * (len(first.frames) - len(frames))
+    return replace(found, frames=frames)
+
+
+def _pictures(motions: Sequence[FilmedMotion], displays: Sequence[Display]) -> Iterator[Picture]:
+    """Of each moment the faces of all motions, beside each other."""
+    drawn = [_drawn(motion, display) for motion, display in zip(motions, displays, strict=True)]
+    for n in range(len(motions[0].frames)):
+        yield np.hstack([draw(n) for draw in drawn])
+
+
+def _drawn(motion: FilmedMotion, display: Display) -> Callable[[int], Picture]:
+    """How picture n of a motion is drawn: a robot of a run that was, as its servos were sent."""
+    if isinstance(display, RobotDisplay) and motion.sent_deg is not None:
+        robot, sent = display, motion.sent_deg
+        return lambda n: robot.draw_angles(motion.servos, sent[n])
+    return lambda n: display.draw(motion.frames[n])

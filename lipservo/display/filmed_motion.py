@@ -1,0 +1,181 @@
+"""What is filmed: a sound, a text, a performance or a trace, as one frame for each picture."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import soundfile
+
+from lipservo.rendering.line_expression import line_expression
+from lipservo.rendering.spoken_sound import SpokenSound
+from lipservo.runtime.motion_options import MotionOptions
+from lipservo.runtime.servos.assembly import load_settings
+from lipservo.runtime.sound import speaker_of
+from lipservo.traces.trace_file import read_trace
+from lipsync.arrays import Array
+from lipsync.audio.file import checked_sound, read_speech
+from lipsync.errors import UserError
+from lipsync.face.frame import NO_EXPRESSION, Expression, Frame
+from lipsync.face.model import load_face
+from lipsync.offline.line_methods import Line
+from lipsync.offline.performance import RATE_HZ, SUFFIX, Performance, read_performance, sound_file
+from lipsync.text_to_speech.synthesis import SynthesizedSpeech, Voice
+from lipsync.text_to_speech.synthesizers import speak_in_pieces, synthesizer_for
+from lipsync.textgrid import write_tiers
+
+#: The longest film; a picture is held at a time, but its motion as a whole.
+LONGEST_FILM_S = 600.0
+
+
+@dataclass(frozen=True, slots=True)
+class FilmedMotion:
+    """frames: one a picture, at n / rate. sound: its file; None where there is none.
+
+    servos, sent_deg (n, n_servos): of a run that was, what its servos were sent; else empty.
+    """
+
+    frames: tuple[Frame, ...]
+    sound: Path | None
+    servos: tuple[str, ...] = ()
+    sent_deg: Array | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SpeechAsked:
+    """What a sound or text says, and how it becomes motion.
+
+    script: a TextGrid; text: what the sound says; neither: the recogniser listens. head: the face,
+    by name, that head and eyes are moved as; None: they are still.
+    """
+
+    motion: MotionOptions
+    config: str
+    model: Path | None
+    script: Path | None = None
+    text: str = ""
+    head: str | None = None
+
+
+@contextmanager
+def filmed(speech: str, asked: SpeechAsked, rate_hz: int) -> Iterator[FilmedMotion]:
+    """The motion of a sound file, of a performance, or of a text that is spoken first.
+
+    Its sound is there as long as it is entered. Raises UserError.
+    """
+    with ExitStack() as stack:
+        path = Path(speech)
+        if path.suffix == SUFFIX:
+            performance = read_performance(path)
+            performance.check_face(load_face(asked.model), speech)
+            sound = stack.enter_context(sound_file(performance.sound, path))
+            yield FilmedMotion(_performed(performance, rate_hz), sound)
+            return
+        if not _is_file(path):
+            if path.suffix and " " not in speech:
+                raise UserError(f"{speech}: no such file; name a sound, or give a text in quotes")
+            folder = Path(stack.enter_context(TemporaryDirectory(prefix="lipservo-")))
+            path, script = _spoken(speech, asked.config, folder)
+            asked = replace(asked, script=script, text="" if script else speech)
+        yield FilmedMotion(_heard(path, asked, rate_hz), path)
+
+
+def filmed_trace(trace: Path, sound: Path | None, model: Path | None, rate_hz: int) -> FilmedMotion:
+    """A run that was, by its sound time from 0 on. Raises TraceError, UserError."""
+    run = read_trace(trace)
+    face = load_face(model)
+    if run.model != face.checksum:
+        raise UserError(
+            f"{trace}: made with face model {run.model}, this is {face.checksum}; give its --model"
+        )
+    end_s = float(run.sound_s[-1]) if sound is None else checked_sound(sound).duration_s
+    times_s = _times_s(end_s, rate_hz)
+
+    def at(values: Array) -> Array:
+        columns = [np.interp(times_s, run.sound_s, column) for column in values.T]
+        return np.stack(columns, axis=1)
+
+    frames = tuple(map(Frame, times_s.tolist(), at(run.coefficients)))
+    return FilmedMotion(frames, sound, run.servos, at(run.sent_deg))
+
+
+def _times_s(duration_s: float, rate_hz: int) -> Array:
+    if duration_s > LONGEST_FILM_S:
+        raise UserError(
+            f"{duration_s:.0f} s long; a film is at most {LONGEST_FILM_S:.0f} s, cut it"
+        )
+    return np.arange(max(1, int(np.ceil(duration_s * rate_hz)))) / rate_hz
+
+
+def _performed(performance: Performance, rate_hz: int) -> tuple[Frame, ...]:
+    times_s = _times_s(performance.duration_s, rate_hz)
+    known_s = np.arange(len(performance.coefficients)) / RATE_HZ
+    columns = [np.interp(times_s, known_s, column) for column in performance.coefficients.T]
+    told = {
+        name: np.interp(times_s, known_s, values) for name, values in performance.expression.items()
+    }
+    return _frames(times_s, np.stack(columns, axis=1), told)
+
+
+def _heard(path: Path, asked: SpeechAsked, rate_hz: int) -> tuple[Frame, ...]:
+    spoken = SpokenSound(path, asked.script, asked.motion, asked.config, asked.model, asked.text)
+    times_s = _times_s(spoken.duration_s, rate_hz)
+    found = spoken.frames(times_s)
+    if asked.head is None:
+        return tuple(found)
+    n_known = int(np.ceil(spoken.duration_s * RATE_HZ)) + 1
+    line = Line(tuple(spoken.events()), read_speech(path))
+    known_s = np.arange(n_known) / RATE_HZ
+    told = {
+        name: np.interp(times_s, known_s, values)
+        for name, values in line_expression(asked.head, line, n_known).items()
+    }
+    return _frames(times_s, np.stack([frame.coefficients for frame in found]), told)
+
+
+def _frames(times_s: Array, faces: Array, told: dict[str, Array]) -> tuple[Frame, ...]:
+    known = {each.name for each in fields(Expression)} & set(told)
+    return tuple(
+        Frame(
+            float(time_s),
+            faces[n].astype(np.float64),
+            Expression(**{name: float(told[name][n]) for name in known})
+            if known
+            else NO_EXPRESSION,
+        )
+        for n, time_s in enumerate(times_s)
+    )
+
+
+def _spoken(text: str, config: str, folder: Path) -> tuple[Path, Path | None]:
+    """A text by the voice of a face, as a sound file and, where it tells them, its phonemes."""
+    speaker = speaker_of(load_settings(config)[0].sound, load_settings(config)[1])
+    voice = Voice("en-us", speaker.voice)
+    sentences = list(speak_in_pieces(synthesizer_for(speaker.synthesizer), text, voice))
+    rate_hz = sentences[0].sample_rate_hz
+    sound = folder / "spoken.wav"
+    soundfile.write(sound, np.concatenate([each.samples for each in sentences]), rate_hz)
+    if not all(each.phonemes for each in sentences):
+        return sound, None
+    script = folder / "spoken.TextGrid"
+    write_tiers(script, {"phones": tuple(_joined(sentences))})
+    return sound, script
+
+
+def _joined(sentences: Sequence[SynthesizedSpeech]) -> Iterator[tuple[str, float, float]]:
+    """Phonemes of sentences one after the other: name, start, end."""
+    begins_s = 0.0
+    for sentence in sentences:
+        for event in sentence.phonemes:
+            end_s = sentence.duration_s if event.end_s is None else event.end_s
+            yield event.phoneme, begins_s + event.start_s, begins_s + end_s
+        begins_s += sentence.duration_s
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a text too long for a file's name
+        return False

@@ -1,0 +1,122 @@
+"""What keeps a warped photograph whole: lips that meet, and triangles that do not turn over."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from lipservo.display.photo_face import PhotoFace
+from lipsync.arrays import Array, Indices
+from lipsync.face.frame import Frame
+
+#: Rounds after which a triangle may stay as it is.
+_MOST_ROUNDS = 200
+#: A triangle keeps this share of its area at least.
+_LEAST_SHARE = 0.02
+#: How far into the lips contact is felt, mm.
+_LIP_MM = 6.0
+
+
+@dataclass(frozen=True, slots=True)
+class Mesh:
+    """The flat mesh of a photograph, from the back to the front.
+
+    rest_px (n, 2): its vertices in the photograph. triangles (n_triangles, 3), drawn in this order.
+    skin: rows of `triangles` that are skin.
+    """
+
+    rest_px: Array
+    triangles: Indices
+    skin: slice
+
+
+class LipContact:
+    """Lips of another face than the model's, brought together where the model's touch.
+
+    The targets move the lips of the photograph as far as the speaker's, so that what they are apart
+    when they should touch is the difference of two faces. It is taken away in the measure in which
+    the model's lips come nearer to each other than they are in the photograph. And lips that would
+    overlap meet in the middle.
+    """
+
+    def __init__(self, photo: PhotoFace, own_px: Array, lips: Indices) -> None:
+        half = len(lips) // 2
+        self._upper, self._lower = lips[1:half], lips[:half:-1]
+        self._gaps = photo.lip_gaps
+        corner, other = own_px[lips[0], :2], own_px[lips[half], :2]
+        along = (other - corner) / np.linalg.norm(other - corner)
+        #: From the upper lip to the lower one.
+        self._down = np.array([-along[1], along[0]])
+        share = np.linspace(0.0, 1.0, half + 1)[1:-1]
+        own_gap = self._gap_px(own_px)
+        self._excess_px = own_gap - photo.lip_gaps.at(share, photo.own) * photo.px_per_mm
+        # Where landmarks overlap in the photograph, they may.
+        self._least_px = np.minimum(own_gap, 0.0)
+        self._own_gap_mm = max(self._widest_mm(photo.own), 1e-3)
+        reach_px = _LIP_MM * photo.px_per_mm
+        self._felt = [
+            _felt_by(own_px[:, :2], rim, reach_px, side * self._down) for rim, side in self._sides()
+        ]
+
+    def _gap_px(self, skin_px: Array) -> Array:
+        return np.asarray((skin_px[self._lower, :2] - skin_px[self._upper, :2]) @ self._down)
+
+    def _sides(self) -> tuple[tuple[Indices, float], tuple[Indices, float]]:
+        return (self._upper, -1.0), (self._lower, 1.0)
+
+    def _widest_mm(self, coefficients: Array) -> float:
+        return float(self._gaps.gaps_mm(coefficients).max())
+
+    def held(self, skin_px: Array, frame: Frame) -> Array:
+        """The skin (n, 3) with its lips in contact where they should be; changes it in place."""
+        nearer = 1.0 - self._widest_mm(frame.coefficients) / self._own_gap_mm
+        closing = self._excess_px * min(1.0, max(0.0, nearer))
+        closing = np.minimum(closing, self._gap_px(skin_px) - self._least_px) / 2
+        for felt, way in zip(self._felt, (closing, -closing), strict=True):
+            skin_px[:, :2] += (felt @ way)[:, None] * self._down
+        return skin_px
+
+
+def _felt_by(own_px: Array, rim: Indices, reach_px: float, side: Array) -> sparse.csr_array:
+    """(n, n_rim): how far vertices of one lip go with its rim; side (2,): where the lip lies."""
+    apart = own_px[:, None] - own_px[None, rim]
+    nearest = np.argmin((apart**2).sum(axis=2), axis=1)
+    from_rim = apart[np.arange(len(own_px)), nearest]
+    share = np.exp(-((from_rim**2).sum(axis=1)) / reach_px**2)
+    # The rim itself, and of the rest what lies on its own side.
+    share[(share < 0.02) | (from_rim @ side < 0.0)] = 0.0
+    share[rim] = 1.0
+    rows = np.flatnonzero(share)
+    shape = (len(own_px), len(rim))
+    return sparse.csr_array((share[rows], (rows, nearest[rows])), shape=shape)
+
+
+class Unfolding:
+    """Triangles that would turn over move as a whole instead, as far as they must."""
+
+    def __init__(self, rest_px: Array, mesh: Mesh) -> None:
+        self._rest, self._triangles = rest_px, mesh.triangles[mesh.skin]
+        self._areas = areas_px2(rest_px, self._triangles)
+
+    def unfolded(self, moved_px: Array) -> Array:
+        """Vertices (n, 2); corners of folded triangles are brought to go as their middle goes."""
+        moves = moved_px - self._rest
+        for _ in range(_MOST_ROUNDS):
+            areas = areas_px2(self._rest + moves, self._triangles)
+            folded = areas * np.sign(self._areas) < _LEAST_SHARE * np.abs(self._areas)
+            if not folded.any():
+                break
+            corners = self._triangles[folded]
+            together = np.repeat(moves[corners].mean(axis=1), 3, axis=0)
+            rows, which = np.unique(corners.ravel(), return_inverse=True)
+            counts = np.bincount(which)
+            wanted = np.stack([np.bincount(which, column) for column in together.T], axis=1)
+            moves[rows] = wanted / counts[:, None]
+        return self._rest + moves
+
+
+def areas_px2(places_px: Array, triangles: Indices) -> Array:
+    """(n_triangles,): twice the area, with the sign of the way round."""
+    a, b, c = (places_px[triangles[:, corner]] for corner in range(3))
+    across, down = b - a, c - a
+    return np.asarray(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0])

@@ -1,0 +1,238 @@
+"""What is seen between the lips of a photograph: teeth, tongue and darkness.
+
+Teeth and tongue are the twin's own (`lipsync/twin/parts.py`), drawn once as small pictures: the
+upper ones stay with the head, the lower ones and the tongue go with the jaw. They get dark as the
+lips close, for no light gets there.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipservo.display.photo_face import PhotoFace
+from lipservo.display.raster import covered
+from lipsync.arrays import Array
+from lipsync.face.frame import Frame
+from lipsync.twin.packed import vertex_normals
+from lipsync.twin.parts import Part
+from lipsync.video.face_detection import Picture
+
+Pixels = NDArray[np.float32]
+#: Drawn so many times as large, and brought to size where it is shown.
+_FINE = 3
+#: Where the light comes from: x right, y up, z to the viewer.
+_LIGHT = np.array([-0.25, 0.35, 0.9]) / np.linalg.norm([-0.25, 0.35, 0.9])
+#: Light between the lips: least, and from which gap to which, mm, as in the page's twin.
+_LEAST_LIGHT, _DARK_MM, _LIGHT_MM = 0.15, 0.9, 6.0
+#: Lips that are no farther apart in a photograph are closed there.
+_CLOSED_MM = 2.0
+#: Nearer lips touch each other; the shade of lips that hardly part, and up to how far apart.
+_SLIT_MM, _SHADE, _PARTED_MM = 0.35, 0.55, 1.6
+#: Behind the teeth, sRGB.
+_DARKNESS = np.array([38.0, 14.0, 14.0], dtype=np.float32)
+#: An inner lip is seen this far into the mouth, mm, before it is in its own shadow.
+_SHADOW_MM = 2.2
+
+
+@dataclass(frozen=True, slots=True)
+class _Sprite:
+    """A picture with how much it covers (rows, columns, 4), and where its corner belongs, px."""
+
+    pixels: Pixels
+    corner_px: Array
+
+
+class MouthInside:
+    """Draws the inside of the mouth of one photograph. lips_px (n, 3): the inner rim as it is."""
+
+    def __init__(self, photo: PhotoFace, lips_px: Array) -> None:
+        self._photo = photo
+        parts = {part.name: part for part in photo.twin.parts}
+        own = dict(zip(photo.twin.components, photo.own.tolist(), strict=True))
+        self._upper = _sprite(photo, parts["teeth_upper"], {})
+        self._lower = _sprite(photo, parts["teeth_lower"], own)
+        lower = parts["teeth_lower"]
+        front = lower.places_mm[:, 2] > lower.places_mm[:, 2].max() - 6.0
+        self._jaw_px = {
+            name: photo.matrix @ moves[front].mean(axis=0) for name, moves in lower.morphs.items()
+        }
+        self._own = own
+        self._tone = _tone(photo.picture, lips_px)
+        upper = len(lips_px) // 2
+        self._upper_rows = np.arange(upper + 1)
+        self._lower_rows = np.concatenate([np.arange(upper, len(lips_px)), [0]])[::-1]
+        self._rest_px = lips_px[:, :2]
+        # Lips that are closed in the photograph have a line of their own where they meet.
+        own_px = np.linalg.norm(
+            self._rest_px[self._lower_rows] - self._rest_px[self._upper_rows], axis=1
+        )
+        is_closed = float(own_px.max()) < _CLOSED_MM * photo.px_per_mm
+        slit_px = _SLIT_MM * photo.px_per_mm
+        self._own_px = own_px + slit_px if is_closed else np.full(len(own_px), slit_px)
+
+    def draw_into(
+        self, picture: Picture, frame: Frame, lips_px: Array, turned: tuple[Array, Array]
+    ) -> None:
+        """Fill what is open between the inner lips (n, 3), in pixels; turned: of the head."""
+        import cv2
+
+        flat = lips_px[:, :2]
+        low = np.floor(flat.min(axis=0)).astype(int) - 2
+        high = np.ceil(flat.max(axis=0)).astype(int) + 3
+        height, width = picture.shape[:2]
+        low, high = np.maximum(low, 0), np.minimum(high, (width, height))
+        if (high <= low).any():
+            return
+        view = picture[low[1] : high[1], low[0] : high[0]]
+        gaps = _Opening(flat, self._upper_rows, self._lower_rows, self._own_px, low, view.shape[:2])
+        if not gaps.hole.any():
+            return
+        lips = cv2.remap(
+            self._photo.picture, *gaps.nearest_lip(self._rest_px), cv2.INTER_LINEAR
+        ).astype(np.float32)
+        inside = self._inside(frame, turned, low, view.shape[:2], gaps)
+        cover = gaps.cover[..., None]
+        # Lips that hardly part are seen through nothing: what is between them is their own shade.
+        apart = np.clip(gaps.open_px / (_PARTED_MM * self._photo.px_per_mm), 0.0, 1.0)[..., None]
+        inside = apart * inside + (1 - apart) * (_SHADE * lips)
+        hole = gaps.hole[..., None]
+        rim = hole * lips + (1 - hole) * view.astype(np.float32)
+        view[...] = np.clip(cover * inside + (1 - cover) * rim, 0, 255).astype(np.uint8)
+
+    def _inside(
+        self,
+        frame: Frame,
+        turned: tuple[Array, Array],
+        low: NDArray[np.int_],
+        shape: tuple[int, int],
+        gaps: "_Opening",
+    ) -> Pixels:
+        names = self._photo.twin.components
+        amounts = dict(zip(names, np.asarray(frame.coefficients).tolist(), strict=True))
+        jaw = np.zeros(3)
+        for name, way in self._jaw_px.items():
+            jaw = jaw + (amounts[name] - self._own[name]) * way
+        pixels = np.broadcast_to(_DARKNESS, (*shape, 3)).astype(np.float32)
+        for sprite, moved in ((self._lower, jaw), (self._upper, np.zeros(3))):
+            seen = _placed(sprite, turned, moved, low, shape)
+            pixels = seen[..., 3:] * seen[..., :3] + (1 - seen[..., 3:]) * pixels
+        gap_mm = gaps.widest_px / self._photo.px_per_mm
+        share = np.clip((gap_mm - _DARK_MM) / (_LIGHT_MM - _DARK_MM), 0.0, 1.0)
+        light = _LEAST_LIGHT + (1 - _LEAST_LIGHT) * share * share * (3 - 2 * share)
+        shadow = 0.45 + 0.55 * np.clip(
+            gaps.below_upper_px / (_SHADOW_MM * self._photo.px_per_mm), 0.0, 1.0
+        )
+        return np.asarray(pixels * (light * shadow[..., None]) * self._tone, dtype=np.float32)
+
+
+class _Opening:
+    """Pixels between the inner lips: how much of each is open, along the mouth's own axis."""
+
+    def __init__(
+        self,
+        lips: Array,
+        upper_rows: NDArray[np.int_],
+        lower_rows: NDArray[np.int_],
+        own_px: Array,
+        low: NDArray[np.int_],
+        shape: tuple[int, int],
+    ) -> None:
+        corner, other = lips[upper_rows[0]], lips[upper_rows[-1]]
+        along = (other - corner) / max(float(np.linalg.norm(other - corner)), 1e-9)
+        self._axes = np.array([along, [-along[1], along[0]]])
+        rows, columns = np.mgrid[: shape[0], : shape[1]]
+        at = np.stack([columns + low[0], rows + low[1]], axis=-1) - corner
+        s, t = (at @ self._axes.T).transpose(2, 0, 1)
+        self._upper, self._lower = upper_rows, lower_rows
+        chains = [(lips[each] - corner) @ self._axes.T for each in (upper_rows, lower_rows)]
+        self._s = [np.maximum.accumulate(chain[:, 0]) for chain in chains]
+        top, bottom = (
+            np.interp(s, at_s, chain[:, 1]) for at_s, chain in zip(self._s, chains, strict=True)
+        )
+        within = (s >= self._s[0][0]) & (s <= self._s[0][-1])
+        open_px = np.minimum(t + 0.5, bottom) - np.maximum(t - 0.5, top)
+        self.hole = np.where(within, np.clip(open_px, 0.0, 1.0), 0.0).astype(np.float32)
+        margin = np.interp(s, self._s[0], own_px) / 2
+        top, bottom = top + margin, bottom - margin
+        open_px = np.minimum(t + 0.5, bottom) - np.maximum(t - 0.5, top)
+        self.cover = np.where(within, np.clip(open_px, 0.0, 1.0), 0.0).astype(np.float32)
+        self.open_px = np.maximum(0.0, bottom - top)
+        self.widest_px = float(np.max(np.where(within, bottom - top, 0.0)))
+        self.below_upper_px = t - top
+        self._along, self._is_upper = s, (t - top) < (bottom - t)
+
+    def nearest_lip(self, rest_px: Array) -> tuple[Pixels, Pixels]:
+        """Where in the photograph the rim of the nearer lip is, for each pixel."""
+        found = []
+        for axis in (0, 1):
+            upper, lower = (
+                np.interp(self._along, at_s, rest_px[rows, axis])
+                for at_s, rows in zip(self._s, (self._upper, self._lower), strict=True)
+            )
+            found.append(np.where(self._is_upper, upper, lower).astype(np.float32))
+        return found[0], found[1]
+
+
+def _placed(
+    sprite: _Sprite,
+    turned: tuple[Array, Array],
+    moved_px: Array,
+    low: NDArray[np.int_],
+    shape: tuple[int, int],
+) -> Pixels:
+    """A sprite as it is seen in a view that begins at `low`."""
+    import cv2
+
+    turn, shift = turned
+    corner = turn @ (sprite.corner_px + moved_px) + shift
+    linear = turn[:2, :2] / _FINE
+    half = (_FINE - 1) / 2.0
+    offset = corner[:2] - linear @ (half, half) - low
+    matrix = np.column_stack([linear, offset])
+    seen = cv2.warpAffine(sprite.pixels, matrix, shape[::-1], flags=cv2.INTER_LINEAR)
+    return np.asarray(seen, dtype=np.float32)
+
+
+def _sprite(photo: PhotoFace, part: Part, own: dict[str, float]) -> _Sprite:
+    """A part of the twin in the pose of the photograph, shaded."""
+    import cv2
+
+    places_mm = part.places_mm.copy()
+    for name, moves in part.morphs.items():
+        places_mm += own.get(name, 0.0) * moves
+    px = photo.in_picture(places_mm)
+    low = np.append(np.floor(px[:, :2].min(axis=0)) - 1, px[:, 2].max())
+    fine = (px[:, :2] - low[:2]) * _FINE + (_FINE - 1) / 2.0
+    width, height = (np.ceil(fine.max(axis=0)) + 2 * _FINE).astype(int).tolist()
+    normals = vertex_normals(places_mm, part.triangles)
+    facing = np.clip(normals @ _LIGHT, 0.0, 1.0)
+    # Farther back in the mouth it is darker.
+    deep_mm = places_mm[:, 2].max() - places_mm[:, 2]
+    lit = (0.55 + 0.45 * facing) * np.exp(-deep_mm / 24.0)
+    colours = 255.0 * part.colours * lit[:, None]
+    order = np.argsort(px[part.triangles, 2].mean(axis=1))
+    triangles = part.triangles[order]
+    corners = fine[triangles]
+    found = covered(corners, height, width)
+    painted = found.interpolated(corners, colours[triangles]).T
+    pixels = np.zeros((height, width, 4), dtype=np.float32)
+    pixels[found.rows, found.columns, :3] = painted
+    pixels[found.rows, found.columns, 3] = 1.0
+    soft = np.asarray(cv2.blur(pixels, (_FINE, _FINE)), dtype=np.float32)
+    soft[..., :3] /= np.maximum(soft[..., 3:], 1e-6)
+    return _Sprite(soft.astype(np.float32), low)
+
+
+def _tone(picture: Picture, lips_px: Array) -> Pixels:
+    """How bright and how coloured the photograph's light is at the lips, against white: (3,)."""
+    height, width = picture.shape[:2]
+    low = np.clip(np.floor(lips_px[:, :2].min(axis=0)).astype(int) - 10, 0, None)
+    high = np.clip(np.ceil(lips_px[:, :2].max(axis=0)).astype(int) + 10, None, (width, height))
+    around = picture[low[1] : high[1], low[0] : high[0]].reshape(-1, 3).astype(np.float64)
+    bright = np.percentile(around, 85, axis=0)
+    grey = float(bright.mean())
+    level = np.clip(grey / 185.0, 0.45, 1.1)
+    # Of the light's colour only a little: skin is red under white light too.
+    hue = 1.0 + 0.15 * (bright / max(grey, 1.0) - 1.0)
+    return np.asarray(level * hue, dtype=np.float32)

@@ -1,0 +1,219 @@
+"""A photograph of a face that a face model can move: the mean head worn by its landmarks.
+
+The head of the twin is laid on the landmarks, by a similarity and then, as a thin shell, through
+each of them; with it come the model's targets, lids, brows, smile, teeth and tongue
+(`lipsync/twin/twin.py`), in the proportions of this face. So a photograph is a twin whose skin has
+its pixels for a colour, and whatever draws a twin can draw it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from lipsync.arrays import Array
+from lipsync.errors import UserError
+from lipsync.face.head_motion import apply_similarity, fit_similarity
+from lipsync.face.model import FaceModel
+from lipsync.markers import INNER_LIP
+from lipsync.twin.head_surface import (
+    LEFT_EYE,
+    LEFT_IRIS,
+    N_SKIN,
+    RIGHT_EYE,
+    RIGHT_IRIS,
+    MeanFace,
+    head_surface,
+    load_mean_face,
+    spread,
+)
+from lipsync.twin.twin import Twin, make_twin
+from lipsync.video.face_detection import Picture
+
+#: A face turned farther than this shows one side only, degrees of yaw and of pitch.
+MOST_TURNED_DEG = 30.0
+#: A smaller face has too few pixels for its lips, px from ear to ear.
+LEAST_FACE_PX = 60.0
+#: What a head must be told by at the least, by number in the 478-point face mesh: outer corners of
+#: the eyes, tip of the nose, corners and middles of the lips, chin.
+HAND_POINTS: Mapping[str, int] = {
+    "right_eye_outer": 33, "right_eye_inner": 133, "left_eye_inner": 362, "left_eye_outer": 263,
+    "right_lid_upper": 159, "right_lid_lower": 145, "left_lid_upper": 386, "left_lid_lower": 374,
+    "nose_tip": 1, "nose_base": 2, "mouth_right": 61, "mouth_left": 291,
+    "upper_lip_top": 0, "upper_lip_bottom": 13, "lower_lip_top": 14, "lower_lip_bottom": 17,
+    "chin": 152, "right_ear": 234, "left_ear": 454, "forehead": 10,
+}  # fmt: skip
+#: Lips nearer than this in a photograph are closed: they rest.
+_CLOSED_MM = 1.2
+#: How far a measured lip gap may be off, mm.
+_GAP_NOISE_MM = 0.4
+#: Of the inner lips, upper before lower.
+_LIP_PAIRS = tuple(zip(INNER_LIP[1:10], INNER_LIP[:10:-1], strict=True))
+
+
+class PhotoError(UserError):
+    """A photograph that cannot be moved; one line: which, why, what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class LipGaps:
+    """How far the model's inner lips are apart, as a linear function of the coefficients.
+
+    along (n,): where, from one corner (0) to the other (1). at_zero (n,), each (n, n_components):
+    in mm. Corners are always together.
+    """
+
+    along: Array
+    at_zero: Array
+    each: Array
+
+    def gaps_mm(self, coefficients: Array) -> Array:
+        """(n,) of a mouth."""
+        return np.asarray(self.at_zero + self.each @ coefficients)
+
+    def at(self, along: Array, coefficients: Array) -> Array:
+        """The gaps at other places along the lips, mm."""
+        known = np.concatenate([[0.0], self.along, [1.0]])
+        gaps = np.concatenate([[0.0], self.gaps_mm(coefficients), [0.0]])
+        return np.asarray(np.interp(along, known, gaps))
+
+
+@dataclass(frozen=True, slots=True)
+class PhotoFace:
+    """A photograph with a head in it.
+
+    picture (height, width, 3). twin: the head, in mm; at coefficients `own` it is as photographed.
+    matrix (3, 3), shift_px (3,): `places_mm @ matrix.T + shift_px` are pixels, x right, y down and
+    z towards the viewer, a pixel's middle at whole numbers. lip_gaps: of the model.
+    """
+
+    picture: Picture
+    twin: Twin
+    own: Array
+    lip_gaps: LipGaps
+    matrix: Array
+    shift_px: Array
+
+    @property
+    def px_per_mm(self) -> float:
+        """Size of the face in the picture."""
+        return float(np.cbrt(abs(np.linalg.det(self.matrix))))
+
+    def in_picture(self, places_mm: Array) -> Array:
+        """(n, 3) of the head as pixels and depth."""
+        return np.asarray(places_mm @ self.matrix.T + self.shift_px)
+
+
+def photo_face(picture: Picture, landmarks_px: Mapping[int, Array], face: FaceModel) -> PhotoFace:
+    """The head in a photograph.
+
+    landmarks_px: by number in the 478-point face mesh (2,) or (3,), x right, y down, z away from
+    the viewer; all of a tracker, or those of `HAND_POINTS` at the least. Raises PhotoError, and
+    TwinError for a model that no head can wear.
+    """
+    missing = [name for name, number in HAND_POINTS.items() if number not in landmarks_px]
+    if missing:
+        raise PhotoError(f"a face needs {missing[0]} (landmark {HAND_POINTS[missing[0]]})")
+    mean = load_mean_face()
+    numbers = sorted(number for number in landmarks_px if number < N_SKIN)
+    on_head = mean.vertices_mm[numbers]
+    in_picture = _with_depth([np.asarray(landmarks_px[n], dtype=np.float64) for n in numbers])
+    is_flat = in_picture is None
+    if in_picture is None:
+        flat = np.array([landmarks_px[n][:2] for n in numbers], dtype=np.float64)
+        in_picture = np.column_stack([flat * (1.0, -1.0), np.zeros(len(flat))])
+    reference = on_head * (1.0, 1.0, 0.0) if is_flat else on_head
+    scale, rotation, shift = (each[0] for each in fit_similarity(reference[None], in_picture))
+    if is_flat:
+        in_picture[:, 2] = scale * on_head[:, 2]
+    _check_size_and_pose(scale * np.ptp(mean.vertices_mm[:N_SKIN, 0]), rotation)
+    back = (np.array([1 / scale]), rotation.T[None], -(shift @ rotation)[None] / scale)
+    own_mm = apply_similarity(in_picture[None], *back)[0]
+    worn = _worn(mean, numbers, own_mm, landmarks_px, back)
+    gaps = lip_gaps(face)
+    own = _own_coefficients(face, gaps, worn)
+    mirror = np.array([1.0, -1.0, 1.0])
+    matrix = mirror[:, None] * scale * rotation
+    return PhotoFace(picture, make_twin(face, worn, own), own, gaps, matrix, mirror * shift)
+
+
+def _with_depth(points: list[Array]) -> Array | None:
+    """(n, 3) with y up and z to the viewer; None where a point has no depth."""
+    if any(len(point) < 3 for point in points):
+        return None
+    return np.stack(points) * (1.0, -1.0, -1.0)
+
+
+def _check_size_and_pose(face_px: float, rotation: Array) -> None:
+    """Raises PhotoError."""
+    if face_px < LEAST_FACE_PX:
+        raise PhotoError(
+            f"the face is {face_px:.0f} pixels wide, {LEAST_FACE_PX:.0f} are needed; take a larger "
+            "picture, or one from nearer"
+        )
+    ahead = rotation[:, 2]
+    yaw_deg = float(np.degrees(np.arctan2(ahead[0], ahead[2])))
+    pitch_deg = float(np.degrees(np.arctan2(ahead[1], ahead[2])))
+    for turned_deg, how in ((yaw_deg, "aside"), (pitch_deg, "up or down")):
+        if abs(turned_deg) > MOST_TURNED_DEG:
+            raise PhotoError(
+                f"the face is turned {how} by {abs(turned_deg):.0f} degrees, "
+                f"{MOST_TURNED_DEG:.0f} at most; take a picture from the front"
+            )
+
+
+def _worn(
+    mean: MeanFace,
+    numbers: list[int],
+    own_mm: Array,
+    landmarks_px: Mapping[int, Array],
+    back: tuple[Array, Array, Array],
+) -> MeanFace:
+    """The mean head with its landmarks where this face has them, all else following smoothly."""
+    surface = head_surface(mean)
+    still = np.flatnonzero(mean.behind > 2.0)
+    held = np.concatenate([numbers, still])
+    given = np.zeros((len(held), 3))
+    given[: len(numbers)] = own_mm - mean.vertices_mm[numbers]
+    places = mean.vertices_mm + spread(surface.stiffness, held, given)
+    irises = mean.irises_mm.copy()
+    for at, (iris, rim) in enumerate(((RIGHT_IRIS, RIGHT_EYE), (LEFT_IRIS, LEFT_EYE))):
+        if all(number in landmarks_px and len(landmarks_px[number]) == 3 for number in iris):
+            seen = np.stack([landmarks_px[number] for number in iris]) * (1.0, -1.0, -1.0)
+            irises[at] = apply_similarity(seen[None], *back)[0]
+        else:
+            moved = places[list(rim)].mean(axis=0) - mean.vertices_mm[list(rim)].mean(axis=0)
+            irises[at] = mean.irises_mm[at] + moved
+    return MeanFace(places, mean.triangles, mean.behind, irises)
+
+
+def lip_gaps(face: FaceModel) -> LipGaps:
+    """Of a model; its own lip gap alone where its layout has no inner lips."""
+    landmarks = face.layout.landmarks
+    found = [
+        (n / (len(_LIP_PAIRS) + 1), landmarks.index(upper), landmarks.index(lower))
+        for n, (upper, lower) in enumerate(_LIP_PAIRS, start=1)
+        if upper in landmarks and lower in landmarks
+    ] or [(0.5, face.layout.upper_lip, face.layout.lower_lip)]
+    along, upper, lower = (np.array(each) for each in zip(*found, strict=True))
+    upper, lower = upper.astype(int), lower.astype(int)
+    mean = face.mean_mm[upper, 1] - face.mean_mm[lower, 1] - face.lips_touching_mm[1]
+    basis = face.basis.reshape(face.n_components, -1, 3)[:, :, 1]
+    return LipGaps(along, mean, (basis[:, upper] - basis[:, lower]).T)
+
+
+def _own_coefficients(face: FaceModel, gaps: LipGaps, worn: MeanFace) -> Array:
+    """What the mouth in a photograph does: it rests, or is as open as its inner lips are apart.
+
+    Of all mouths with these lip gaps the likeliest by the model's covariance; other proportions
+    than the speaker's are no motion.
+    """
+    upper, lower = (list(each) for each in zip(*_LIP_PAIRS, strict=True))
+    own_mm = worn.vertices_mm[upper, 1] - worn.vertices_mm[lower, 1]
+    if own_mm.max() < _CLOSED_MM:
+        return face.rest
+    at = np.arange(1, len(own_mm) + 1) / (len(own_mm) + 1)
+    wider = np.interp(gaps.along, at, own_mm) - gaps.gaps_mm(face.rest)
+    gain = face.covariance @ gaps.each.T
+    noise = np.eye(len(wider)) * _GAP_NOISE_MM**2
+    return np.asarray(face.rest + gain @ np.linalg.solve(gaps.each @ gain + noise, wider))

@@ -1,0 +1,86 @@
+"""Triangles to pixels, by spans of rows, in NumPy: what lies under each pixel of a flat mesh.
+
+A pixel belongs to a triangle when its middle lies in it; of several triangles the last one counts.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lipsync.arrays import Array, Array32, Indices
+
+#: Smaller triangles than this cover no pixel's middle worth drawing, square pixels.
+_LEAST_AREA_PX2 = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Covered:
+    """Pixels that triangles cover, in the order in which they are to be drawn.
+
+    rows, columns (n,): of each pixel. triangle (n,): which one covers it.
+    """
+
+    rows: Indices
+    columns: Indices
+    triangle: Indices
+
+    def interpolated(self, corners_px: Array, values: Array) -> Array32:
+        """(k, n): what triangles (m, 3, 2) have at their corners, (m, 3, k), at each pixel."""
+        x, y = corners_px[..., 0], corners_px[..., 1]
+        sides = np.stack([x[:, 1:] - x[:, :1], y[:, 1:] - y[:, :1]], axis=-1)
+        rises = values[:, 1:] - values[:, :1]
+        # A triangle without area covers no pixel; its slopes are never asked for.
+        flat = np.abs(np.linalg.det(sides)) <= _LEAST_AREA_PX2
+        slopes = np.linalg.solve(np.where(flat[:, None, None], np.eye(2), sides), rises)
+        level = values[:, 0] - (x[:, :1] * slopes[:, 0] + y[:, :1] * slopes[:, 1])
+        columns, rows = self.columns.astype(np.float32), self.rows.astype(np.float32)
+        found = np.empty((values.shape[2], len(columns)), dtype=np.float32)
+        for k, row in enumerate(found):
+            np.take(slopes[:, 0, k].astype(np.float32), self.triangle, out=row)
+            row *= columns
+            row += np.take(slopes[:, 1, k].astype(np.float32), self.triangle) * rows
+            row += np.take(level[:, k].astype(np.float32), self.triangle)
+        return found
+
+
+def covered(corners_px: Array, height: int, width: int) -> Covered:
+    """The pixels under triangles (n, 3, 2), x right and y down, a pixel's middle at whole numbers.
+
+    What lies outside the picture is left out; so are triangles without area.
+    """
+    x, y = corners_px[..., 0], corners_px[..., 1]
+    first = np.clip(np.ceil(y.min(axis=1)), 0, height).astype(np.int64)
+    last = np.clip(np.floor(y.max(axis=1)), -1, height - 1).astype(np.int64)
+    area = (x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (x[:, 2] - x[:, 0]) * (y[:, 1] - y[:, 0])
+    n_rows = np.where(np.abs(area) > _LEAST_AREA_PX2, np.maximum(last - first + 1, 0), 0)
+    of_span, row = _counted(n_rows, first)
+    left, right = _ends(x, y, of_span, row.astype(np.float64))
+    begin = np.clip(np.ceil(left), 0, width).astype(np.int64)
+    end = np.clip(np.floor(right), -1, width - 1).astype(np.int64)
+    of_pixel, column = _counted(np.maximum(end - begin + 1, 0), begin)
+    return Covered(row[of_pixel], column, of_span[of_pixel])
+
+
+def _counted(counts: Indices, begin: Indices) -> tuple[Indices, Indices]:
+    """Each index as often as counted, and begin, begin + 1, ... beside it."""
+    which = np.repeat(np.arange(len(counts)), counts)
+    before = np.cumsum(counts) - counts - begin
+    return which, np.arange(len(which)) - np.repeat(before, counts)
+
+
+def _ends(x: Array, y: Array, of_span: Indices, row: Array) -> tuple[Array, Array]:
+    """Where rows (n,) enter and leave their triangles; to the left of the entry: not at all."""
+    left, right = np.full(len(row), np.inf), np.full(len(row), -np.inf)
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        rise = y[:, b] - y[:, a]
+        level = np.abs(rise) < 1e-12
+        slope = (x[:, b] - x[:, a]) / np.where(level, 1.0, rise)
+        low = np.where(level, np.inf, np.minimum(y[:, a], y[:, b]))
+        high = np.maximum(y[:, a], y[:, b])
+        at = (x[:, a] - slope * y[:, a])[of_span] + slope[of_span] * row
+        crosses = (row >= low[of_span]) & (row <= high[of_span])
+        np.minimum(left, at, out=left, where=crosses)
+        np.maximum(right, at, out=right, where=crosses)
+    right[~np.isfinite(left)] = -1.0
+    left[~np.isfinite(left)] = 0.0
+    return left, right

@@ -1,0 +1,163 @@
+"""The state of a face that is being made: what may be named, wired, limited and written."""
+
+import json
+
+import pytest
+from lipservo_client.protocol import FaceError
+from places import ROOT
+
+from lipservo.dashboard.first_hour.first_hour import FirstHour
+from lipservo.dashboard.first_hour.step_process import StepProcess
+from lipservo.runtime.servos.new_face import FoundJoint, face_yaml
+from lipservo.settings.found_limits import turned_values, with_ranges
+from lipservo.settings.settings import load_face, load_shipped_face
+from lipsync.errors import UserError
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "tom.yaml"
+
+
+@pytest.fixture
+def wired(path):
+    hour = FirstHour(path)
+    hour.choose_port(None, "maestro", simulated=False)
+    return hour
+
+
+def test_hobby_servos_are_wired_on_the_page_and_written_with_narrow_limits(wired, path):
+    wired.wire("jaw=0:opens")
+    wired.wire("lip=1:raises")
+    wired.wire("lip")  # taken back
+
+    wired.write_face()
+
+    face = load_face(path)
+    assert list(face.servos) == ["jaw"]
+    assert face.servos["jaw"].pulse.min_us == 1400
+    assert wired.state()["face"]["has_place"] is False
+
+
+@pytest.mark.parametrize(
+    ("channel", "why"),
+    [("jaw=0", "say what a longer pulse does"), ("Jaw=0:opens", "is no name of a joint")],
+)
+def test_what_cannot_be_wired_is_refused_in_one_line(wired, channel, why):
+    with pytest.raises(FaceError, match=why) as refused:
+        wired.wire(channel)
+
+    assert refused.value.code == "refused"
+
+
+def test_a_face_without_servos_is_not_written(wired, path):
+    with pytest.raises(FaceError, match="which servos"):
+        wired.write_face()
+
+    assert not path.exists()
+
+
+def test_a_face_that_is_there_is_gone_on_with_and_never_written_over(wired, path):
+    wired.wire("jaw=0:opens")
+    wired.write_face()
+    before = path.read_bytes()
+
+    again = FirstHour(path)
+
+    assert list(again.state()["face"]["servos"]) == ["jaw"]
+    again.choose_port(None, "maestro", simulated=False)
+    again.wire("lip=0:raises")
+    with pytest.raises(FaceError, match="exists"):
+        again.write_face()
+    assert path.read_bytes() == before
+
+
+def test_a_face_on_several_buses_and_a_file_that_is_no_face_are_refused(path):
+    path.write_text("name: tom\nservos: {}\n")
+    with pytest.raises(UserError):
+        FirstHour(path)
+
+
+@pytest.mark.parametrize("step", ["limits", "by_eye", "measure", "speak"])
+def test_no_step_on_servos_begins_before_they_have_names(path, step):
+    with pytest.raises(FaceError, match="name the servos first"):
+        FirstHour(path).start(step)
+
+
+def test_limits_that_nobody_set_are_not_written(path):
+    found = [FoundJoint("jaw", 1, "XL330-M288", "opens", 1)]
+    from firmware_bridge.bus_kinds import bus_kind
+
+    path.write_text(face_yaml("tom", bus_kind("dynamixel"), "/dev/none", 1_000_000, found))
+    hour = FirstHour(path)
+
+    with pytest.raises(FaceError, match="does not say where it stands"):
+        hour.set_end("jaw", "min")
+    with pytest.raises(FaceError, match="set min and max of a joint first"):
+        hour.write_limits()
+
+
+def test_a_calibration_of_other_limits_is_none(path):
+    shipped = load_shipped_face("face_jaw")
+    path.write_text(ROOT.joinpath("config/face_jaw.yaml").read_text())
+    made = path.with_name(shipped.calibration)
+    made.write_text(ROOT.joinpath("config", shipped.calibration).read_text())
+    hour = FirstHour(path)
+    assert hour.state()["face"]["calibration"] == shipped.calibration
+
+    with_ranges(path, {next(iter(shipped.servos)): {"max_deg": 9.0}}).write()
+
+    assert hour.state()["face"]["calibration"] is None
+
+
+def test_a_neutral_shown_by_hand_moves_zero_and_leaves_the_ends_of_the_servo_where_they_are():
+    before_deg, neutral_deg = 3.0, 5.0
+    found = turned_values(-20.0, 30.0, neutral_deg, before_deg)
+
+    # servo angle = joint angle + zero_offset_deg, 2 degrees inside of what the hand showed
+    assert found["zero_offset_deg"] == before_deg + neutral_deg
+    assert found["min_deg"] + found["zero_offset_deg"] == pytest.approx(-20.0 + 2.0 + before_deg)
+    assert found["max_deg"] + found["zero_offset_deg"] == pytest.approx(30.0 - 2.0 + before_deg)
+
+
+def test_a_neutral_outside_of_the_ends_is_refused():
+    with pytest.raises(UserError, match="leaves out its neutral"):
+        turned_values(10.0, 30.0, 0.0, 0.0)
+
+
+def test_a_servo_of_the_neck_is_no_mouth():
+    joint = FoundJoint("neck_yaw", 2, "XL330-M288", "turns left", 1, part="neck")
+    from firmware_bridge.bus_kinds import bus_kind
+    from lipservo.settings.settings import parse_face
+
+    text = face_yaml("tom", bus_kind("dynamixel"), "/dev/none", 1_000_000, [joint])
+
+    assert parse_face(text, "tom.yaml").servos["neck_yaw"].part == "neck"
+
+
+def test_a_step_at_a_port_that_is_not_there_says_so_in_one_line(path):
+    hour = FirstHour(path, "/dev/no_such_port")  # who is there is asked at once
+
+    hour._step.wait()
+
+    told = hour.state()["step"]
+    assert told["runs"] is False
+    assert "/dev/no_such_port" in told["error"]
+    assert "Traceback" not in json.dumps(told)
+    with pytest.raises(UserError):
+        hour.control_path()
+
+
+def test_a_step_that_nobody_wants_is_ended():
+    ended = []
+    step = StepProcess(
+        "find",
+        {"port": "/dev/null", "kind": "dynamixel"},
+        is_wanted=lambda: False,
+        ended=ended.append,
+    )
+
+    step.wait()
+
+    assert ended == [step]
+    assert not step.runs
