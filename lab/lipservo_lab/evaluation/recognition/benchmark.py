@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from lipservo_lab.baselines.visible_error import visible_error_table
 from lipservo_lab.corpus.alignment_cache import LABELLED, PHONEME_INDEX, AlignedUtterance
 from lipservo_lab.corpus.transcribed import TranscribedUtterance
-from lipservo_lab.evaluation.motion.visible_error import visible_error_table
 from lipservo_lab.evaluation.recognition.conditions import (
     Condition,
     encoder_readings_deg,

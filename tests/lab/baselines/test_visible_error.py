@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from lipservo_lab.evaluation.motion.visible_error import (
+from lipservo_lab.baselines.visible_error import (
     visible_distances_mm,
     visible_error_mm,
     visible_error_table,
