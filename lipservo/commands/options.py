@@ -11,7 +11,6 @@ import typer
 from lipservo.settings.motion_names import (
     DEFAULT_STRATEGY,
     LONGEST_LOOKAHEAD_MS,
-    ON_STAGE,
     ONLY_UNITS,
     SMOOTHEST,
     STRONGEST,
@@ -223,15 +222,6 @@ Strength = Annotated[
         show_default=False,
     ),
 ]
-Stage = Annotated[
-    float | None,
-    typer.Option(
-        min=0.0,
-        max=ON_STAGE,
-        help="1 opens and rounds the mouth for viewers at 3 m; default: 0, or the face's.",
-        show_default=False,
-    ),
-]
 Smoothness = Annotated[
     float | None,
     typer.Option(min=0.0, max=SMOOTHEST, help="0, the default, crisp, 1 slow.", show_default=False),
@@ -286,7 +276,7 @@ Landmarker = Annotated[
 
 _OF_THE_YAML: Final = "`{}:` in the face's YAML says it now"
 _MOTION: Final = ("engine", "weights", "strategy", "lookahead_ms", "low_latency")
-_SET: Final = ("strength", "stage", "smoothness", "unit_share")
+_SET: Final = ("strength", "smoothness", "unit_share")
 _MOVED: Final = {
     "--output": _OF_THE_YAML.format("sound.output"),
     "--rate-hz": _OF_THE_YAML.format("rate_hz"),

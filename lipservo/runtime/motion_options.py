@@ -127,7 +127,6 @@ class ChosenMotion:
     strategy: Strategy | None = None
     lookahead_ms: float | None = None
     strength: float | None = None
-    stage: float | None = None
     smoothness: float | None = None
     unit_share: float | None = None
     low_latency: bool = False
@@ -149,7 +148,7 @@ def motion_options(
     ignored = [
         f"--{name.replace('_', '-')}"
         for name in STYLE_NAMES
-        if getattr(chosen, name) is not None and name not in STYLES_OF[strategy]
+        if getattr(chosen, name, None) is not None and name not in STYLES_OF[strategy]
     ]
     if ignored:
         raise UserError(
@@ -160,7 +159,7 @@ def motion_options(
     def style(name: str, default: float) -> float:
         if name not in STYLES_OF[strategy]:
             return default
-        for value in (getattr(chosen, name), getattr(of_the_face, name)):
+        for value in (getattr(chosen, name, None), getattr(of_the_face, name)):
             if value is not None:
                 return float(value)
         return default

@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from lipservo.settings.motion_names import DEFAULT_STRATEGY
 from lipservo_lab.baselines.baselines import Baselines
 from lipservo_lab.bench.motion_figures import live_listener
 from lipservo_lab.bench.offline_models import models_of, visemes_of
@@ -18,9 +19,9 @@ from lipservo_lab.corpus.utterance import Corpus, Utterance
 from lipservo_lab.evaluation.motion.methods import (
     DominanceMethod,
     Heard,
-    LiveMethod,
     Method,
     PublishedMethod,
+    all_methods,
 )
 from lipservo_lab.evaluation.motion.motion_scores import Listen, true_phonemes
 from lipservo_lab.evaluation.motion.offline_methods import ContextVisemeMethod, OfflineMethod
@@ -120,10 +121,11 @@ def faces_of_methods(model: TrainedModel, corpus: Corpus) -> FacesOf:
     Raises MissingExtraError, before the work, where the offline method's library is missing.
     """
     offline = models_of(corpus, "a study with `edge` or `scripted`")
+    ours = all_methods()[DEFAULT_STRATEGY]
     ears, words = live_listener(), live_listener(with_text=True)
     known: Mapping[str, tuple[Method, Listen]] = {
-        "ears": (LiveMethod(), ears),
-        "words": (LiveMethod(), words),
+        "ears": (ours, ears),
+        "words": (ours, words),
         "scripted": (OfflineMethod("heard", offline), true_phonemes),
         "wei-deng": (PublishedMethod(STRATEGIES["priority"]), true_phonemes),
         "edge": (OfflineMethod("model-based", offline), true_phonemes),

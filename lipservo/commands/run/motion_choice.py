@@ -12,7 +12,6 @@ from lipservo.commands.options import (
     Lookahead,
     LowLatency,
     Smoothness,
-    Stage,
     Strength,
     UnitShare,
 )
@@ -25,13 +24,12 @@ def chosen_motion(
     strategy: FaceStrategy = None,
     lookahead_ms: Lookahead = None,
     strength: Strength = None,
-    stage: Stage = None,
     smoothness: Smoothness = None,
     unit_share: UnitShare = None,
     low_latency: LowLatency = False,
 ) -> ChosenMotion:
     """What was typed of these options."""
-    style = (lookahead_ms, strength, stage, smoothness, unit_share)
+    style = (lookahead_ms, strength, smoothness, unit_share)
     return ChosenMotion(engine, weights, strategy, *style, low_latency)
 
 

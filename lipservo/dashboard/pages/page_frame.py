@@ -14,8 +14,9 @@ from nicegui import ui
 
 #: Where `lipservo/dashboard/static/` is served.
 STATIC_URL: Final = "/static"
-#: Of each page: where it is, and what it is called.
+#: A page of faces that are being made, and of no other.
 FIRST_HOUR: Final = "/first-hour"
+#: Of each page: where it is, and what it is called.
 PLACES: Final = {
     FIRST_HOUR: "First hour",
     "/": "Live",
@@ -60,7 +61,6 @@ def page_frame(
     """
     ui.page_title(f"{PLACES[here]} · {(status or {}).get('name') or 'lipservo'}")
     ui.add_head_html(f'<link rel="stylesheet" href="{STATIC_URL}/dashboard.css">')
-    # The first hour is a place of faces that are being made, and of no other.
     places = {path: title for path, title in PLACES.items() if path != FIRST_HOUR}
     if facts.get("firstHour"):
         places = {FIRST_HOUR: PLACES[FIRST_HOUR], **places}

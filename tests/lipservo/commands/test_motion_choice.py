@@ -86,8 +86,8 @@ def test_another_strategy_than_the_yamls_leaves_aside_what_it_has_not():
     options = motion_options(ChosenMotion(strategy="naive"), written, None)
 
     assert options == MotionOptions(strategy="naive", style=Style(strength=0.5))
-    assert options.style_settings == {"strength": 0.5}
-    assert list(options.live_settings()) == ["strength"]
+    assert options.style_settings == {"strength": 0.5, "stage": 0.0}
+    assert list(options.live_settings()) == ["strength", "stage"]
 
 
 @pytest.mark.parametrize(

@@ -125,7 +125,7 @@ def test_the_speech_process_of_the_daemon_plays_the_strategy_and_ends_when_told(
         shown = live.speech_since(0)
     assert (told.strategy, told.settings, told.sound) == (
         strategy,
-        {"strength": 1.0, "lip_gap_offset_mm": 0.0},
+        {"strength": 1.0, "stage": 0.0, "lip_gap_offset_mm": 0.0},
         sound.name,
     )
     assert len(jaw_deg) >= 180, said
