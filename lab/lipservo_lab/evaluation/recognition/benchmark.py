@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from lipservo_lab.baselines.visible_error import visible_error_table
 from lipservo_lab.corpus.alignment_cache import LABELLED, PHONEME_INDEX, AlignedUtterance
 from lipservo_lab.corpus.transcribed import TranscribedUtterance
 from lipservo_lab.evaluation.recognition.conditions import (
@@ -23,7 +24,6 @@ from lipservo_lab.evaluation.recognition.stream_observers import (
     label_frames,
     time_to_leave,
 )
-from lipservo_lab.evaluation.recognition.visible_error import visible_error_table
 from lipservo_lab.learning.recognition import noise
 from lipsync.audio.file import read_speech
 from lipsync.audio_block import SAMPLE_RATE_HZ

@@ -14,8 +14,8 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
+from lipservo_lab.baselines.visible_error import visible_error_mm
 from lipservo_lab.corpus.alignment_cache import PHONEME_INDEX
-from lipservo_lab.evaluation.recognition.visible_error import visible_error_mm
 from lipservo_lab.learning.recognition.augmentation import LabelledSamples
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF, PhonemeEvent
 from lipsync.recognition.batch import settled_phonemes

@@ -19,7 +19,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from lipservo_lab.evaluation.recognition.visible_error import visible_distances_mm
+from lipservo_lab.baselines.visible_error import visible_distances_mm
 from lipservo_lab.learning.recognition.torch_network import TorchNetwork, exported, started_from
 from lipservo_lab.learning.recognition.training_data import (
     NO_TARGET,

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import scipy.signal
 import soundfile
+from lipservo_lab.baselines.visible_error import visible_distances_mm
 from lipservo_lab.corpus.alignment_cache import read_alignments
 from lipservo_lab.evaluation.recognition.conditions import ConditionError, parse_condition
-from lipservo_lab.evaluation.recognition.visible_error import visible_distances_mm
 from lipservo_lab.learning.recognition import augmentation, noise
 from lipservo_lab.learning.recognition.augmentation import LabelledSamples
 from lipservo_lab.learning.recognition.training_data import (

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipservo_lab.baselines.baselines import read_baselines, viseme_centres
-from lipservo_lab.evaluation.motion.measures import lip_shapes_mm
 from lipsync.arrays import Array
 from lipsync.face.model import open_model, read_face
 from lipsync.phonemes import PHONEMES, VISEME_CLASSES
@@ -28,7 +27,11 @@ def visible_distances_mm() -> Array:
         face = read_face(file)
         learned = read_baselines(file, face.n_components)
     faces = viseme_centres(learned.centres, learned.counts)
-    shapes_mm = lip_shapes_mm(face, face.markers_mm(faces))
+    markers_mm, layout = face.markers_mm(faces), face.layout
+    width_mm = np.ptp(markers_mm[:, list(layout.lips), 0], axis=1)
+    middle_mm = (markers_mm[:, layout.upper_lip] + markers_mm[:, layout.lower_lip]) / 2.0
+    # As `evaluation.motion.measures.lip_shapes_mm`, which is above this room.
+    shapes_mm = np.stack([face.lip_gaps_mm(markers_mm), width_mm, middle_mm[:, 2]], axis=1)
     by_class = shapes_mm[[PHONEMES.index(members[0]) for members in VISEME_CLASSES]]
     distances: Array = np.linalg.norm(by_class[:, None] - by_class[None], axis=2)
     distances.setflags(write=False)

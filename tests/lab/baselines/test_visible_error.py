@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
-from lipservo_lab.evaluation.recognition.recognition_scores import Score
-from lipservo_lab.evaluation.recognition.visible_error import (
+from lipservo_lab.baselines.visible_error import (
     visible_distances_mm,
     visible_error_mm,
     visible_error_table,
 )
+from lipservo_lab.evaluation.recognition.recognition_scores import Score
 
 from lipsync.phonemes import PHONEMES, VISEME_CLASSES, VISEME_OF
 
