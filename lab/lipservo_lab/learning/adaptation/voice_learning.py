@@ -71,15 +71,17 @@ def adapt(
     With one thread the same seed gives the same weights on one kind of processor.
     """
     n_arrays = 1 + plan.n_copies
-    arrays = training_arrays(
+    arrays = []
+    for array in training_arrays(
         recordings,
         start.scale,
         start.delays,
         n_heavy=plan.n_copies,
         seed=plan.seed,
         n_processes=min(plan.n_threads, n_arrays),
-        progress=lambda n: advance("disturbing", n, n_arrays),
-    )
+    ):
+        arrays.append(array)
+        advance("disturbing", len(arrays), n_arrays)
     return learn_voice(start, arrays, plan, lambda n: advance("learning", n, plan.n_steps))
 
 

@@ -105,8 +105,7 @@ def train_network(
     start: NetworkWeights | None = None,
     taught: Taught | None = None,
     check: Checkpoint = lambda _step, _weights: {},
-    progress: Callable[[int], None] = lambda _step: None,
-    is_stopped: Callable[[], bool] = lambda: False,
+    after_step: Callable[[int], bool | None] = lambda _step: False,
 ) -> NetworkWeights:
     """Learn from arrays (the first one is the light copy); returns the averaged weights.
 
@@ -114,9 +113,10 @@ def train_network(
     there goes on from it, to the same bits on one thread. `start`: weights to begin with in place
     of random ones; a smaller network grows. `taught`: what targets from len(PHONEMES) on stand for.
     `check` scores the weights so far; its figures go into the log, and where it gives a `score` the
-    weights that have most of it are returned, and kept as `best.npz`. `is_stopped`: asked after
-    each step; then the state is saved and TrainingStoppedError raised. Raises TrainingError where
-    `start` or the state does not fit, OutputError where the state cannot be written.
+    weights that have most of it are returned, and kept as `best.npz`. `after_step`: called with
+    the steps done; where it is true the state is saved and TrainingStoppedError raised. Raises
+    TrainingError where `start` or the state does not fit, OutputError where the state cannot be
+    written.
     """
     torch.manual_seed(plan.seed)
     torch.set_num_threads(plan.n_threads)
@@ -137,7 +137,7 @@ def train_network(
             learner.losses.append(_learn(network, optimizer, arrays, taught, plan, learner.step))
             average.update_parameters(network)
             learner.step += 1
-            progress(learner.step)
+            is_stopped = after_step(learner.step)
             is_last = learner.step == plan.n_steps
             if learner.step % plan.log_every == 0 or is_last:
                 record = {"step": learner.step, "loss": float(np.mean(learner.losses))}
@@ -152,7 +152,7 @@ def train_network(
                 log.flush()
                 if learner.step % plan.check_every == 0 or is_last:
                     learner.save(state, about)
-            if is_stopped() and not is_last:
+            if is_stopped and not is_last:
                 learner.save(state, about)
                 raise TrainingStoppedError(
                     f"{folder}: stopped after step {learner.step} of {plan.n_steps}; the same "

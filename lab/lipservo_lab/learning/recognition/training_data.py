@@ -6,7 +6,7 @@ array, every utterance beginning as a stream does, with a fresh level and mean.
 How the network is trained: its shape, the schedule, and the windows that a step learns from.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 
@@ -116,30 +116,23 @@ def training_arrays(
     found_sounds: Sequence[Array32] = (),
     is_taught: bool = False,
     n_processes: int = 1,
-    progress: Callable[[int], None] = lambda _n: None,
-) -> list[TrainingArray]:
-    """One lightly augmented copy, `n_heavy` heavily; the same seed gives the same arrays.
+) -> Iterator[TrainingArray]:
+    """One lightly augmented copy, `n_heavy` heavily, as they are made; the same for the same seed.
 
     found_sounds: recordings (n,) in which nobody speaks, beside those that are made. is_taught:
     targets are frames of `Taught`, which has those of `clean` in this order.
     """
     jobs = [(copy, seed, scale, tuple(delays)) for copy in range(1 + n_heavy)]
-    arrays: list[TrainingArray] = []
     _SHARED[:] = clean
     _FOUND[:] = found_sounds
     ends = np.cumsum([len(each.labels) for each in clean]) if is_taught else np.zeros(0, np.int64)
     _TAUGHT_ENDS[:] = ends.tolist()
     if n_processes <= 1:
-        for job in jobs:
-            arrays.append(_one_array(job))
-            progress(len(arrays))
-        return arrays
+        yield from map(_one_array, jobs)
+        return
     # Forked workers see the recordings without copying them.
     with worker_pool(n_processes, get_context("fork")) as pool:
-        for array in pool.map(_one_array, jobs):
-            arrays.append(array)
-            progress(len(arrays))
-    return arrays
+        yield from pool.map(_one_array, jobs)
 
 
 _SHARED: list[LabelledSamples] = []

@@ -120,7 +120,8 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
             raise TrainingError("the teacher hears none of the texts; train one first")
         clean, taught = list(told.recordings), told.taught
     scale = feature_scale(clean[::_SCALE_STEP]) if run.start is None else run.start.scale
-    arrays = training_arrays(
+    arrays = []
+    for array in training_arrays(
         clean,
         scale,
         plan.delays,
@@ -129,11 +130,17 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
         found_sounds=sounds,
         is_taught=taught is not None,
         n_processes=min(run.n_processes, 1 + run.n_copies),
-        progress=lambda n: advance("disturbing", n, 1 + run.n_copies),
-    )
+    ):
+        arrays.append(array)
+        advance("disturbing", len(arrays), 1 + run.n_copies)
     validation = [u for u in usable if u.speaker in run.validation]
     conditions = _conditions(validation, alignments, scale, plan.delays)
     with SignalCounter() as stops:
+
+        def after_step(n: int) -> bool:
+            advance("learning", n, plan.n_steps)
+            return stops.count > 0
+
         learned = train_network(
             arrays,
             scale,
@@ -142,8 +149,7 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
             start=run.start,
             taught=taught,
             check=lambda _step, weights: checked(weights, conditions, plan),
-            progress=lambda n: advance("learning", n, plan.n_steps),
-            is_stopped=lambda: stops.count > 0,
+            after_step=after_step,
         )
     return learned if run.start is None else averaged(learned, run.start, run.start_share)
 

@@ -118,13 +118,13 @@ def small_arrays(clip):
     labels = np.random.default_rng(0).integers(0, len(PHONEMES), len(clip) // 160)
     clean = [LabelledSamples(clip, labels)] * 2
     scale = feature_scale(clean)
-    return training_arrays(clean, scale, (2, 7), n_heavy=1, seed=3), scale
+    return list(training_arrays(clean, scale, (2, 7), n_heavy=1, seed=3)), scale
 
 
 def test_the_same_seed_makes_the_same_arrays(clip, small_arrays):
     labels = np.random.default_rng(0).integers(0, len(PHONEMES), len(clip) // 160)
     clean = [LabelledSamples(clip, labels)] * 2
-    again = training_arrays(clean, small_arrays[1], (2, 7), n_heavy=1, seed=3, n_processes=2)
+    again = list(training_arrays(clean, small_arrays[1], (2, 7), n_heavy=1, seed=3, n_processes=2))
 
     for first, second in zip(small_arrays[0], again, strict=True):
         assert np.array_equal(first.features, second.features)
@@ -197,7 +197,7 @@ def test_a_run_that_was_interrupted_ends_with_the_same_weights(
 
     expected = training.train_network(arrays, scale, plan, folder=whole)
     with pytest.raises(KilledError):
-        training.train_network(arrays, scale, plan, folder=parts, progress=kill)
+        training.train_network(arrays, scale, plan, folder=parts, after_step=kill)
     resumed = training.train_network(arrays, scale, plan, folder=parts)
 
     assert np.array_equal(resumed.output, expected.output)
@@ -222,10 +222,10 @@ def test_a_run_that_is_stopped_ends_after_the_step_and_goes_on_to_the_same_bits(
             scale,
             plan,
             folder=parts,
-            progress=steps.append,
+            after_step=steps.append,
             is_stopped=lambda: steps[-1] == 3,
         )
-    resumed = training.train_network(arrays, scale, plan, folder=parts, progress=steps.append)
+    resumed = training.train_network(arrays, scale, plan, folder=parts, after_step=steps.append)
 
     assert steps == [1, 2, 3, 4, 5, 6]
     assert np.array_equal(resumed.output, expected.output)
@@ -287,7 +287,7 @@ def test_a_disk_that_fills_leaves_the_last_state(
 ):
     arrays, scale = small_arrays
     with pytest.raises(training.TrainingStoppedError):
-        training.train_network(arrays, scale, plan, folder=tmp_path, is_stopped=lambda: True)
+        training.train_network(arrays, scale, plan, folder=tmp_path, after_step=lambda _step: True)
     kept = (tmp_path / "state.pt").read_bytes()
     write = Path.write_bytes
 
@@ -374,8 +374,8 @@ def test_taught_frames_keep_their_labels_and_posteriors_in_every_copy(
     clean = [LabelledSamples(clip, labels)] * 2
     sure = np.eye(len(PHONEMES), dtype=np.float16)
     taught = Taught(np.tile(labels, 2), sure[np.tile(labels, 2)])
-    plain = training_arrays(clean, scale, (2, 7), n_heavy=1, seed=3)
-    coded = training_arrays(clean, scale, (2, 7), n_heavy=1, seed=3, is_taught=True)
+    plain = list(training_arrays(clean, scale, (2, 7), n_heavy=1, seed=3))
+    coded = list(training_arrays(clean, scale, (2, 7), n_heavy=1, seed=3, is_taught=True))
 
     for one, other in zip(plain, coded, strict=True):
         decoded, rows = taught.decoded(other.targets)
