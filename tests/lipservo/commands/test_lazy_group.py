@@ -12,7 +12,7 @@ from lipservo.commands.run import stop
 from lipsync.errors import UserError
 
 #: At the top; `film` and `study` are to come.
-MOST_COMMANDS = 25
+MOST_COMMANDS = 27
 
 
 def run(*arguments):

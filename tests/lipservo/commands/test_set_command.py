@@ -77,18 +77,19 @@ def test_a_face_says_what_it_plays_and_follows_what_is_set():
     (after,) = outcomes
 
     assert (before["strategy"], before["sound"], before["engine"]) == (
-        "expected",
+        "animpho",
         "silence",
         "network",
     )
     assert before["settings"] == {
-        "lookahead_ms": 50.0, "strength": 1.2, "smoothness": 0.0, "lip_gap_offset_mm": 0.0,
+        "lookahead_ms": 50.0, "strength": 1.2, "stage": 0.0, "smoothness": 0.0, "unit_share": 0.5,
+        "lip_gap_offset_mm": 0.0,
     }  # fmt: skip
     assert (done.exit_code, in_json.exit_code) == (0, 0)
     assert "strength is 0.25 from now on" in done.stdout
     (answer,) = json.loads(in_json.stdout)["faces"]
     assert (answer["set"], answer["value"]) == ("smoothness", 1.0)
-    assert "expected, lookahead_ms 50, strength 0.25, smoothness 1" in shown
+    assert "animpho, lookahead_ms 50, strength 0.25, stage 0, smoothness 1" in shown
     assert after.status.speech.settings == {
         "lookahead_ms": 50.0, "strength": 0.25, "smoothness": 1.0, "lip_gap_offset_mm": -0.5,
     }  # fmt: skip
@@ -156,10 +157,14 @@ class _ShortSilence(SilentSource):
 @pytest.mark.parametrize(
     ("motion", "said"),
     [
-        (MotionOptions(), "strategy expected (lookahead_ms 100, strength 1, smoothness 0)"),
+        (
+            MotionOptions(),
+            "strategy animpho "
+            "(lookahead_ms 100, strength 1, stage 0, smoothness 0, unit_share 0.5)",
+        ),
         (
             MotionOptions("energy", strategy="naive"),
-            "strategy naive (strength 1); recogniser energy",
+            "strategy naive (strength 1, stage 0); recogniser energy",
         ),
     ],
 )
