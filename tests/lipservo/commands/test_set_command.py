@@ -91,11 +91,12 @@ def test_a_face_says_what_it_plays_and_follows_what_is_set():
     assert (answer["set"], answer["value"]) == ("smoothness", 1.0)
     assert "animpho, lookahead_ms 50, strength 0.25, stage 0, smoothness 1" in shown
     assert after.status.speech.settings == {
-        "lookahead_ms": 50.0, "strength": 0.25, "smoothness": 1.0, "lip_gap_offset_mm": -0.5,
+        "lookahead_ms": 50.0, "strength": 0.25, "stage": 0.0, "smoothness": 1.0, "unit_share": 0.5,
+        "lip_gap_offset_mm": -0.5,
     }  # fmt: skip
     assert (gap.exit_code, too_far.exit_code) == (0, 1)
     assert "lip_gap_offset_mm is 4; allowed: -3 to 3" in too_far.stderr
-    assert after.summary.strategy == "expected"
+    assert after.summary.strategy == "animpho"
     assert after.summary.recognizer == after.status.speech.recognizer
 
 
