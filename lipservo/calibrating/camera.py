@@ -77,7 +77,7 @@ class AvCamera:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        check_extra("av", "recording a camera")
+        check_extra("ai_edge_litert", "recording a camera")
         self._wanted, self._mode = wanted, mode or CameraMode()
         self._clock, self._sleep = clock, sleep
         self._stands_in = wanted.startswith(GENERATED) or Path(wanted).is_file()

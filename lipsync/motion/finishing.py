@@ -37,8 +37,9 @@ TOUCHING_MM = 1.0
 _RIDGE = 1e-6
 #: Rounds the corner where the correction sets in, mm, so that the motion keeps its speed there.
 _CORNER_MM = 0.2
-#: One recorded frame of grid_s1 in a hundred has its lips wider apart.
-_WIDEST_MM = 14.0
+#: Closing starts from here. One recorded frame of grid_s1 in a hundred has its lips 14 mm apart or
+#: wider; from 14 servos came too late to one closure in fifteen (docs/decisions/0067).
+_WIDEST_MM = 12.0
 
 
 @dataclass(frozen=True, slots=True)

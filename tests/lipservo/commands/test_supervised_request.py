@@ -88,7 +88,8 @@ def test_the_children_receive_all_that_was_typed(typed):
     assert received(typed, "speech") == typed.wanted
     assert (status["engine"], status["weights"]) == ("energy", "grid")
     assert status["settings"] == {
-        "lookahead_ms": 50.0, "strength": 1.25, "smoothness": 0.25, "lip_gap_offset_mm": 0.0,
+        "lookahead_ms": 50.0, "strength": 1.25, "stage": 0.0, "smoothness": 0.25,
+        "lip_gap_offset_mm": 0.0,
     }  # fmt: skip
     assert status["sound"] == CLIP_PATH.name
 
@@ -109,7 +110,7 @@ def test_what_is_set_reaches_the_speech_side_and_outlives_it(typed):
 
     assert (done.returncode, refused.returncode) == (0, 1)
     assert "strength is 0.5 from now on" in done.stdout
-    assert "there are: strength (0 to 1.5), smoothness (0 to 1)" in refused.stderr
+    assert "there are: strength (0 to 1.5), stage (0 to 1), smoothness (0 to 1)" in refused.stderr
     assert refused.stderr.count("\n") == 1
 
 

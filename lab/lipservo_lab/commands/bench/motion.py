@@ -45,7 +45,7 @@ def measure_video(
     from lipsync.video.face_tracker import open_tracker
 
     began_s = time.perf_counter()
-    check_extra("av", "bench motion --video")
+    check_extra("ai_edge_litert", "bench motion --video")
     clips = find_clips(folder)
     tracker = open_tracker(landmarker)
     with progress_bar(quiet=quiet) as advance:

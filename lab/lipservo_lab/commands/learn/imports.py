@@ -39,7 +39,7 @@ def import_video(
     from lipsync.video.face_tracker import open_tracker
 
     began_s = time.perf_counter()
-    check_extra("av", "learn import-video")
+    check_extra("ai_edge_litert", "learn import-video")
     check_extra("matplotlib", "the picture sheet of import-video")
     check_corpus_folder(output)
     clips = find_clips(source)

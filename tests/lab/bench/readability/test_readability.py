@@ -70,7 +70,7 @@ def test_every_method_look_ahead_and_reader_has_a_row_and_the_headline_is_that_o
     keys = {"recorded_known", "known_true", "known_recognized"}
     keys |= {"recorded_new_a", "new_a_true", "new_a_recognized"}
     assert keys < set(found)
-    assert found["default_strategy"] == "expected"
+    assert found["default_strategy"] == "animpho"
     rows = found["results"]
     # Two splits, two readers; recorded, and two methods at three look-aheads with both phonemes.
     assert len(rows) == 2 * 2 * (1 + 2 * 3 * 2)
