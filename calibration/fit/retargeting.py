@@ -85,13 +85,11 @@ def nearest_poses_deg(
     *,
     rules: Sequence[CouplingRule] = (),
     doubt_mm_per_deg: Array | None = None,
-    steady_mm_per_deg: float = 0.0,
 ) -> Array:
     """Features (n, n_features) of shapes -> (n, n_servos) within the limits, keeping the rules.
 
     Gauss-Newton from neutral. doubt_mm_per_deg: (n_servos,), what a degree of each may do that is
-    not known, and therefore costs; None: all is known. steady_mm_per_deg: what a degree of
-    difference to the neighbouring frames costs, where the n frames follow one another.
+    not known, and therefore costs; None: all is known.
     """
     n_servos = len(limits_deg[0])
     angles_deg = np.zeros((len(wanted), n_servos))
@@ -108,10 +106,6 @@ def nearest_poses_deg(
             broken = (angles_deg @ rule.weights > rule.at_most_deg) * _RULE_WEIGHT_MM_PER_DEG**2
             cost += broken[:, None, None] * np.outer(rule.weights, rule.weights)
             pull += broken[:, None] * rule.weights * rule.at_most_deg
-        if steady_mm_per_deg:
-            padded = np.concatenate([angles_deg[:1], angles_deg, angles_deg[-1:]])
-            cost += steady_mm_per_deg**2 * np.eye(n_servos)
-            pull += steady_mm_per_deg**2 * (padded[:-2] + padded[2:]) / 2
         angles_deg = bounded_minimum(cost, pull, *limits_deg)
     return angles_deg
 

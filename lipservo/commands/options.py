@@ -98,6 +98,14 @@ Phonemes = Annotated[
         show_default=False,
     ),
 ]
+LabelledPhonemes = Annotated[
+    Path | None,
+    typer.Option(
+        "--phonemes",
+        help="TextGrid with a tier `phones`, instead of the recogniser.",
+        show_default=False,
+    ),
+]
 SaidText = Annotated[
     str,
     typer.Option(

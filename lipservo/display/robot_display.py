@@ -235,13 +235,13 @@ def _ring(one: Array, other: Array) -> Array:
     return np.vstack([_curve(one, closed=False), _curve(other, closed=False)[::-1]])
 
 
-def _curve(points: Array, *, closed: bool = True, steps: int = 8) -> Array:
-    """A Catmull-Rom curve through points."""
+def _curve(points: Array, *, closed: bool = True) -> Array:
+    """A Catmull-Rom curve through points (n, 2) -> (m, 2)."""
     if closed:
         around = np.vstack([points[-1:], points, points[:2]])
     else:
         around = np.vstack([points[:1], points, points[-1:]])
-    share = np.arange(steps)[:, None] / steps
+    share = np.linspace(0.0, 1.0, 8, endpoint=False)[:, None]
     found = []
     for before, start, end, after in zip(
         around[:-3], around[1:-2], around[2:-1], around[3:], strict=True

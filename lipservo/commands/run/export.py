@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, SaidText
+from lipservo.commands.options import DEFAULT_FACE, Config, Json, LabelledPhonemes, Model, SaidText
 from lipservo.commands.run.motion_choice import takes_motion
 from lipservo.commands.run.voice_choice import said_text
 from lipservo.runtime.motion_options import ChosenMotion
@@ -48,12 +48,7 @@ def export(
             show_default=False,
         ),
     ] = None,
-    phonemes: Annotated[
-        Path | None,
-        typer.Option(
-            help="TextGrid with a tier `phones`, instead of the recogniser.", show_default=False
-        ),
-    ] = None,
+    phonemes: LabelledPhonemes = None,
     text: SaidText = "",
     shapes: Annotated[
         ShapeSource,

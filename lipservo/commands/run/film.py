@@ -5,7 +5,15 @@ from typing import Annotated
 
 import typer
 
-from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Quiet, SaidText
+from lipservo.commands.options import (
+    DEFAULT_FACE,
+    Config,
+    Json,
+    LabelledPhonemes,
+    Model,
+    Quiet,
+    SaidText,
+)
 from lipservo.commands.run.motion_choice import takes_motion
 from lipservo.commands.run.voice_choice import said_text
 from lipservo.runtime.motion_options import ChosenMotion
@@ -55,12 +63,7 @@ def film(
             help="Film a run that was; the argument is its sound, if any.", show_default=False
         ),
     ] = None,
-    phonemes: Annotated[
-        Path | None,
-        typer.Option(
-            help="TextGrid with a tier `phones`, instead of the recogniser.", show_default=False
-        ),
-    ] = None,
+    phonemes: LabelledPhonemes = None,
     text: SaidText = "",
     still_head: Annotated[
         bool, typer.Option("--still-head", help="Head, eyes and lids do not move.")

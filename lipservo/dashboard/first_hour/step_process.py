@@ -72,12 +72,12 @@ class StepProcess:
         return None if self._process is None else self._process.pid
 
     def order(self, order: Mapping[str, Any]) -> None:
-        """One order of the page."""
+        """One order of the page; left out where the step hangs, or has ended: its state says so."""
         process = self._process
         if process is not None and process.stdin is not None:
-            with contextlib.suppress(OSError, ValueError):  # it has ended: its state says so
-                process.stdin.write(json.dumps(order).encode() + b"\n")
-                process.stdin.flush()
+            with contextlib.suppress(OSError, ValueError):
+                # Past its buffer, so that nothing waits in it; shorter than a pipe takes at once.
+                os.write(process.stdin.fileno(), json.dumps(order).encode() + b"\n")
 
     def end(self) -> None:
         """Softly: to rest, then limp."""
@@ -101,6 +101,8 @@ class StepProcess:
             self._over(f"cannot be started: {error.strerror}")
             return
         with process:
+            assert process.stdin is not None
+            os.set_blocking(process.stdin.fileno(), False)
             self._process = process
             signalled = self._follow(process)
         self._over(self._why(process.returncode, signalled=signalled))

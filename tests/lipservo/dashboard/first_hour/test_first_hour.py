@@ -1,6 +1,10 @@
 """The state of a face that is being made: what may be named, wired, limited and written."""
 
 import json
+import os
+import signal
+import threading
+import time
 
 import pytest
 from lipservo_client.protocol import FaceError
@@ -160,4 +164,25 @@ def test_a_step_that_nobody_wants_is_ended():
     step.wait()
 
     assert ended == [step]
+    assert not step.runs
+
+
+def test_orders_to_a_step_that_hangs_hold_up_no_thread_of_the_server():
+    step = StepProcess("find", {"port": "/dev/null", "kind": "dynamixel"})
+    while step.pid is None:
+        time.sleep(0.001)
+    os.kill(step.pid, signal.SIGSTOP)
+
+    def drag_a_slider():
+        for _ in range(2_000):  # more than a pipe holds
+            step.order({"joint": "j" * 60, "deg": 1.0})
+
+    thread = threading.Thread(target=drag_a_slider, daemon=True)
+    thread.start()
+    thread.join(20.0)
+    was_held_up = thread.is_alive()
+    os.kill(step.pid, signal.SIGKILL)
+    step.wait()
+
+    assert not was_held_up
     assert not step.runs
