@@ -37,9 +37,6 @@ TOUCHING_MM = 1.0
 _RIDGE = 1e-6
 #: Rounds the corner where the correction sets in, mm, so that the motion keeps its speed there.
 _CORNER_MM = 0.2
-#: Closing starts from here. One recorded frame of grid_s1 in a hundred has its lips 14 mm apart or
-#: wider; from 14 servos came too late to one closure in fifteen (docs/decisions/0067).
-_WIDEST_MM = 12.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,20 +64,16 @@ class LipGap:
     def narrowed(self, face: Array, distance_mm: float, amount: float) -> Array:
         """The face (n_components,) with its gap brought to at most `distance_mm`.
 
-        amount: 0 leaves the face alone, 1 does it all; in between the gap is at most what is left
-        on the way from `_WIDEST_MM`, so that lips which are nearly closed stay as they are. The
+        amount: 0 leaves the face alone, 1 does it all; in between the share of the excess. The
         result follows face, distance and amount without a jump in value or speed.
         """
         if amount <= 0.0:
             return face
-        amount = min(amount, 1.0)
         gap_mm = self.at_mean_mm + face @ self.per_face
         width_mm = math.sqrt(float(gap_mm @ gap_mm))
         excess_mm = width_mm - distance_mm + _CORNER_MM
-        excess_mm -= (1.0 - amount) * max(excess_mm, _WIDEST_MM)
-        corner_mm = amount * _CORNER_MM
-        soft_mm = (excess_mm + math.sqrt(excess_mm**2 + corner_mm**2)) / 2.0
-        share = soft_mm / math.sqrt(width_mm**2 + _CORNER_MM**2)
+        soft_mm = (excess_mm + math.sqrt(excess_mm**2 + _CORNER_MM**2)) / 2.0
+        share = min(amount, 1.0) * soft_mm / math.sqrt(width_mm**2 + _CORNER_MM**2)
         return np.asarray(face - (share * gap_mm) @ self.response)
 
 
@@ -101,13 +94,12 @@ def lip_gap_of(model: FaceModel) -> LipGap:
 BILABIALS = ("P", "B", "M")
 LABIODENTALS = ("F", "V")
 
-#: Widest open, lips take this long to close, and to part, at 350 mm/s at most. Chosen on inner
-#: splits of the training part (docs/decisions/0067): shorter jumps, longer closes vowels around.
+#: Lips take this long to close, and to part: 12 mm at 300 mm/s at most. Chosen on inner splits of
+#: the training part (docs/decisions/0063): shorter jumps, longer closes the vowels around as well.
 CLOSING_S = 0.06
 PARTING_S = 0.06
-#: They touch this long at least, around the moment at which the recordings are tightest; with what
-#: is nearly closed before and after, a picture of 25 a second shows it.
-HOLD_S = 0.03
+#: They touch this long at least, around the moment at which the recordings are tightest.
+HOLD_S = 0.02
 #: While an M sounds the lips stay shut, from its onset until they must part for what follows.
 _HUMMED = PHONEMES.index("M")
 _HUM_ENDS_S = 0.03
@@ -125,13 +117,12 @@ def planned(
     time_s: float,
     known_until_s: float,
 ) -> Amount:
-    """What the amount does from `time_s` on. Once begun, a closure is completed, and held.
+    """What the amount does from `time_s` on. Once begun, a closure is completed before it ends.
 
     moments_s: for each phoneme that closes, when after its onset it is tightest.
     """
-    shut_s = now.start_s + now.duration_s
-    if now.goal == 1.0 and time_s < shut_s + HOLD_S - _ROUNDING_S:
-        return replace(now, touched_s=max(shut_s, time_s))
+    if now.goal == 1.0 and time_s < now.start_s + now.duration_s:
+        return now
     if _is_due(now.touched_s, moments_s, track, time_s, known_until_s):
         goal, duration_s, touched_s = 1.0, CLOSING_S, time_s + CLOSING_S
     else:

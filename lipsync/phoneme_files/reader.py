@@ -105,10 +105,9 @@ def events_of(known: VendorUnits, name: str) -> tuple[PhonemeEvent, ...]:
         goes_on = not phones  # a mark of length, a space
         if goes_on:
             phones = (events[-1].phoneme if events else SILENCE,)
-        for index, phone in enumerate(phones):
-            share_s = (end_s - unit.start_s) / len(phones)
-            start_s = unit.start_s + index * share_s
-            stop_s = end_s if index + 1 == len(phones) else start_s + share_s
+        share_s = (end_s - unit.start_s) / len(phones)
+        bounds_s = [unit.start_s + n * share_s for n in range(len(phones))] + [end_s]
+        for phone, (start_s, stop_s) in zip(phones, pairwise(bounds_s), strict=True):
             _append(events, phone, start_s, stop_s, goes_on=goes_on)
         reached_s = max(reached_s, end_s)
     if last.end_s is None and events and events[-1].phoneme == SILENCE:

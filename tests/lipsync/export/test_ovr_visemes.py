@@ -29,7 +29,7 @@ def test_lips_are_full_when_the_robots_are_tightest_and_held_until_then():
     tightest = 0.5 + TIGHTEST_S[PHONEMES.index("M")]
     full_s = TIMES_S[weights["PP"] > 0.999]
     assert full_s.min() <= tightest <= full_s.max() + 0.01
-    assert np.interp(tightest - 0.075, TIMES_S, weights["PP"]) < 0.1
+    assert np.interp(tightest - 0.06, TIMES_S, weights["PP"]) < 0.1
 
 
 def test_a_diphthong_has_two_ends_and_hh_looks_like_what_follows():

@@ -238,6 +238,10 @@ def check_read_or_refused(content):
     ScriptedPhonemes(events)
 
 
+def test_the_phones_of_one_label_follow_each_other_to_the_last_bit():
+    check_read_or_refused(b'[{"type": "viseme", "phoneme": "??A", "start": 1}]')
+
+
 @given(content=st.binary(max_size=200))
 def test_no_bytes_break_the_reader(content):
     check_read_or_refused(content)
