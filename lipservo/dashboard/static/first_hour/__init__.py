@@ -1,1 +1,1 @@
-"""What the live page draws, and other pages with it."""
+"""The page of a new face, from the port to its first words: a step a script."""
