@@ -39,7 +39,7 @@ class Closure:
     gaps_mm: Array
     slopes: Array
     bends: Array
-    turns_deg: Array
+    rotation_deg: Array
     press_mm: float
     crossed: Array = field(init=False, repr=False)
 
@@ -57,7 +57,7 @@ class Closure:
         bent = (moved[:, first] * moved[:, second]) @ self.bends.T
         return np.asarray(self.gaps_mm + moved @ self.slopes.T + bent)
 
-    def asked_mm(self, from_rest: Array, apart_mm: float) -> Array:
+    def wanted_mm(self, from_rest: Array, apart_mm: float) -> Array:
         """(n_components,) and how far the speaker's lips are apart -> (n_gaps,)."""
         closes = min(max(1.0 - (apart_mm - CLOSED_GAP_MM) / BLEND_MM, 0.0), 1.0)
         opened_mm = np.maximum(self.opens_mm @ from_rest, 0.0)
@@ -77,8 +77,8 @@ class Closure:
             share = min((_CORRECTED_MM - apart_mm) / _FADES_MM, 1.0)
             moved = poses_deg[row] - self.at_deg
             open_mm = self.gaps_mm + (self.slopes + self.crossed @ moved) @ moved
-            missing_mm = share * (self.asked_mm(x, apart_mm) - open_mm)
-            turned_deg = poses_deg[row] + self.turns_deg @ missing_mm
+            missing_mm = share * (self.wanted_mm(x, apart_mm) - open_mm)
+            turned_deg = poses_deg[row] + self.rotation_deg @ missing_mm
             poses_deg[row] = np.minimum(np.maximum(turned_deg, low), high)
         return poses_deg
 

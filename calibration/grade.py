@@ -171,7 +171,7 @@ class Closing:
         return self.evidence != LIMITS
 
     @property
-    def told(self) -> str:
+    def description(self) -> str:
         """In words, where they do not."""
         return (
             f"does not close: lips stay up to {self.apart_mm:.1f} mm apart, {self.joint} is at its "
@@ -231,7 +231,7 @@ class GapFigures:
 
 
 def gap_figures(
-    asked_mm: Array, made_mm: Array, human_gap_mm: Array, shares: Array | None = None
+    wanted_mm: Array, made_mm: Array, human_gap_mm: Array, shares: Array | None = None
 ) -> GapFigures:
     """(n,) each: openings beyond the robot's own closed gap, NaN where nobody saw; the speaker's.
 
@@ -239,11 +239,11 @@ def gap_figures(
     """
     known = np.isfinite(made_mm)
     weights = np.ones(len(made_mm)) if shares is None else shares
-    asked, made, human = asked_mm[known], made_mm[known], human_gap_mm[known]
+    wanted, made, human = wanted_mm[known], made_mm[known], human_gap_mm[known]
     closed, small = human <= CLOSED_GAP_MM, is_small(human)
-    is_told = len(asked) > 2 and float(np.ptp(asked)) > _LEAST_SPREAD_MM
-    slope = np.polyfit(asked, made, 1, w=np.sqrt(weights[known]))[0] if is_told else None
-    kept = made[small] >= _HALF_MADE * asked[small]
+    is_known = len(wanted) > 2 and float(np.ptp(wanted)) > _LEAST_SPREAD_MM
+    slope = np.polyfit(wanted, made, 1, w=np.sqrt(weights[known]))[0] if is_known else None
+    kept = made[small] >= _HALF_MADE * wanted[small]
     return GapFigures(
         slope=None if slope is None else float(slope),
         closed_mm=max(0.0, float(np.quantile(made[closed], 0.95))) if closed.any() else None,

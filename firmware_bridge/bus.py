@@ -74,12 +74,12 @@ class Feedback:
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """What was last heard about each servo's condition; one servo is asked at a time.
+    """The last reading of each servo's condition; one servo is polled at a time.
 
     silent_s: how long nothing has come from it. torque_on: as its register says.
     watchdog_tripped: it stopped by itself since it heard nothing.
     temperature_degc, voltage_v: NaN = never heard, or not measured; room_degc: how far it is below
-    its own limit, infinite where nobody can say.
+    its own limit, infinite where that is unknown.
     effort: share of the stall torque; current_ma: NaN where it is not measured.
     n_unanswered: questions of the tick that it did not answer so far.
     """
@@ -141,14 +141,14 @@ class ServoHealth:
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """What the servos said. Every array is (n_servos,), in the order of the face's servo names.
+    """The newest reply of each servo. Every array is (n_servos,), in the face YAML's order.
 
     positions_deg: where each joint stands; NaN for a servo that has never answered, or cannot.
     goals_deg: where each servo is trying to be, or would with torque on; NaN when it did not say.
     torque_on: whether the servo holds its goal by force.
     errors: number in the last status packet, 0 = none;
         https://emanual.robotis.com/docs/en/dxl/protocol2/#error
-    age_s: how old each servo's part is; 0 = asked and answered just now, infinity = never.
+    age_s: how old each servo's part is; 0 = read just now, infinity = never.
     """
 
     time_s: float
@@ -229,7 +229,10 @@ class ServoBus(Protocol):
         """
 
     def disable_torque(self, index: int) -> bool:
-        """Let one servo go limp; whether it was: it confirmed, or was told and cannot confirm."""
+        """Switch one servo's torque off; True.
+
+        It confirmed, or was sent the order and cannot confirm.
+        """
 
     def disable_all(self) -> NDArray[np.bool_]:
         """Let every servo go limp now; which of them were, (n_servos,), as `disable_torque`."""

@@ -159,7 +159,7 @@ class PulseBus:
     ) -> None:
         """kept: the pulses of before.
 
-        may_jump: a servo of which nobody knows where it stands starts at neutral, without asking.
+        may_jump: a servo of unknown position starts at neutral, without a question.
         """
         n = len(servos)
         self.capabilities = capabilities
@@ -220,7 +220,7 @@ class PulseBus:
         self._high_us = np.where(joints, high_us, self._scale.max_us)
 
     def read(self) -> Readings:
-        """What they were told; nothing comes back from them."""
+        """The goals that were sent; pulse servos report nothing."""
         self._check_open()
         return Readings(
             time_s=self._clock.now(),
@@ -262,7 +262,7 @@ class PulseBus:
         )
 
     def obstacle(self, index: int) -> str:
-        """Nobody knows where it stands, or its channel does not do what it is told."""
+        """Why torque may not go on: its position is unknown, or its channel does not obey."""
         self._check_open()
         if not self._may_jump and np.isnan(self._last_us[index]):
             return (
@@ -303,13 +303,16 @@ class PulseBus:
         return not self.enable_torque(index)
 
     def disable_torque(self, index: int) -> bool:
-        """No pulses for one servo, as the controller says; what it does then nobody knows."""
+        """Stop the pulses of one servo, as the controller says.
+
+        What the servo then does is unknown.
+        """
         self._check_open()
         self._release(np.arange(len(self._held)) == index)
         return self._controller.sending(index) == 0.0
 
     def disable_all(self) -> NDArray[np.bool_]:
-        """No pulses for anybody; a controller that hangs is not asked again for each servo."""
+        """Stop the pulses of all; a controller that hangs is not called again for each servo."""
         self._check_open()
         self._release(np.ones_like(self._held))
         off = np.zeros_like(self._held)

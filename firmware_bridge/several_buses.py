@@ -58,7 +58,7 @@ class BusThread:
     """
 
     def __init__(self, name: str, bus: ServoBus, at: NDArray[np.intp], clock: Clock) -> None:
-        """bus: open, and touched by nobody else from now on."""
+        """bus: open, and used by this thread alone from now on."""
         self.name, self.bus, self.at, self._clock = name, bus, at, clock
         self.lost: PortError | None = None
         self.is_behind = False
@@ -211,7 +211,7 @@ class BusThread:
 class SeveralBuses:
     """See `ServoBus`: all servos of a face, on buses of any kind.
 
-    Goals, places and health pass through in the tick. What a single servo is told (torque on, off,
+    Goals, places and health pass through in the tick. Orders to single servos (torque on, off,
     restart) its bus does meanwhile; where that takes longer, the caller asks again, as it does for
     a servo that did not answer. A port that is lost makes the methods of the tick raise PortGone;
     `disable_all` reaches all others all the same.
@@ -271,20 +271,20 @@ class SeveralBuses:
         return found
 
     def feedback(self) -> Feedback:
-        """Where every servo stands; of a bus that is behind, what it said last, and its age."""
+        """Where every servo stands; of a bus that is behind, its last reading, and its age."""
         n = self._n_servos
         self._ask_all(_FEEDBACK, BusThread.hear)
         now_s = self._clock.now()
         newest = [each.feedback[0] for each in self._threads.values() if each.feedback is not None]
-        has_turns = any(each.ready is not None for each in newest)
+        has_stopping_order = any(each.ready is not None for each in newest)
         found = Feedback(
             time_s=now_s,
             positions_deg=np.full(n, np.nan),
             effort=np.full(n, np.nan),
             errors=np.zeros(n, dtype=np.uint8),
             age_s=np.full(n, np.inf),
-            ready=np.ones(n, dtype=np.bool_) if has_turns else None,
-            sent_deg=np.full(n, np.nan) if has_turns else None,
+            ready=np.ones(n, dtype=np.bool_) if has_stopping_order else None,
+            sent_deg=np.full(n, np.nan) if has_stopping_order else None,
         )
         for each in self._threads.values():
             if each.feedback is not None:
@@ -408,7 +408,10 @@ class SeveralBuses:
             each.join(max(0.0, until_s - time.monotonic()))
 
     def _ask_all(self, key: _Key, ask: Callable[[BusThread], None]) -> None:
-        """All are asked, and waited for together; one that is behind is not waited for."""
+        """Run `ask` on all buses and wait for them together.
+
+        One that is behind is not waited for.
+        """
         self._check()
         threads = self._threads.values()
         for each in threads:

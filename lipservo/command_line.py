@@ -86,15 +86,15 @@ def _moved_option(error: typer.TyperException) -> str | None:
 
 def _usage_line(error: typer.TyperException) -> str:
     """What is wrong with a command line, in one line, and where to read on."""
-    told = " ".join(error.format_message().split())
+    message = " ".join(error.format_message().split())
     for pydantics, ours in _IN_OUR_WORDS.items():
-        told = told.replace(pydantics, ours)
+        message = message.replace(pydantics, ours)
     context = getattr(error, "ctx", None)
     command = "lipservo" if context is None else context.command_path
     moved = _moved_option(error)
     if moved is not None:
-        told = moved
-    return f"{told.removeprefix('Invalid value: ').rstrip('.')}; see `{command} --help`"
+        message = moved
+    return f"{message.removeprefix('Invalid value: ').rstrip('.')}; see `{command} --help`"
 
 
 def _with_default_microphone(arguments: list[str]) -> list[str]:

@@ -167,7 +167,7 @@ class Listener(Protocol):
     """Whoever can say what is believed about the sound that was settled last."""
 
     @property
-    def hears(self) -> Hearing | None:
+    def hearing(self) -> Hearing | None:
         """None: nobody listens."""
 
 

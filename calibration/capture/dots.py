@@ -262,7 +262,7 @@ class DotsFolder:
         self._folder, self._tell = folder, tell
         self._names = read_names(folder / NAMES_FILE)
         self._first: tuple[str, tuple[int, int]] | None = None
-        self._told: set[str] = set()
+        self._warned: set[str] = set()
 
     def readings(self, pose: int) -> list[Reading]:
         """What is seen of one pose. Raises CalibrationError."""
@@ -316,8 +316,8 @@ class DotsFolder:
             remarks.append(f"{n_lost} dots are not seen")
         for remark in remarks:
             line = f"{picture}: {remark}"
-            if line not in self._told:
-                self._told.add(line)
+            if line not in self._warned:
+                self._warned.add(line)
                 self._tell(line)
 
 

@@ -29,7 +29,7 @@ _DEAD, WEAK = 12.0, 40.0
 #: to 13 at most, the weakest healthy ones to 31 in a second look.
 _BY_CHANCE = 0.033
 #: Looks at a joint that seems dead still, beyond the first: a worse tracker needs more.
-MOST_LOOKS = 3
+MOST_FRAMES = 3
 #: A second look is taken up to here: dead joints come as far because the others are not straight.
 _DOUBT = 20.0
 #: Each end so many times in a second look; so many are needed to judge by: more than there are of
@@ -60,7 +60,7 @@ def unseen_alone(capture: Capture) -> list[int]:
     ]
 
 
-def second_look(
+def extra_poses(
     joints: Sequence[JointRange],
     doubtful: Sequence[int],
     *,
@@ -149,7 +149,7 @@ class JointFault:
     joint: int
     pose: int
 
-    def told(self, names: tuple[str, ...]) -> str:
+    def description(self, names: tuple[str, ...]) -> str:
         """One line, with what to do."""
         if self.joint < 0:
             return (

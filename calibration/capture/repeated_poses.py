@@ -48,7 +48,7 @@ class FaceChange:
     first: int
     last: int
 
-    def told(self, names: tuple[str, ...]) -> str:
+    def description(self, names: tuple[str, ...]) -> str:
         """One line, with what to do."""
         where = f"between poses {self.first} and {self.last}"
         if self.joint < 0:
@@ -162,7 +162,7 @@ def changed_poses(capture: Capture, lines: StraightLines) -> ChangedPoses | None
         return np.asarray(np.sum(ways * _filled(seen_alone_mm - still_mm), axis=(1, 2)))
 
     did_mm, does_mm = alone_mm(early), alone_mm(late)
-    looks = np.array([1.0 / len(rows) + 1.0 / len(neutral) for rows in alone])
+    variances = np.array([1.0 / len(rows) + 1.0 / len(neutral) for rows in alone])
     slid_mm = np.sum(ways * common_mm, axis=(1, 2))
     error_mm2 = common_mm.size * (1.25 * noise_mm) ** 2 / n
     # A pose whose markers are all off together, as where they are counted from a noisy nose.
@@ -173,7 +173,7 @@ def changed_poses(capture: Capture, lines: StraightLines) -> ChangedPoses | None
     return ChangedPoses(
         did_mm=np.maximum(did_mm, 1e-6),
         does_mm=does_mm,
-        lost_error_mm=along_noise_mm * np.sqrt(looks),
+        lost_error_mm=along_noise_mm * np.sqrt(variances),
         slid_error_mm=1.25 * along_noise_mm / math.sqrt(n),
         turned_deg=turned_deg,
         slid_mm=slid_mm,

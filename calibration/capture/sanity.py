@@ -31,11 +31,11 @@ from calibration.capture.straight_lines import (
     without_far_points,
 )
 from calibration.capture.swaps import (
+    described_swaps,
     exchanged,
     refuse_swaps,
     swapped_everywhere,
     swapped_in_poses,
-    told_swaps,
 )
 from calibration.joint_motion import Channel, joint_motion
 from lipsync.arrays import Array
@@ -195,15 +195,15 @@ def check_capture(
     if swaps:
         capture = replace(capture, markers_mm=exchanged(capture, swaps))
         lines = straight_lines(capture)
-        renamed = (f"markers {told_swaps(swaps)}: exchanged there",)
+        renamed = (f"markers {described_swaps(swaps)}: exchanged there",)
     capture, far = without_far_points(capture, lines)
     # Lips that press each other are no fault of a joint.
-    judged = outside_ladders(capture)
-    joints = _judged_joints(judged, straight_lines(judged), positive)
+    conditions = outside_ladders(capture)
+    joints = _joint_warnings(conditions, straight_lines(conditions), positive)
     if joints.certain and not accept:
         raise CalibrationError(f"{joints.certain[0]}. If it is as it should be, add --accept")
-    said = (*joints.certain, *joints.doubtful)
-    warnings = (*stalled, *lost, *sizes, *moved, *renamed, *far, *said)
+    all_faults = (*joints.certain, *joints.doubtful)
+    warnings = (*stalled, *lost, *sizes, *moved, *renamed, *far, *all_faults)
     return CheckedCapture(capture, warnings, tuple(joints.still))
 
 
@@ -226,7 +226,7 @@ class _JointFindings:
     still: list[int] = field(default_factory=list)
 
 
-def _judged_joints(
+def _joint_warnings(
     capture: Capture, lines: StraightLines, positive: Sequence[str]
 ) -> _JointFindings:
     """Poses that were taken twice know best what happened on the way, and bear out the rest."""
@@ -242,13 +242,13 @@ def _judged_joints(
             # It knows at which pose, and a joint that stands still from one that slipped.
             fault = suspected if fault is None or fault.joint == suspected.joint else fault
     if fault is not None:
-        told = fault.told(capture.servo_names)
-        (found.certain if fault.joint >= 0 else found.doubtful).append(told)
+        description = fault.description(capture.servo_names)
+        (found.certain if fault.joint >= 0 else found.doubtful).append(description)
     n_servos = len(capture.servo_names)
     found.still += [joint for joint in range(n_servos) if is_dead(capture, lines, joint)]
     # Where something happened on the way, what joints seem to do is not what they do.
-    judged = capture.servo_names if fault is None else ()
-    for joint, name in enumerate(judged):
+    conditions = capture.servo_names if fault is None else ()
+    for joint, name in enumerate(conditions):
         word = positive[joint] if positive else ""
         if joint in found.still and positive and not word:
             found.doubtful.append(

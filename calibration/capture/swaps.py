@@ -53,23 +53,23 @@ class Swap:
         """Both."""
         return self.one, self.other
 
-    def told(self) -> str:
+    def description(self) -> str:
         """Half a line."""
         where = "in every pose" if self.pose is None else f"in pose {self.pose + 1}"
         return f"{self.one!r} and {self.other!r} have changed places {where}"
 
 
-def told_swaps(swaps: Sequence[Swap]) -> str:
+def described_swaps(swaps: Sequence[Swap]) -> str:
     """All of them in half a line."""
-    return "; ".join(swap.told() for swap in swaps)
+    return "; ".join(swap.description() for swap in swaps)
 
 
 def refuse_swaps(swaps: Sequence[Swap]) -> None:
     """Raises CalibrationError with all of them in one line."""
     if swaps:
-        told = told_swaps(swaps)
+        described = described_swaps(swaps)
         raise CalibrationError(
-            f"markers {told}; name them the other way round in the tracker and capture again, or "
+            f"markers {described}; name them the other way round in the tracker, capture again, or "
             "add --accept where it was in single poses, and they are exchanged there"
         )
 
@@ -176,7 +176,7 @@ def put_right(
     on: Robot,
     poses: list[CapturedPose],
     keep: Path | None = None,
-    told: Callable[[str], None] = lambda _: None,
+    report: Callable[[str], None] = lambda _: None,
     expected_mm: Array | None = None,
 ) -> list[CapturedPose]:
     """The same poses; one in which two names changed places is taken again, and that is told.
@@ -202,11 +202,11 @@ def put_right(
             )
             swaps = swapped_in_poses(one, wanted_mm[[row]])
             if [swap.names for swap in swaps] != names:
-                told(f"pose {index + 1}: the tracker exchanged {pairs}: taken again")
+                report(f"pose {index + 1}: the tracker exchanged {pairs}: taken again")
                 break
         else:
             pose = replace(pose, markers_mm=exchanged(one, swaps)[0])
-            told(f"pose {index + 1}: the tracker exchanged {pairs} {_LOOKS} times: named anew")
+            report(f"pose {index + 1}: the tracker exchanged {pairs} {_LOOKS} times: named anew")
         again[index] = pose
         if keep is not None:
             keep_pose(keep, pose, plan, marker_names)

@@ -78,7 +78,7 @@ class FileTracker:
         self._axes, self._read = axes, read
         self._names: tuple[str, ...] = ()
         self._pose = 0
-        self._asked: set[int] = set()
+        self._requested: set[int] = set()
         try:
             if not self._readings(0):
                 self._announce(0, np.zeros(len(servo_names)))
@@ -97,10 +97,10 @@ class FileTracker:
 
         A pose that stands a second time shows what was recorded at the first.
         """
-        if pose + 1 in self._asked:
+        if pose + 1 in self._requested:
             self._pose = pose + 1
             return
-        self._asked.add(pose + 1)
+        self._requested.add(pose + 1)
         if self._readings(pose + 1):
             raise CalibrationError(
                 f"{self._path}: pose {pose + 1} is there already, from an earlier capture; "

@@ -69,8 +69,8 @@ class ShapeErrors:
 
     def reached(self, from_rest: Array) -> NDArray[np.bool_]:
         """(n, n_components) -> (n,): whether the best pose has the opening and width asked for."""
-        asked_mm, best_mm = self.openings_and_widths_mm(from_rest)
-        return np.asarray((np.abs(best_mm - asked_mm) <= REACHABLE_MM).all(axis=1))
+        wanted_mm, best_mm = self.openings_and_widths_mm(from_rest)
+        return np.asarray((np.abs(best_mm - wanted_mm) <= REACHABLE_MM).all(axis=1))
 
     def openings_and_widths_mm(self, from_rest: Array) -> tuple[Array, Array]:
         """(n, 2) asked for, and (n, 2) of the best poses."""
@@ -79,9 +79,9 @@ class ShapeErrors:
         copies_mm, gaps_mm = self.retargeting.copies_mm(from_rest)
         best_mm = self.mouth.markers_of(poses_deg)
         opening_mm = gap_heights_mm(best_mm, self.mouth.names.shape_features.gaps[:1])[:, 0]
-        asked = [gaps_mm[:, 0, 1], copies_mm[:, left, 0] - copies_mm[:, right, 0]]
+        wanted = [gaps_mm[:, 0, 1], copies_mm[:, left, 0] - copies_mm[:, right, 0]]
         best = [opening_mm, best_mm[:, left, 0] - best_mm[:, right, 0]]
-        return np.stack(asked, axis=1), np.stack(best, axis=1)
+        return np.stack(wanted, axis=1), np.stack(best, axis=1)
 
     def apart_mm(self, poses_deg: Array, targets_mm: Array) -> Array:
         """(n,): distance of the face's lips from the targets, rms over the lip markers."""
@@ -111,7 +111,7 @@ def _errors(on: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors:
     human_gap_mm = on.model.lip_gaps_mm(on.model.markers_mm(held_out))
     gap_mm = _opening_mm(on, robot_mm)
     closed = human_gap_mm <= CLOSED_GAP_MM
-    gaps = gap_figures(on.retargeting.asked_open_mm(from_rest)[:, 0], gap_mm, human_gap_mm)
+    gaps = gap_figures(on.retargeting.wanted_open_mm(from_rest)[:, 0], gap_mm, human_gap_mm)
     moves = min(human_gap_mm.std(), gap_mm.std()) > 0.0
     return HoldOutErrors(
         n_frames=len(held_out),
@@ -141,7 +141,7 @@ def _coverage(on: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
     targets_mm = on.retargeting.targets_mm(from_rest)
     poses_deg = run.poses_deg(from_rest, on.mouth)
     off_mm = on.apart_mm(poses_deg, targets_mm)
-    asked_mm = on.retargeting.asked_open_mm(from_rest)[:, 0]
+    wanted_mm = on.retargeting.wanted_open_mm(from_rest)[:, 0]
     made_mm = _opening_mm(on, on.mouth.seen_mm(poses_deg))
     human_mm = on.model.lip_gaps_mm(on.model.markers_mm(from_rest + on.model.rest))
     at_limit = _at_limit(poses_deg, on.mouth)
@@ -149,7 +149,7 @@ def _coverage(on: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
     begin = 0
     for viseme, chosen in rows.items():
         own = slice(begin, begin + len(chosen))
-        gaps = gap_figures(asked_mm[own], made_mm[own], human_mm[own])
+        gaps = gap_figures(wanted_mm[own], made_mm[own], human_mm[own])
         reach[viseme] = VisemeReach(
             reachable=float(reached[own].mean()),
             off_mm=_rms(off_mm[own]),

@@ -274,11 +274,11 @@ class Retargeting:
         poses_deg = self.mouth.nearest_deg(of.of(copies_mm, gaps_mm))
         closes = self.closing(from_rest) >= 1.0
         if closes.any():
-            asked_mm = gaps_mm[closes].copy()
+            wanted_mm = gaps_mm[closes].copy()
             for _ in range(_CLOSING_ROUNDS):
                 reached_mm = gap_heights_mm(self.mouth.markers_of(poses_deg[closes]), of.gaps)
-                asked_mm[..., 1] += gaps_mm[closes][..., 1] - reached_mm
-                poses_deg[closes] = self.mouth.nearest_deg(of.of(copies_mm[closes], asked_mm))
+                wanted_mm[..., 1] += gaps_mm[closes][..., 1] - reached_mm
+                poses_deg[closes] = self.mouth.nearest_deg(of.of(copies_mm[closes], wanted_mm))
         return poses_deg
 
     def targets_mm(self, from_rest: Array) -> Array:
@@ -308,7 +308,7 @@ class Retargeting:
         gaps_mm = self.model.lip_gaps_mm(self.model.markers_mm(from_rest + self.model.rest))
         return np.asarray(np.clip(1.0 - (gaps_mm - CLOSED_GAP_MM) / BLEND_MM, 0.0, 1.0))
 
-    def asked_open_mm(self, from_rest: Array) -> Array:
+    def wanted_open_mm(self, from_rest: Array) -> Array:
         """(n, n_components) -> (n, n_gaps): the openings wanted beyond the robot's closed gap."""
         return np.maximum(self.copies_mm(from_rest)[1][..., 1] - self.closed_mm, 0.0)
 

@@ -32,9 +32,9 @@ def chirp_deg(amplitude_deg: float, rate_hz: float = RATE_HZ) -> Array:
     """(n,): a sine whose frequency grows evenly over the chirp, after a rest."""
     times_s = np.arange(0.0, _CHIRP_S, 1.0 / rate_hz)
     low, high = _CHIRP_HZ
-    turns = low * times_s + (high - low) * times_s**2 / (2 * _CHIRP_S)
+    phase_turns = low * times_s + (high - low) * times_s**2 / (2 * _CHIRP_S)
     rest = np.zeros(round(_REST_S * rate_hz))
-    return np.concatenate([rest, amplitude_deg * np.sin(2 * np.pi * turns), rest])
+    return np.concatenate([rest, amplitude_deg * np.sin(2 * np.pi * phase_turns), rest])
 
 
 def chirp_amplitude_deg(joint: JointRange) -> float:

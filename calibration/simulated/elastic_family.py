@@ -97,9 +97,9 @@ def pulls_of(names: Sequence[str], positive: Sequence[str]) -> tuple[Pull, ...]:
 
     The first joint that opens is the jaw. Two joints may pull at one place.
     """
-    said = positive or [""] * len(names)
-    known = [joint_motion(name, word) for name, word in zip(names, said, strict=True)]
-    read = [motion or _by_word(word) for motion, word in zip(known, said, strict=True)]
+    positives = positive or [""] * len(names)
+    known = [joint_motion(name, word) for name, word in zip(names, positives, strict=True)]
+    read = [motion or _by_word(word) for motion, word in zip(known, positives, strict=True)]
     taken: list[str] = []
     pulls = []
     for motion, was_known in zip(read, known, strict=True):
@@ -112,10 +112,10 @@ def pulls_of(names: Sequence[str], positive: Sequence[str]) -> tuple[Pull, ...]:
 
 def _by_word(word: str) -> JointMotion | None:
     """What goes up is the upper lip, what goes down the lower one."""
-    told = words(word)
-    if bool(told & UP) == bool(told & (DOWN | CLOSE)):
+    word_parts = words(word)
+    if bool(word_parts & UP) == bool(word_parts & (DOWN | CLOSE)):
         return None
-    return JointMotion("upper_lip" if told & UP else "lower_lip", "both", 1)
+    return JointMotion("upper_lip" if word_parts & UP else "lower_lip", "both", 1)
 
 
 def _kind_of(

@@ -371,8 +371,8 @@ class ElasticFace:
 
     def _free(self, horns_deg: Array, jaw_rad: Array) -> Array:
         """(n, n_seen): dots and gaps, the lips not stopping each other."""
-        turns = np.stack([np.cos(jaw_rad) - 1.0, np.sin(jaw_rad)], axis=1)
-        values = turns @ self._jaw_answers
+        rotations = np.stack([np.cos(jaw_rad) - 1.0, np.sin(jaw_rad)], axis=1)
+        values = rotations @ self._jaw_answers
         for rod, answer in zip(self.draw.rods, self._rod_answers, strict=True):
             angle = np.deg2rad(horns_deg[:, rod.joint])[:, None]
             pulled = rod.arm_mm * (np.sin(angle) * rod.along + (1.0 - np.cos(angle)) * rod.over)

@@ -242,7 +242,7 @@ class FeetechBus:
         return cache.health(line.transport.clock.now(), self._present.current_ma)
 
     def obstacle(self, index: int) -> str:
-        """Asked anew before every torque: it may have been replaced, or set up by somebody else."""
+        """Checked anew before every torque on: the servo may be another, or set up elsewhere."""
         return self._torque.obstacle(self.line, index)
 
     def enable_torque(self, index: int) -> str:
@@ -260,7 +260,7 @@ class FeetechBus:
         return self._torque.disable(self.line, index)
 
     def disable_all(self) -> NDArray[np.bool_]:
-        """Torque off to everybody three times, then asked of each until it says so."""
+        """Broadcast torque off three times, then read it from each servo until it confirms."""
         line, cache = self.line, self._cache
         self._torque.disable_all()
         request = codec.torque(self._ids, on=False)

@@ -62,7 +62,7 @@ def write(servo_id: int, address: int, data: bytes) -> bytes:
 
 
 def sync_write(address: int, size: int, blocks: Iterable[tuple[int, bytes]]) -> bytes:
-    """Set the same `size` bytes of several servos, (id, bytes) each; nobody answers. As `write`."""
+    """Set the same `size` bytes of several servos, (id, bytes) each; no servo answers."""
     listed = b"".join(bytes((servo_id,)) + each for servo_id, each in blocks)
     parameters = _beside_torque(address, bytes(size)) + bytes((size,)) + listed
     return packet(BROADCAST_ID, Instruction.SYNC_WRITE, parameters)

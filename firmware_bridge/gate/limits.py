@@ -51,7 +51,7 @@ class AccelerationLimit:
         self._wanted[index] = position_deg
 
     def step(self, sent: Array, wanted: Array, low: Array, high: Array, step_s: float) -> Array:
-        """Where to go from `sent`, in range, when `wanted`, in range, is asked; degrees, (n,)."""
+        """Return the next goal from `sent` towards `wanted`, both in range; degrees, (n,)."""
         if not self._any or step_s <= 0.0:
             return wanted
         a, change = self._acceleration, self._acceleration * step_s
@@ -307,7 +307,7 @@ class Limiter:
         )
 
     def unchanged(self) -> Limited:
-        """The last goals, for a tick in which nobody gets new ones; no limit is hit."""
+        """The last goals, for a tick in which no servo gets new ones; no limit is hit."""
         none = self._no_joint
         return Limited(self._sent_deg, none, none, none, none)
 

@@ -1,6 +1,6 @@
 """Joints moved slowly from one pose to another, and a target that fades as it grows old.
 
-Every slow move of a face is a `Ramp`; what is asked of a silent speech side says a `StaleRule`.
+Every slow move of a face is a `Ramp`; a `StaleRule` says what replaces a silent speech side.
 Pure: time comes in as an argument. What they ask for still goes through the limits of the gate.
 """
 
@@ -54,7 +54,7 @@ class Ramp:
         return np.asarray((1.0 - share) * self.start_deg + share * self.goal_deg)
 
     def is_over(self, time_s: float) -> bool:
-        """Whether the goal is asked for."""
+        """Whether the ramp has reached its goal."""
         return time_s - self.start_s >= self.duration_s
 
     def _share(self, time_s: float) -> float:

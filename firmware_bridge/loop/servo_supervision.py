@@ -144,7 +144,7 @@ class ServoSupervision:
         self._set_reason(index, why_not)
 
     def mark_all_waiting(self, time_s: float, why: str = "") -> None:
-        """Nobody is driven any more: the port is gone, or all were let go."""
+        """Mark all as not driven: the port is gone, or all were let go."""
         for index in np.flatnonzero(self.states != ServoState.FAILED).tolist():
             if self.states[index] in _SWITCHED_OFF:
                 self.switch_off(index, time_s)  # what it confirmed before may not be so any more

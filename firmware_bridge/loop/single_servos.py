@@ -90,12 +90,12 @@ class Jog:
         self._returns[index] = self.is_active = True
 
     def drop(self, index: int) -> None:
-        """One joint is moved by nobody any more."""
+        """End the jogging of one joint."""
         self._goals_deg[index] = np.nan
         self._returns[index] = False
 
     def clear(self) -> None:
-        """The face stops, or is let go: whoever moves it now does so from where it is."""
+        """End all jogging: the face stops or is let go; the next move starts from where it is."""
         if self.is_active:
             self._goals_deg[:] = np.nan
             self._returns[:] = False

@@ -28,7 +28,7 @@ class ServoTargets:
 
 
 class TargetChannel(Protocol):
-    """Carries targets one way. Nobody ever blocks; the newest targets win."""
+    """Carries targets one way. It never blocks; the newest targets win."""
 
     def publish(self, targets: ServoTargets) -> None:
         """Hand over one target record."""
@@ -77,7 +77,7 @@ class TargetTrack:
     """The newest targets in order of display time, read as one continuous motion.
 
     A record says what holds from its time on: it replaces every kept one at or after that time, so
-    a speech side that thinks again, or starts again, is never mixed with what it said before.
+    a speech side that revises, or starts again, is never mixed with its earlier records.
     Records with the wrong number of joints, or anything not finite, are left out and counted.
     """
 

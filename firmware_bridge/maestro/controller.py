@@ -89,11 +89,13 @@ class Maestro:
 
 def no_answer(port: str, *, crc: bool) -> str:
     """Why a port may be silent, and what to do."""
-    asked = "true, and the Maestro may have it off" if crc else "false, and the Maestro may use it"
+    setting_advice = (
+        "true, and the Maestro may have it off" if crc else "false, and the Maestro may use it"
+    )
     return (
         f"{port}: no Maestro answers. Set its serial mode to USB Dual Port in Pololu's Control "
         "Center (as it comes, UART with detected rate, it ignores commands); of its two ports the "
-        f"lower (ttyACM0, ...-if00) is the command port; bus.crc is {asked}"
+        f"lower (ttyACM0, ...-if00) is the command port; bus.crc is {setting_advice}"
     )
 
 
@@ -190,7 +192,7 @@ class MaestroController:
         return self._reached().position_us(self._channels[index])
 
     def remarks(self) -> Sequence[str]:
-        """The errors that it has told."""
+        """The errors that it has reported."""
         bits = self._seen | (0 if self._maestro is None else self._maestro.errors)
         return [f"the Maestro tells of a {words}" for words in describe_errors(bits)]
 

@@ -72,7 +72,7 @@ class Pca9685:
     def send(self, pulses_us: Array) -> bool:
         """All channels of the face in one transfer; all of the board off by one byte.
 
-        In the same transfer the chip is asked whether it is still set up: a supply that broke down
+        The same transfer reads whether the chip is still set up: a supply that broke down
         leaves it as at power-up.
         """
         counts, guard = self._timing.counts(pulses_us), self._guard

@@ -113,6 +113,6 @@ class ServoStateCache:
 
 
 def read_only(array: NDArray[_Kind]) -> NDArray[_Kind]:
-    """The same array, which nobody may write into any more."""
+    """Return the same array, made read-only."""
     array.flags.writeable = False
     return array

@@ -51,7 +51,7 @@ class SimulatedBus:
         n_remembered: int = 20_000,
         capabilities: BusCapabilities = IN_MEMORY,
     ) -> None:
-        """Servos standing limp at `start_deg`, (n_servos,), or in neutral.
+        """Limp servos at `start_deg`, (n_servos,), or in neutral.
 
         capabilities: what they cannot measure they report as NaN.
 

@@ -22,7 +22,7 @@ from calibration.calibration import Calibration, CalibrationError, Touch
 from calibration.files.calibration_file import load_calibration
 from calibration.mouth_servos import MouthServos
 from firmware_bridge.stopping import named_by_reason
-from lipservo.runtime.servos.limp_servos import LOOK_EVERY_S, LimpPose, LimpServos
+from lipservo.runtime.servos.limp_servos import READ_EVERY_S, LimpPose, LimpServos
 from lipsync.arrays import Array
 
 CLOSED, WIDEST, ROUNDED, TOUCHED = "closed", "widest", "rounded", "touched"
@@ -112,8 +112,8 @@ def pose_lines(before: Calibration, after: Calibration) -> list[str]:
     lines = []
     for name, positions_deg in after.hand_poses.items():
         places = zip(after.servo_names, positions_deg, strict=True)
-        told = ", ".join(f"{joint} {round(deg, 1) + 0.0:.1f}" for joint, deg in places)
-        lines.append(f"{name}: {told} deg")
+        angles = ", ".join(f"{joint} {round(deg, 1) + 0.0:.1f}" for joint, deg in places)
+        lines.append(f"{name}: {angles} deg")
         if name in (WIDEST, ROUNDED) and np.abs(positions_deg).max() < _MEANT_DEG:
             lines.append(f"{name} is where neutral is, so no limit comes of it; was it meant?")
     if after.touch is not None and TOUCHED in after.hand_poses:
@@ -183,9 +183,9 @@ def pose_by_hand(
     with Live(console=console, transient=True, auto_refresh=False) as live:
         while posing.current < len(posing.poses):
             with posing.undivided():
-                seen = servos.look()
+                seen = servos.read_pose()
             live.update(_page(posing, mouth, seen), refresh=True)
-            key = keys.next_key(LOOK_EVERY_S)
+            key = keys.next_key(READ_EVERY_S)
             if key is None:
                 continue
             posing.note = ""

@@ -302,7 +302,7 @@ def capture_face(
             arrived=on.arrived,
             progress=done,
             strained=on.strained,
-            told=_say,
+            report=_say,
         )
 
 

@@ -70,7 +70,8 @@ def _closing_line(calibration: Calibration, lips: LearntLips) -> str:
     closing, closure = calibration.closing, calibration.closure
     pressed = "" if closure is None else f"; closures go {closure.press_mm:.1f} mm past it"
     if closing is not None and not closing.closes:
-        return f"contact: none; the mouth {closing.told}: widen that limit, or close it by its horn"
+        why = closing.description
+        return f"contact: none; the mouth {why}: widen that limit, or close it by its horn"
     if closing is not None and closing.evidence == PASSED:
         return f"contact: the dots of both lips pass one another{pressed}"
     if closing is not None or lips.stop:
@@ -137,8 +138,8 @@ def _reach_lines(calibration: Calibration) -> list[str]:
     poor = {v: r for v, r in calibration.coverage.items() if r.reachable < _WELL_REACHED}
     if not poor:
         return ["every viseme class is within reach"]
-    told = ", ".join(f"{phonemes[v]} {1 - reach.reachable:.0%}" for v, reach in poor.items())
-    return [f"out of reach of the shapes of each class: {told}; wider limits may help"]
+    shares = ", ".join(f"{phonemes[v]} {1 - reach.reachable:.0%}" for v, reach in poor.items())
+    return [f"out of reach of the shapes of each class: {shares}; wider limits may help"]
 
 
 def following_lines(calibration: Calibration) -> list[str]:
@@ -245,7 +246,7 @@ def shown_values(
     origin, errors = calibration.origin, asdict(calibration.errors)
     lips = calibration.learnt_lips
     errors.pop("joint_rms_deg")
-    told: dict[str, object] = {
+    values: dict[str, object] = {
         "method": origin.method,
         "date": origin.date,
         "poses": origin.poses,
@@ -261,8 +262,8 @@ def shown_values(
         "trim": trim_values(calibration),
     }
     if rules is not None:
-        told["rules"] = [rule.model_dump() for rule in rules]
-    return told
+        values["rules"] = [rule.model_dump() for rule in rules]
+    return values
 
 
 def trim_values(calibration: Calibration) -> dict[str, dict[str, float]]:
@@ -453,6 +454,6 @@ def _best_off(
     from calibration.fit.measured import ShapeErrors
 
     found = ShapeErrors(model, fit.retargeting.mouth, fit.retargeting)
-    asked_mm, best_mm = found.openings_and_widths_mm(frames - model.rest)
-    off_mm = np.abs(best_mm - asked_mm).max(axis=1)
-    return asked_mm[:, 0] - fit.retargeting.closed_mm[0], asked_mm[:, 1], off_mm
+    wanted_mm, best_mm = found.openings_and_widths_mm(frames - model.rest)
+    off_mm = np.abs(best_mm - wanted_mm).max(axis=1)
+    return wanted_mm[:, 0] - fit.retargeting.closed_mm[0], wanted_mm[:, 1], off_mm

@@ -68,7 +68,7 @@ _UNCONFIRMED: Final = (
 )
 
 
-def told_servos(status: Mapping[str, Any] | None, *, is_fresh: bool) -> list[dict[str, Any]]:
+def listed_servos(status: Mapping[str, Any] | None, *, is_fresh: bool) -> list[dict[str, Any]]:
     """Every servo of a status, with remedies. is_fresh: whether the face says it now.
 
     Nothing is reported better than it is: what was never heard is null, and of a face that does not
@@ -86,7 +86,7 @@ def told_servos(status: Mapping[str, Any] | None, *, is_fresh: bool) -> list[dic
     health = {str(each["name"]): each for each in status.get("health") or ()}
     states: Mapping[str, str] = status.get("servos") or {}
     return [
-        _told(name, at_stop.get(name), states.get(name, ""), health.get(name, {}), is_fresh)
+        _status_line(name, at_stop.get(name), states.get(name, ""), health.get(name, {}), is_fresh)
         | _heard(
             health.get(name, {}), states.get(name, ""), is_fresh=is_fresh, has_heat=has_heat(name)
         )
@@ -140,7 +140,7 @@ _FIGURES: Final = (
 )  # fmt: skip
 
 
-def _told(
+def _status_line(
     name: str, at_stop: str | None, state: str, health: Mapping[str, Any], is_fresh: bool
 ) -> dict[str, Any]:
     state = at_stop or str(health.get("state") or state) if is_fresh else "unknown"

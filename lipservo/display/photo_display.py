@@ -220,9 +220,9 @@ class PhotoDisplay:
 def amounts_of(frame: Frame, components: tuple[str, ...]) -> dict[str, float]:
     """How much of each target a frame asks for; what it leaves open is at rest."""
     amounts = dict(zip(components, np.asarray(frame.coefficients).tolist(), strict=True))
-    said = {each.name: getattr(frame.expression, each.name) for each in fields(frame.expression)}
+    values = {each.name: getattr(frame.expression, each.name) for each in fields(frame.expression)}
     for name, (least, most) in _MOST.items():
-        amounts[name] = min(most, max(least, said[name] or 0.0))
+        amounts[name] = min(most, max(least, values[name] or 0.0))
     for side in ("left", "right"):
         lid = amounts[f"lid_{side}"]
         amounts[f"lid_{side}_over"] = lid * (1 - lid)
@@ -231,10 +231,10 @@ def amounts_of(frame: Frame, components: tuple[str, ...]) -> dict[str, float]:
 
 def pose_rad(frame: Frame) -> tuple[float, float, float]:
     """Pitch, yaw and roll of the head that a photograph bears."""
-    said = frame.expression
-    asked = (said.neck_pitch_deg, said.neck_yaw_deg, said.neck_roll_deg)
+    expression = frame.expression
+    angles_deg = (expression.neck_pitch_deg, expression.neck_yaw_deg, expression.neck_roll_deg)
     most = _MOST_POSE_DEG.values()
-    within = [max(-m, min(m, deg or 0.0)) for deg, m in zip(asked, most, strict=True)]
+    within = [max(-m, min(m, deg or 0.0)) for deg, m in zip(angles_deg, most, strict=True)]
     pitch, yaw, roll = np.radians(within).tolist()
     return pitch, yaw, roll
 

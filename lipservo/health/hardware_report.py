@@ -73,15 +73,15 @@ def labels(settings: FaceSettings) -> list[str]:
 
 def plain_values(settings: BaseModel) -> dict[str, object]:
     """What of settings is a number, a flag, or a word that the schema lists."""
-    told: dict[str, object] = {}
+    values: dict[str, object] = {}
     for name, field in type(settings).model_fields.items():
         value = getattr(settings, name)
         is_listed = name == "kind" or get_origin(field.annotation) is Literal
         if isinstance(value, (bool, int, float)) or (is_listed and isinstance(value, str)):
-            told[name] = value
+            values[name] = value
     if model := getattr(settings, "make", None):
-        told["model"] = model
-    return told
+        values["model"] = model
+    return values
 
 
 def examined(
@@ -143,17 +143,17 @@ def limp_loop(bus: ServoBus, rate_hz: float, seconds: float, clock: Clock) -> Re
     for time_s, late in ticks(clock, rate_hz):
         if time_s - began_s >= seconds:
             break
-        moments_s = [clock.now()]
-        late_ms.append(1e3 * (moments_s[0] - time_s))
+        times_s = [clock.now()]
+        late_ms.append(1e3 * (times_s[0] - time_s))
         n_late += late
         bus.write_positions(goals_deg)
-        moments_s.append(clock.now())
+        times_s.append(clock.now())
         feedback = bus.feedback()
-        moments_s.append(clock.now())
+        times_s.append(clock.now())
         bus.look_after()
-        moments_s.append(clock.now())
+        times_s.append(clock.now())
         for name, spent_s in zip(
-            ("write_ms", "read_ms", "look_after_ms"), np.diff(moments_s), strict=True
+            ("write_ms", "read_ms", "look_after_ms"), np.diff(times_s), strict=True
         ):
             durations[name].append(1e3 * float(spent_s))
         unanswered += feedback.age_s > 0.0
@@ -240,8 +240,8 @@ def _lines(value: Mapping[str, Any], depth: int) -> Iterator[str]:
         elif isinstance(each, list) and each and isinstance(each[0], Mapping):
             yield f"{indent}{name}:"
             for entry in each:
-                told = ", ".join(f"{key} {_shown(one)}" for key, one in entry.items())
-                yield f"{indent}  - {told}"
+                pairs = ", ".join(f"{key} {_shown(one)}" for key, one in entry.items())
+                yield f"{indent}  - {pairs}"
         elif isinstance(each, list) and each and isinstance(each[0], str):
             yield f"{indent}{name}:"
             yield from (f"{indent}  - {entry}" for entry in each)

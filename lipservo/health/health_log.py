@@ -97,9 +97,9 @@ def _own_state(environment: Mapping[str, str]) -> Path | None:
 
     https://specifications.freedesktop.org/basedir-spec/latest/ : a relative path is ignored.
     """
-    asked = environment.get("LIPSERVO_STATE")
-    if asked:
-        return Path(asked)
+    folder = environment.get("LIPSERVO_STATE")
+    if folder:
+        return Path(folder)
     state = environment.get("XDG_STATE_HOME", "")
     if os.path.isabs(state):
         return Path(state) / "lipservo"

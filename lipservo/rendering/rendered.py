@@ -74,8 +74,8 @@ def rendered_line(sound: Path, script: Script, how: Rendering) -> tuple[Performa
     )
     seconds = time.perf_counter() - began_s
     duration_s = len(line.samples) / SAMPLE_RATE_HZ
-    told = (*heard_notes, *notes)
-    return performance, Rendered(sound, duration_s, len(line.events), seconds, told)
+    all_notes = (*heard_notes, *notes)
+    return performance, Rendered(sound, duration_s, len(line.events), seconds, all_notes)
 
 
 def rendered_faces(

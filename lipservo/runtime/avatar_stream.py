@@ -52,7 +52,7 @@ class AvatarStream:
         self._has_vowels = has_vowels
         self._due_s = -math.inf
         self._sound_s = 0.0
-        self._said: set[str] = set(_MOUTH)
+        self._sent_names: set[str] = set(_MOUTH)
         #: Datagrams that were handed to the system, and those that it did not take.
         self.n_sent = 0
         self.n_failed = 0
@@ -86,11 +86,11 @@ class AvatarStream:
     def _shapes(self, values: Array) -> list[tuple[str, float]]:
         """The mouth's shapes, and of the others those of which anything was ever said."""
         pairs = list(zip(ARKIT_NAMES, values.tolist(), strict=True))
-        self._said.update(name for name, value in pairs if value > 0.0)
-        said = [pair for pair in pairs if pair[0] in self._said]
+        self._sent_names.update(name for name, value in pairs if value > 0.0)
+        known_pairs = [pair for pair in pairs if pair[0] in self._sent_names]
         if not self._has_vowels:
-            return said
-        return [*vowels(values).items(), *(pair for pair in said if pair[0] not in _MOUTH)]
+            return known_pairs
+        return [*vowels(values).items(), *(pair for pair in known_pairs if pair[0] not in _MOUTH)]
 
     def _hand_over(self, to: socket.socket, packet: bytes) -> None:
         try:

@@ -109,9 +109,9 @@ def run_face(
             play(street, life, is_over=end.is_over, tally=tally, observers=observers)
         heard_s = max(0.0, min(length_s, clock.now() - zero_s))
         status = run.status(driven.bridge)
-    took_s = time.perf_counter() - began_s
+    elapsed_s = time.perf_counter() - began_s
     assert life.report is not None
-    summary = tally.summary(status, heard_s, took_s)
+    summary = tally.summary(status, heard_s, elapsed_s)
     return RunOutcome(summary, status, life.report, life.signal_number)
 
 

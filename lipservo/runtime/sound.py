@@ -177,8 +177,8 @@ def spoken_text(
         rates_hz = sentence.sample_rate_hz, playout.output_rate_hz
         stream = PlayoutStream(name, *rates_hz, sentence.phonemes)
         stream.push(sentence.samples)
-        if sentence.told is not None:
-            _tell(stream, sentence.told, voice.language)
+        if sentence.units is not None:
+            _tell(stream, sentence.units, voice.language)
         else:
             starts = (round(word.start_s * sentence.sample_rate_hz) for word in sentence.words)
             labels = (word.text[:LONGEST_LABEL] for word in sentence.words)
@@ -198,12 +198,12 @@ def spoken_text(
     return Spoken(pieces(first), deque([first]), _TEXT_AHEAD_S, _sounding_s(first))
 
 
-def _tell(stream: PlayoutStream, told: SpokenText, language: str) -> None:
+def _tell(stream: PlayoutStream, units: SpokenText, language: str) -> None:
     """Let the words be followed in the sound; where they cannot be pronounced, it is heard."""
     from lipsync.text_to_speech.pronunciation import PronunciationError, pronounced_units
 
     try:
-        stream.tell(told, pronounced_units(told, language))
+        stream.tell(units, pronounced_units(units, language))
     except PronunciationError as error:
         _LOG.warning("%s; the voice is heard as any other", error)
 

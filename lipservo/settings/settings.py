@@ -406,8 +406,8 @@ def _settings_of(kind: BusKind | None) -> type[BusSettings]:
 
 def bus_of(servo: object) -> str:
     """What a servo, read or not, says of its bus; empty: nothing."""
-    said = servo.get("bus") if isinstance(servo, Mapping) else getattr(servo, "bus", None)
-    return said if isinstance(said, str) else ""
+    bus_name = servo.get("bus") if isinstance(servo, Mapping) else getattr(servo, "bus", None)
+    return bus_name if isinstance(bus_name, str) else ""
 
 
 def _kind_of(bus: object) -> BusKind | None:
@@ -423,8 +423,8 @@ def _kind_of(bus: object) -> BusKind | None:
 def _no_bus(servo: Mapping[Any, Any], name: str, known: Sequence[str]) -> ValidationError:
     """Of a servo that does not say its bus, or one that there is not."""
     buses = f"the buses of this face: {', '.join(known)}"
-    said = servo.get("bus")
-    why = f"is missing; {buses}" if said is None else f"{shown(said)} is not one of {buses}"
+    bus_name = servo.get("bus")
+    why = f"is missing; {buses}" if bus_name is None else f"{shown(bus_name)} is not one of {buses}"
     line = InitErrorDetails(
         type="value_error", loc=("bus",), input=name, ctx={"error": ValueError(why)}
     )

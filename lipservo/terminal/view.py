@@ -161,7 +161,7 @@ class TerminalView:
         """status: of the face; asked once a second, by whoever calls `observe`."""
         self._ask_status = status
         self._status = status()
-        self._asked_at_s = 0.0
+        self._status_at_s = 0.0
         self._joints = joints
         self._model = model
         self._rest_mm = model.markers_mm(model.rest[None])[0]
@@ -176,8 +176,8 @@ class TerminalView:
 
     def observe(self, tick: StreetTick) -> None:
         """Show this tick at the next refresh."""
-        if abs(tick.sound_s - self._asked_at_s) >= _STATUS_EVERY_S:
-            self._asked_at_s = tick.sound_s
+        if abs(tick.sound_s - self._status_at_s) >= _STATUS_EVERY_S:
+            self._status_at_s = tick.sound_s
             self._status = self._ask_status()
         if not self._phonemes or self._phonemes[-1] != tick.phoneme:
             self._phonemes.append(tick.phoneme)
@@ -227,7 +227,7 @@ class TerminalView:
         width = min(_WIDEST_BAR, room - _GAP_COLUMNS)
         openness = self._bar(gap_mm / _WIDEST_GAP_MM, width).append(f"  {gap_mm:5.1f} mm")
         head = Table.grid(padding=(0, 2))
-        heard = "" if tick.hears is None else f"   {tick.hears}"
+        heard = "" if tick.hearing is None else f"   {tick.hearing}"
         head.add_row("sound", f"{max(0.0, tick.sound_s):6.2f} s{heard}")
         head.add_row("phonemes", spoken)
         head.add_row("lip gap", openness)

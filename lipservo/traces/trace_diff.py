@@ -126,10 +126,12 @@ def overlay(a: Trace, b: Trace, models: tuple[FaceModel, FaceModel]) -> Overlay:
     ]
     apart_mm = np.linalg.norm(faces[1][:, lips[1]] - faces[0][:, lips[0]], axis=2)
     nearest = np.clip(np.searchsorted(b.sound_s, times_s - 1e-9), 0, len(b.sound_s) - 1)
-    said = np.array(a.phonemes)[within]
+    phoneme_of_tick = np.array(a.phonemes)[within]
     return Overlay(
         sound_s=times_s,
-        phonemes=tuple(zip(said.tolist(), np.array(b.phonemes)[nearest].tolist(), strict=True)),
+        phonemes=tuple(
+            zip(phoneme_of_tick.tolist(), np.array(b.phonemes)[nearest].tolist(), strict=True)
+        ),
         gaps_mm=(models[0].lip_gaps_mm(faces[0]), models[1].lip_gaps_mm(faces[1])),
         lips_mm=np.sqrt((apart_mm**2).mean(axis=1)),
         sent_deg=(a.sent_deg[within], _at(b.sound_s, b.sent_deg, times_s)),

@@ -148,7 +148,7 @@ def _record_of(number: int, tick: StreetTick) -> dict[str, object]:
         "tick": number,
         "sound_s": round(tick.sound_s, 6),
         "phoneme": tick.phoneme,
-        "hears": tick.hears,
+        "hears": tick.hearing,
         "moved_by": tick.moved_by,
         "coefficients": _rounded(tick.coefficients.tolist()),
         "wanted_deg": _rounded(report.wanted_deg.tolist()),

@@ -29,9 +29,9 @@ from lipsync.audio.playout_stream import (
     PlayoutEvent,
     PlayoutRequest,
     PlayoutStream,
-    ToldWords,
+    StartedWords,
     add_playing,
-    told_phonemes,
+    phonemes_or_visemes,
 )
 from lipsync.audio.source import BLOCK_SAMPLES, AudioSource, Loudspeaker
 from lipsync.audio_block import BLOCK_S, AudioBlock, samples_before
@@ -46,7 +46,7 @@ _MOST_EVENTS: Final = 1024
 #: Phonemes that wait to be told; nobody is told those of a minute ago.
 _MOST_PHONEMES: Final = 256
 #: Texts of streams that wait for who looks for them; each tick takes them all.
-_MOST_TOLD: Final = 256
+_MOST_STARTED: Final = 256
 #: Words that are shown around the one that is said.
 _WORDS_BEFORE, _WORDS_AFTER = 3, 11
 #: Words that were said so long ago are not looked for any more.
@@ -139,7 +139,7 @@ class Playout:
         )
         self._is_paused = False
         self._known = KnownPhonemes()
-        self._told: deque[ToldWords] = deque(maxlen=_MOST_TOLD)
+        self._started_words: deque[StartedWords] = deque(maxlen=_MOST_STARTED)
         self._telling: PlayingStream | None = None
         self._n_blocks = 0
         self._n_underruns = 0
@@ -287,11 +287,11 @@ class Playout:
         """Stretches of the timeline that end after `from_s` and whose phonemes are known."""
         return self._known.after(from_s)
 
-    def take_words(self) -> list[ToldWords]:
+    def take_words(self) -> list[StartedWords]:
         """What is said where the timeline is settled, in its seconds; each once."""
-        told = list(self._told)
-        self._told.clear()
-        return told
+        started = list(self._started_words)
+        self._started_words.clear()
+        return started
 
     def timed_words(self) -> tuple[tuple[str, ...], int] | None:
         """Words around the one that is heard now, and which of them it is, by their times.
@@ -299,13 +299,13 @@ class Playout:
         None where nothing is heard whose words have times.
         """
         playing = self._playing[0] if self._playing else None
-        told = None if playing is None else playing.stream.spoken.get("word")
-        if playing is None or told is None or not told.is_timed:
+        words = None if playing is None else playing.stream.spoken.get("word")
+        if playing is None or words is None or not words.is_timed:
             return None
         n_played = playing.n_played(self._position_s)
-        number = max(0, bisect_right(told.units, n_played, key=_start_sample) - 1)
+        number = max(0, bisect_right(words.units, n_played, key=_start_sample) - 1)
         first = max(0, number - _WORDS_BEFORE)
-        around = told.units[first : number + _WORDS_AFTER]
+        around = words.units[first : number + _WORDS_AFTER]
         return tuple(unit.label for unit in around), number - first
 
     def known_kind(self, timeline_s: float) -> Literal["phonemes", "visemes"] | None:
@@ -314,8 +314,8 @@ class Playout:
             return None
         if (found := self.stream_at(timeline_s)) is None:
             return None
-        told = told_phonemes(found[0])
-        return "visemes" if told is not None and told.kind == "viseme" else "phonemes"
+        units = phonemes_or_visemes(found[0])
+        return "visemes" if units is not None and units.kind == "viseme" else "phonemes"
 
     def __enter__(self) -> "Playout":
         return self
@@ -360,11 +360,11 @@ class Playout:
         if is_other:
             self._forget_words()
             self._telling = playing
-        told_words = playing.stream.told_words
-        while told_words:
-            told = told_words.popleft()
-            shift_s, behind_s, given = playing.shift_s, 0.0, told.words
-            began_s = given[0].start_s if told.kind == "text" and given else None
+        started_words = playing.stream.started_words
+        while started_words:
+            passed = started_words.popleft()
+            shift_s, behind_s, given = playing.shift_s, 0.0, passed.words
+            began_s = given[0].start_s if passed.kind == "text" and given else None
             if began_s is not None and began_s + shift_s < start_s:
                 behind_s, given = start_s - began_s - shift_s, (_untimed(given[0]), *given[1:])
             words = tuple(
@@ -373,12 +373,12 @@ class Playout:
                 if each.start_s is None or each.start_s + shift_s > start_s - _OVER_S
             )
             playing.is_followed = True
-            self._told.append(ToldWords(told.kind, words, told.is_new, behind_s))
+            self._started_words.append(StartedWords(passed.kind, words, passed.is_new, behind_s))
 
     def _forget_words(self) -> None:
         """What was told of the last stream is not said any more."""
         if self._telling is not None and self._telling.is_followed:
-            self._told.append(ToldWords("text", (), is_new=True))
+            self._started_words.append(StartedWords("text", (), is_new=True))
         self._telling = None
 
     def _listened(self, start_s: float) -> Samples:
@@ -481,13 +481,13 @@ class Playout:
         while self._playing:
             playing, position_s = self._playing[0], self._position_s
             name = playing.stream.name
-            if not playing.is_told:
+            if not playing.has_begun:
                 begins_s = playing.segments[0].start_s if playing.segments else None
                 if begins_s is None and not playing.stream.is_over:
                     return
                 if begins_s is not None and position_s < begins_s:
                     return
-                playing.is_told = True
+                playing.has_begun = True
                 self.events.append(PlayoutEvent("started", name, position_s))
             n_played = playing.n_played(position_s)
             for mark in playing.stream.marks_until(n_played):

@@ -211,7 +211,7 @@ def _share(value: float, full: float) -> float:
 
 def _add_expression(found: Array, expression: Expression) -> None:
     """Set eyes, lids and brows where something is said of them. found: (52,)."""
-    said = {
+    values = {
         "eyeBlinkLeft": expression.lid_left,
         "eyeBlinkRight": expression.lid_right,
         "browInnerUp": expression.brow,
@@ -221,11 +221,11 @@ def _add_expression(found: Array, expression: Expression) -> None:
     pitch_deg, yaw_deg = expression.eye_pitch_deg, expression.eye_yaw_deg
     if pitch_deg is not None:
         for side in ("Left", "Right"):
-            said[f"eyeLookUp{side}"] = pitch_deg / _EYE_RANGE_DEG
-            said[f"eyeLookDown{side}"] = -pitch_deg / _EYE_RANGE_DEG
+            values[f"eyeLookUp{side}"] = pitch_deg / _EYE_RANGE_DEG
+            values[f"eyeLookDown{side}"] = -pitch_deg / _EYE_RANGE_DEG
     if yaw_deg is not None:  # to the face's own left: outwards for its left eye
         for name, sign in (("OutLeft", 1), ("InRight", 1), ("InLeft", -1), ("OutRight", -1)):
-            said[f"eyeLook{name}"] = sign * yaw_deg / _EYE_RANGE_DEG
-    for name, value in said.items():
+            values[f"eyeLook{name}"] = sign * yaw_deg / _EYE_RANGE_DEG
+    for name, value in values.items():
         if value is not None:
             found[_AT[name]] = _share(value, 1.0)

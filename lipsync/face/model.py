@@ -129,14 +129,14 @@ def write_model(
     path: Path, layout: PointLayout, about: Mapping[str, object], parts: Mapping[str, Arrays]
 ) -> None:
     """Write a model file whole or not at all. Raises OutputError."""
-    said = {
+    header = {
         "version": MODEL_VERSION,
         "layout": layout.description(),
         "phonemes": PHONEMES,
         **about,
     }
     arrays: dict[str, NDArray[np.generic]] = {
-        _ABOUT: np.frombuffer(json.dumps(said).encode(), dtype=np.uint8)
+        _ABOUT: np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
     }
     for part, members in parts.items():
         arrays |= {f"{part}/{name}": values for name, values in members.items()}

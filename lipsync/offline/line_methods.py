@@ -154,8 +154,8 @@ def heard_line(speaker: Speaker, line: Line, n_frames: int) -> PlannedLine:
         faces = softened_line(speaker.soft, faces, line.events, line.posteriors, around_s)
     notes: tuple[str, ...] = ("another voice: phonemes alone are believed",)
     if speaker.offline.voice.knows(line.samples):
-        told = speaker.offline.sound.faces(line.events, cepstra(line.samples), around_s)
-        faces, notes = faces + _SOUND_SHARE * (told - faces), ()
+        sound_faces = speaker.offline.sound.faces(line.events, cepstra(line.samples), around_s)
+        faces, notes = faces + _SOUND_SHARE * (sound_faces - faces), ()
     before, there, after = faces.reshape(3, n_frames, -1)
     mean = (before + 2.0 * there + after) / 4.0
     # The last step, as long as 40 ms would be.

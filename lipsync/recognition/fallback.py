@@ -136,9 +136,9 @@ class LadderLevel:
         return preparing.ahead_s if isinstance(preparing, PreparingRecognizer) else 0.0
 
     @property
-    def hears(self) -> Hearing | None:
+    def hearing(self) -> Hearing | None:
         """What it believes about the sound; None where it does not say."""
-        return None if self._listener is None else self._listener.hears
+        return None if self._listener is None else self._listener.hearing
 
     def begin(self, sound_s: float) -> None:
         """Forget everything; the next block is at `sound_s` or later."""
@@ -354,9 +354,9 @@ class FallbackRecognizer:
         return tuple(f"{level.name}: {reason}" for level, reason in better)
 
     @property
-    def hears(self) -> Hearing | None:
+    def hearing(self) -> Hearing | None:
         """What the level in use believes about the sound; None where it does not say."""
-        return self._level.hears
+        return self._level.hearing
 
     @property
     def moved_by(self) -> MovedBy | None:

@@ -83,7 +83,7 @@ class NetworkRecognizer:
         return _AHEAD_S
 
     @property
-    def hears(self) -> Hearing:
+    def hearing(self) -> Hearing:
         """What is believed about the sound that was settled last; speech until a pause."""
         if self._decoder.is_awake:
             return "speech"

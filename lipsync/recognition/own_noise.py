@@ -62,7 +62,7 @@ class ServoSpeeds:
 _KNOTS_DEG_S = np.array([5.0, 15.0, 40.0, 80.0, 150.0, 300.0])
 #: A speed that is told counts so long. Encoders are read 30 times a second at the least.
 _LASTS_S = 0.1
-_MOST_TOLD = 64
+_MOST_SPEEDS = 64
 #: The power that a servo is thought to add before anything was learned: nothing that counts.
 _NOTHING = 1e-6
 #: How far towards a frame what is known moves: far at first, then so that seconds are averaged.
@@ -87,7 +87,7 @@ class OwnNoise:
 
     def __init__(self, most_frames: int) -> None:
         """most_frames: how many frames after it was heard a frame is learned from at the latest."""
-        self._told: deque[tuple[float, Array]] = deque(maxlen=_MOST_TOLD)
+        self._speeds: deque[tuple[float, Array]] = deque(maxlen=_MOST_SPEEDS)
         self._heard: deque[tuple[Array32, Array | None]] = deque(maxlen=most_frames + 1)
         self._power = np.zeros((0, N_BANDS))  # (n_servos n_knots, n_bands)
         self._n_learned = np.zeros(0)
@@ -96,7 +96,7 @@ class OwnNoise:
 
     def begin(self) -> None:
         """A new stream begins, and sound time with it; what was learned stays."""
-        self._told.clear()
+        self._speeds.clear()
         self._heard.clear()
         self._louder, self._n_explained = None, 0
 
@@ -106,7 +106,7 @@ class OwnNoise:
         if n != len(self._power):
             self._power, self._n_learned = np.full((n, N_BANDS), _NOTHING), np.zeros(n)
             self.begin()
-        self._told.append((sound_s, knot_shares(speeds_deg_s)))
+        self._speeds.append((sound_s, knot_shares(speeds_deg_s)))
 
     def explains(self, frame: Array32, sound_s: float, *, is_awake: bool) -> bool:
         """Whether the servos explain a log-mel frame (40,) whose middle is at a sound time.
@@ -145,7 +145,7 @@ class OwnNoise:
 
     def _shares_at(self, sound_s: float) -> Array | None:
         """How much each E counts then, (n_servos n_knots,); None: not known, or nobody moved."""
-        nearest = min(self._told, key=lambda told: abs(told[0] - sound_s), default=None)
+        nearest = min(self._speeds, key=lambda entry: abs(entry[0] - sound_s), default=None)
         if nearest is None or abs(nearest[0] - sound_s) > _LASTS_S or not nearest[1].any():
             return None
         return nearest[1]

@@ -186,12 +186,12 @@ class TextDecoder:
         """What was told and is not being said yet never will be."""
         newest = self._newest
         state = int(newest.scores.argmax())
-        said = self.place
+        place = self.place
         if newest.escape < newest.scores[state]:
             # In the silence before a word it has not begun.
             has_begun = newest.window.kinds[state] != _SILENT
-            said = newest.window.first_word + int(newest.window.words[state]) - (not has_begun)
-        self._words.drop_after(said)
+            place = newest.window.first_word + int(newest.window.words[state]) - (not has_begun)
+        self._words.drop_after(place)
         self._place = min(self._place, float(self._words.n_words))
         window = self._words.window(self.place)
         self._replace_newest(window, window.taken_over(newest), newest.escape)

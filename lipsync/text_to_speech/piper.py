@@ -72,8 +72,8 @@ class Piper:
         )
         speech = speech_of(sound, answer["sample_rate_hz"], written, "")
         letters = [SpokenUnit(each) for each in joined(answer["phonemes"])]
-        told = in_inventory("phoneme", letters, IPA, speech.sample_rate_hz)
-        return replace(speech, told=told) if told.units else speech
+        units = in_inventory("phoneme", letters, IPA, speech.sample_rate_hz)
+        return replace(speech, units=units) if units.units else speech
 
 
 @cache

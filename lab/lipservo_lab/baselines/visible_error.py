@@ -50,13 +50,13 @@ def visible_error_table(confusion: NDArray[np.int64]) -> Mapping[str, Mapping[st
     heard_as: share of the class's frames and mm that it adds to the class's mean, the worst first.
     """
     table: dict[str, Mapping[str, object]] = {}
-    for said, counts in enumerate(confusion):
+    for phoneme, counts in enumerate(confusion):
         if not (n_frames := int(counts.sum())):
             continue
         shares = counts / n_frames
-        errors_mm = shares * visible_distances_mm()[said]
+        errors_mm = shares * visible_distances_mm()[phoneme]
         worst = [int(heard) for heard in np.argsort(-errors_mm, kind="stable") if counts[heard]]
-        table[_name(said)] = {
+        table[_name(phoneme)] = {
             "frames": n_frames,
             "visible_error_mm": float(errors_mm.sum()),
             "heard_as": {

@@ -209,11 +209,13 @@ def left_out_figures(
         played = _chosen(corpus, part, limit)
         sentences = corpus.keep({name for name, _ in played}).utterances
         for utterance in track(f"scoring {part.split}", list(sentences)):
-            said = [w for w in spoken_words(utterance) if (utterance.name, w.text) in played]
-            _add(scores, model, utterance, said, method, lookaheads_ms, listen(utterance))
+            words_played = [
+                w for w in spoken_words(utterance) if (utterance.name, w.text) in played
+            ]
+            _add(scores, model, utterance, words_played, method, lookaheads_ms, listen(utterance))
     main_ms = lookaheads_ms[len(lookaheads_ms) // 2]
     words = {text: scores.row(main_ms, text) for part in folds for text in part.words or ()}
-    told = [
+    rows = [
         {"word": text, "lookahead_ms": main_ms, **row}
         for text, row in words.items()
         if int(str(row["frames"])) >= LEAST_FRAMES
@@ -225,7 +227,7 @@ def left_out_figures(
             for name in BORDER_CLASSES
             if scores.sums[main_ms, name]
         ],
-        "words": sorted(told, key=lambda row: float(str(row["gap_r"]))),
+        "words": sorted(rows, key=lambda row: float(str(row["gap_r"]))),
     }
 
 

@@ -251,17 +251,17 @@ class Auditor:
             return
         before, trajectory_before = seen
         speed = (position - before) / span_s
-        told = np.abs(motors.trajectory - trajectory_before) / span_s
+        commanded = np.abs(motors.trajectory - trajectory_before) / span_s
         # A jump of the encoder takes the trajectory with it, and a servo that stops by itself, as
         # for its watchdog, lays it where it stands: nobody told them to go there.
-        jumped = (np.abs(speed) >= self._jump) & (told >= self._jump)
+        jumped = (np.abs(speed) >= self._jump) & (commanded >= self._jump)
         by_itself = ~held | jumped | (motors.trajectory == position)
-        told[by_itself] = 0.0
+        commanded[by_itself] = 0.0
         self._free += (motors.trajectory - self._free) * min(1.0, POSITION_LOOP_PER_S * span_s)
         self._free = np.where(by_itself, position, self._free)
         was_free, self._is_free = self._is_free, np.abs(position - self._free) <= _FREE_PULSES
         own = held & was_free & self._is_free
-        moved = np.maximum(np.where(own, np.abs(speed), 0.0), told)
+        moved = np.maximum(np.where(own, np.abs(speed), 0.0), commanded)
         fast = moved / self._speed
         self.fastest = max(self.fastest, float(fast.max()))
         self.too_fast += int((fast > _SPEED_MARGIN).sum())

@@ -185,8 +185,8 @@ def _dynamixels(case: Case) -> ChainStage:
 
     def is_reachable(servo: Any, now_s: float) -> bool:
         own_id = servos[servo.index].joint.servo_id
-        hears = servo.deaf_until_s <= now_s and servo.deaf_until_s < float("inf")
-        return bool(servo.servo_id == own_id and servo.baud_rate == BAUD_RATE and hears)
+        receives = servo.deaf_until_s <= now_s and servo.deaf_until_s < float("inf")
+        return bool(servo.servo_id == own_id and servo.baud_rate == BAUD_RATE and receives)
 
     return ChainStage(
         case,

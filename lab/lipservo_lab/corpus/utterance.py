@@ -78,11 +78,11 @@ class Corpus:
 
         Raises CorpusError for a word that no sentence holds, and where no sentence is left.
         """
-        said = {u.name: {word.text for word in u.words} for u in self.utterances}
-        missing = words - {text for texts in said.values() for text in texts}
+        words_of = {u.name: {word.text for word in u.words} for u in self.utterances}
+        missing = words - {text for texts in words_of.values() for text in texts}
         if missing:
             raise CorpusError(f"{self.name}: no sentence holds {', '.join(sorted(missing))}")
-        left = {name for name, texts in said.items() if not texts & words and name not in names}
+        left = {name for name, texts in words_of.items() if not texts & words and name not in names}
         if not left:
             raise CorpusError(f"{self.name}: nothing is left without these words and sentences")
         return self.keep(left)

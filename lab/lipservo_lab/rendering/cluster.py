@@ -129,13 +129,13 @@ class _Parallel(threading.Thread, Generic[Task, Result]):
 
     def run(self) -> None:
         """Joblib tells no progress but by what it prints."""
-        advance, n_told = self._advance, 0
+        advance, n_reported = self._advance, 0
 
         class Telling(joblib.Parallel):  # type: ignore[misc]
             def print_progress(self) -> None:
-                nonlocal n_told
-                while n_told < self.n_completed_tasks:
-                    n_told += 1
+                nonlocal n_reported
+                while n_reported < self.n_completed_tasks:
+                    n_reported += 1
                     advance()
 
         try:

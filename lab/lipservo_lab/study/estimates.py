@@ -64,13 +64,13 @@ def preferred(tables: Tables, reference: int, seed: int = 0) -> Estimates:
 def words_read(tables: Tables, reference: int, seed: int = 0) -> tuple[Estimates, Estimates]:
     """Share of words that was read right; and how far that is above chance."""
     n, rows = len(tables.methods), tables.readings
-    hits, said, by_chance = tables.words.T
+    hits, n_spoken, by_chance = tables.words.T
     found = []
     for counted in (hits, hits - by_chance):
         sums = np.zeros((len(rows), 2, n))
         at = np.arange(len(rows))
         sums[at, 0, rows[:, 2]] = counted
-        sums[at, 1, rows[:, 2]] = said
+        sums[at, 1, rows[:, 2]] = n_spoken
         found.append(_estimates(rows, sums, _quotient, reference, seed))
     return found[0], found[1]
 

@@ -94,7 +94,7 @@ def planned_study(
         )
         for u in read[: sentences_needed(plan.size, len(plan.methods))]
     ]
-    said = [tuple(w.text.lower() for w in spoken_words(u)) for u in learned]
+    sentence_words = [tuple(w.text.lower() for w in spoken_words(u)) for u in learned]
     return make_study(
         plan.methods,
         sentences,
@@ -102,7 +102,7 @@ def planned_study(
         plan.seed,
         title=plan.title,
         consent=plan.consent,
-        vocabulary=vocabulary_of(said),
+        vocabulary=vocabulary_of(sentence_words),
     )
 
 

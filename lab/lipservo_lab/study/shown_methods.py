@@ -147,7 +147,7 @@ def faces_of_methods(model: TrainedModel, corpus: Corpus) -> FacesOf:
 
 def vocabulary_of(sentences: Iterable[Sequence[str]]) -> tuple[tuple[str, ...], ...]:
     """The words that are said at each place, where all sentences have as many; else nothing."""
-    said = [tuple(words) for words in sentences]
-    if len({len(words) for words in said}) != 1:
+    word_lists = [tuple(words) for words in sentences]
+    if len({len(words) for words in word_lists}) != 1:
         return ()
-    return tuple(tuple(sorted(set(place))) for place in zip(*said, strict=True))
+    return tuple(tuple(sorted(set(place))) for place in zip(*word_lists, strict=True))

@@ -230,7 +230,7 @@ def finish(
         )
 
         lips = calibration.learnt_lips
-        told = {
+        report = {
             "calibration": str(output),
             "method": calibration.origin.method,
             "poses": calibration.origin.poses,
@@ -246,8 +246,8 @@ def finish(
             "within_speeds": asdict(speeds),
         }
         if fit is not None:
-            told["left_out_pose_rms_mm"] = fit.face.left_out_rms_mm
-        print_json(told)
+            report["left_out_pose_rms_mm"] = fit.face.left_out_rms_mm
+        print_json(report)
         return
     for line in (*result.warnings, *kept):
         MESSAGES.print(line)

@@ -211,8 +211,8 @@ def pose(
 
     def arrived(row: int, reached_deg: "Array") -> None:
         stands = zip(chosen.servo_names, reached_deg, chosen.goals_deg[row], strict=True)
-        told = ", ".join(f"{name} {deg:.1f} of {goal:.1f}" for name, deg, goal in stands)
-        RESULTS.print(f"pose {numbers[row]}: {told} deg")
+        angles = ", ".join(f"{name} {deg:.1f} of {goal:.1f}" for name, deg, goal in stands)
+        RESULTS.print(f"pose {numbers[row]}: {angles} deg")
 
     with setup_at_port(setup, port, sim, config) as at:
         if at.settings.capabilities.in_memory:

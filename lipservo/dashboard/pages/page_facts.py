@@ -89,19 +89,19 @@ def robot_rig(servos: Mapping[str, ServoSettings]) -> dict[str, RigServo]:
 
 
 def _found(name: str, settings: ServoSettings) -> RigServo:
-    told_side = side_of(name)
+    side_status = side_of(name)
     # What moves the middle is drawn on both sides.
-    side: Side = "both" if told_side == "middle" else told_side
+    side: Side = "both" if side_status == "middle" else side_status
     if settings.part == "mouth":
         moved = joint_motion(name, settings.positive)
         if moved is None:
             return RigServo(None, side, 1)
         return RigServo(moved.channel, side, moved.sign)
-    named, told = words(name), words(settings.positive)
+    named, positive_words = words(name), words(settings.positive)
     for rule in _RULES:
         if rule.part != settings.part or not all(named & each for each in rule.named):
             continue
-        plus, minus = bool(told & rule.plus), bool(told & rule.minus)
+        plus, minus = bool(positive_words & rule.plus), bool(positive_words & rule.minus)
         if plus != minus:
             return RigServo(rule.channel, side, 1 if plus else -1)
     return RigServo(None, side, 1)

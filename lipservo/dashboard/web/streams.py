@@ -66,13 +66,13 @@ class FrameHub:
             self.n_clients -= 1
 
     async def _send_all(self, socket: WebSocket) -> None:
-        told: BoardLayout | None = None
+        sent_layout: BoardLayout | None = None
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             while True:
                 layout, message = await self._newest()
-                if layout is not told:
+                if layout is not sent_layout:
                     await self._send(socket.send_text(self._hello(layout)))
-                    told = layout
+                    sent_layout = layout
                 if isinstance(message, bytes):
                     await self._send(socket.send_bytes(message))
                 else:

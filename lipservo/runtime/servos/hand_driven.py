@@ -80,7 +80,7 @@ class KeyedJoint:
         joint = next(each for each in settings.joints() if each.name == name)
         self.name, self.joint, self.pulse = name, joint, joint.pulse
         self.place = 0.0 if joint.pulse is None else joint.pulse.neutral_us
-        self._may_go_beyond = self._was_asked = False
+        self._may_go_beyond = self._may_confirm = False
         self._renewed_s = -np.inf
 
     @property
@@ -92,7 +92,7 @@ class KeyedJoint:
 
     def press(self, key: str, bridge: Bridge, time_s: float) -> str | None:
         """Do what a key asks: why not, in one line; empty: done; None: it is no key of these."""
-        if key == AGREE_KEY and self._was_asked:
+        if key == AGREE_KEY and self._may_confirm:
             self._may_go_beyond = True
             return ""
         if key == NEUTRAL_KEY:
@@ -117,7 +117,7 @@ class KeyedJoint:
 
     def _go(self, place: float, bridge: Bridge, time_s: float) -> str:
         if not (self._is_within(place) or self._may_go_beyond):
-            self._was_asked = True
+            self._may_confirm = True
             return f"press {AGREE_KEY} to go beyond its limits"
         bridge.obey(ArmJog(), time_s)
         order = JogTo if self.pulse is None else JogPulse

@@ -321,8 +321,8 @@ class HeldFace:
 
         Of those alone that can say it at all.
         """
-        told = self._feedback()
-        return np.where(told.age_s == 0.0, told.positions_deg, np.nan)[self._measured]
+        feedback = self._feedback()
+        return np.where(feedback.age_s == 0.0, feedback.positions_deg, np.nan)[self._measured]
 
     def _stands_deg(self) -> Array:
         return self._feedback().positions_deg

@@ -241,7 +241,7 @@ class Speech:
         self._goals_deg = self._mouth_deg = np.zeros(len(self.mouth))
         # The first sound is shown a delay late; until then the closed mouth is published.
         self._n_published = -round(self.delay.total_s / PUBLISH_PERIOD_S)
-        self._newest_asked_s, self._newest_sound_s = -math.inf, -self.delay.total_s
+        self._newest_goal_s, self._newest_sound_s = -math.inf, -self.delay.total_s
 
     @property
     def phonemes_planned(self) -> int:
@@ -254,9 +254,9 @@ class Speech:
         return np.zeros(len(self.mouth)) if self._plan is None else self._plan.held_back_share
 
     @property
-    def hears(self) -> Hearing | None:
+    def hearing(self) -> Hearing | None:
         """What is believed about the sound that was settled last; None: nobody listens."""
-        return None if self._listener is None else self._listener.hears
+        return None if self._listener is None else self._listener.hearing
 
     @property
     def moved_by(self) -> MovedBy | None:
@@ -322,7 +322,7 @@ class Speech:
         )
         self._cut_off.begin(self._mouth_deg, rest_deg, until_s)
         # Targets may have been dated ahead of this moment.
-        self._newest_asked_s = min(self._newest_asked_s, now_s)
+        self._newest_goal_s = min(self._newest_goal_s, now_s)
 
     @property
     def is_cut_off(self) -> bool:
@@ -333,13 +333,13 @@ class Speech:
         """The phoneme of a sound time, as far as it is known."""
         return self._synthesizer.event_at(sound_s)
 
-    def captured_s(self, asked_s: float) -> float | None:
+    def captured_s(self, goal_s: float) -> float | None:
         """When the sound was captured that moves the servos at `asked_s`, on the same clock.
 
         Before any sound moves them, or where nobody knows: None. Ask in order.
         """
         # Beyond the newest target, whatever is shown was made of that one.
-        sound_s = self._newest_sound_s - max(0.0, self._newest_asked_s - asked_s)
+        sound_s = self._newest_sound_s - max(0.0, self._newest_goal_s - goal_s)
         return None if sound_s < 0.0 else self._clock.captured_s(sound_s)
 
     def shown_at(self, sound_s: float) -> tuple[str, Frame]:
@@ -356,15 +356,15 @@ class Speech:
 
     def _close(self, now_s: float) -> None:
         """The mouth goes to rest by the clock of the computer, whatever the sound's clock does."""
-        self._newest_asked_s = max(self._newest_asked_s, now_s - _OLDEST_WORTH_SHOWING_S)
+        self._newest_goal_s = max(self._newest_goal_s, now_s - _OLDEST_WORTH_SHOWING_S)
         # Every period counts, also where ticks are farther apart: it closes in the same time.
-        while self._newest_asked_s < now_s + PUBLISH_PERIOD_S / 2:
-            self._newest_asked_s += PUBLISH_PERIOD_S
+        while self._newest_goal_s < now_s + PUBLISH_PERIOD_S / 2:
+            self._newest_goal_s += PUBLISH_PERIOD_S
             self._plan_mouth(TargetWindow(_NOW, self._cut_off.close()[None], _FREE))
-            shown_s = self._newest_asked_s + self.delay.actuation_s
+            shown_s = self._newest_goal_s + self.delay.actuation_s
             pose_deg = self._compose(self._newest_sound_s, shown_s, SILENCE, NO_EXPRESSION)
             goals_deg = self._lag.feed(pose_deg)
-            self._publish(ServoTargets(self._newest_asked_s, goals_deg))
+            self._publish(ServoTargets(self._newest_goal_s, goals_deg))
 
     def _targets(self, sound_s: float) -> ServoTargets:
         phoneme, frame = self.shown_at(sound_s)
@@ -377,10 +377,10 @@ class Speech:
         self._plan_mouth(TargetWindow(window.times_s, poses_deg[:-1], window.closed, poses_deg[-1]))
         shown_s = self._clock.monotonic_s(sound_s) + self.delay.total_s
         # Servos are asked before the face is shown, by as much as they are late.
-        asked_s = shown_s - self.delay.actuation_s
-        self._newest_asked_s, self._newest_sound_s = asked_s, sound_s
+        goal_s = shown_s - self.delay.actuation_s
+        self._newest_goal_s, self._newest_sound_s = goal_s, sound_s
         pose_deg = self._compose(sound_s, shown_s, phoneme, frame.expression)
-        return ServoTargets(asked_s, self._lag.feed(pose_deg))
+        return ServoTargets(goal_s, self._lag.feed(pose_deg))
 
     def _plan_mouth(self, wanted: TargetWindow) -> None:
         """Goals for poses of the mouth that are wanted now and later.

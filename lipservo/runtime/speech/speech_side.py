@@ -75,7 +75,7 @@ class AdjustableMouth:
 _STALE_S: Final = 0.15
 #: Its clock runs on a little until it stands still, too. The mouth opens again once lips and sound
 #: are as near as that, which nobody notices.
-_MET_S: Final = 0.03
+_CAUGHT_UP_S: Final = 0.03
 
 
 class OwnVoice:
@@ -99,9 +99,9 @@ class OwnVoice:
         self._clock = clock
         self._speech = speech
         self._rest = rest
-        self._said_s = -1.0
-        self._told_position_s, self._moved_s = -math.inf, -math.inf
-        self._is_standing = False
+        self._logged_s = -1.0
+        self._reported_position_s, self._moved_s = -math.inf, -math.inf
+        self._has_stalled = False
         clock.lead_s = speech.delay.total_s
 
     def begin(self) -> None:
@@ -116,8 +116,8 @@ class OwnVoice:
         if self.playout.advance(position_s):
             self._speech.cut_off(now_s, self._rest, self.playout.committed_s)
         event = self._speech.event_at(max(0.0, position_s))
-        if event is not None and event.start_s > self._said_s:
-            self._said_s = event.start_s
+        if event is not None and event.start_s > self._logged_s:
+            self._logged_s = event.start_s
             end_s = event.start_s if event.end_s is None else event.end_s
             self.playout.phonemes.append((event.phoneme, event.start_s, end_s))
 
@@ -142,15 +142,17 @@ class OwnVoice:
         report = self.playout.report()
         if report is None:
             return
-        told_s, position_s = report
-        self._clock.played(told_s, position_s)
-        ahead_s = self._clock.sound_s(now_s) - self._clock.lead_s - position_s - (now_s - told_s)
-        if position_s != self._told_position_s:
-            self._told_position_s, self._moved_s = position_s, now_s
-            self._is_standing = self._is_standing and ahead_s > _MET_S
+        reported_s, position_s = report
+        self._clock.played(reported_s, position_s)
+        ahead_s = (
+            self._clock.sound_s(now_s) - self._clock.lead_s - position_s - (now_s - reported_s)
+        )
+        if position_s != self._reported_position_s:
+            self._reported_position_s, self._moved_s = position_s, now_s
+            self._has_stalled = self._has_stalled and ahead_s > _CAUGHT_UP_S
         elif now_s - self._moved_s > _STALE_S:
-            self._is_standing = True
-        if self._is_standing:
+            self._has_stalled = True
+        if self._has_stalled:
             self._speech.cut_off(now_s, self._rest)
 
 
@@ -173,7 +175,7 @@ class SpeechBoard:
         self._width = lip_width_of(face)
         self._rounding = 0.0
         self._numbers = {phoneme: number for number, phoneme in enumerate(PHONEMES)}
-        self._told_s = 0.0
+        self._shown_until_s = 0.0
 
     def tell(self, now_s: float, speech: Speech) -> None:
         """What is shown at monotonic `now_s`."""
@@ -183,7 +185,7 @@ class SpeechBoard:
         is_cut_off = speech.is_cut_off
         heard = None if expression is None else expression.voice
         self._board.write_speech(
-            [] if heard is None else heard.peaks(self._told_s, sound_s, MOST_PEAKS),
+            [] if heard is None else heard.peaks(self._shown_until_s, sound_s, MOST_PEAKS),
             time_s=now_s,
             sound_s=sound_s,
             phoneme=self._numbers[phoneme],
@@ -195,7 +197,7 @@ class SpeechBoard:
             if expression is None
             else expression_values(expression.expression),
         )
-        self._told_s = max(self._told_s, sound_s)
+        self._shown_until_s = max(self._shown_until_s, sound_s)
 
     def _rounded(self, frame: Frame, speech: Speech) -> Array:
         """The frame's face (n_components,), its lips rounded for W, UW and their likes."""
@@ -203,7 +205,7 @@ class SpeechBoard:
             return frame.coefficients
         event = speech.event_at(frame.time_s + _ROUNDING_LEAD_S)
         wanted = float(event is not None and PHONEMES.index(event.phoneme) in ROUNDED)
-        passed_s = max(0.0, frame.time_s - self._told_s)
+        passed_s = max(0.0, frame.time_s - self._shown_until_s)
         self._rounding += (1.0 - math.exp(-passed_s / _ROUNDING_TIME_S)) * (wanted - self._rounding)
         return self._width.rounded(frame.coefficients, self._rounding)
 

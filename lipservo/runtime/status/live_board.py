@@ -211,9 +211,9 @@ def expression_values(expression: Expression = NO_EXPRESSION) -> list[float]:
     return [float("nan") if value is None else value for value in values]
 
 
-def _layout(told: Mapping[str, Any]) -> BoardLayout:
-    lists = {name: tuple(told[name]) for name in ("servos", "states", "phonemes")}
-    return BoardLayout(**{**told, **lists})
+def _layout(record: Mapping[str, Any]) -> BoardLayout:
+    lists = {name: tuple(record[name]) for name in ("servos", "states", "phonemes")}
+    return BoardLayout(**{**record, **lists})
 
 
 def _number(found: tuple[int, Record]) -> int:

@@ -106,8 +106,8 @@ class StatusBoard:
 
     def speech(self) -> SpeechStatus | None:
         """How the speech side was last; None before it has said so."""
-        told = self._speech.read()
-        return SpeechStatus(**told) if told else None  # type: ignore[arg-type]  # as written
+        record = self._speech.read()
+        return SpeechStatus(**record) if record else None  # type: ignore[arg-type]  # as written
 
     def describe_stopped(self, supervisor: Mapping[str, object]) -> dict[str, object]:
         """The status for JSON while no bridge runs: copied, so that nothing in it can fail."""

@@ -25,7 +25,7 @@ class StreetTick:
     frame: Frame
     report: TickReport
     captured_s: float | None = None
-    hears: Hearing | None = None
+    hearing: Hearing | None = None
     moved_by: MovedBy | None = None
 
     @property

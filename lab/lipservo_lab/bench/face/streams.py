@@ -213,8 +213,8 @@ def clients(address: str, n: int, path: str) -> Iterator[Callable[[], float]]:
             yield lambda: received[0]
         finally:
             process.stdin.close()
-            told = process.stdout.readline()
-            received[0] = float(json.loads(told)["bytes_s"]) if told else float("nan")
+            line = process.stdout.readline()
+            received[0] = float(json.loads(line)["bytes_s"]) if line else float("nan")
 
 
 def _settle(face: BenchedFace, pid: int) -> None:

@@ -163,15 +163,17 @@ def _near_changes(ticks: Ticks) -> NDArray[np.bool_]:
     near = np.zeros(len(ticks.time_s), np.bool_)
     for index in np.flatnonzero(np.diff(ticks.is_network)) + 1:
         near |= np.abs(ticks.time_s - ticks.time_s[index]) <= _AROUND_S
-        met_s = ticks.heard_s[index]
-        near |= (ticks.shown_s >= met_s - 0.1 - _AROUND_S) & (ticks.shown_s <= met_s + _AROUND_S)
+        arrived_s = ticks.heard_s[index]
+        near |= (ticks.shown_s >= arrived_s - 0.1 - _AROUND_S) & (
+            ticks.shown_s <= arrived_s + _AROUND_S
+        )
     return near
 
 
 #: Between two repetitions of the clip.
 _PAUSE_S: Final = 0.6
 _STARTS_S, _ENDS_S, _ASK_S = 60.0, 30.0, 0.02
-_N_ASKED: Final = 50
+_N_TICKS: Final = 50
 #: Of the slowed process: how many times as long as its sound the network takes; how long it runs.
 _SLOWED: Final = 10.0
 _SLOWED_S: Final = 8.0
@@ -244,7 +246,7 @@ def crowd_figures(
             face = _face(_RUN, own, sound, own / "trace.jsonl")
             faces.append((own, own_stack.enter_context(face), own_stack))
         for own, process, _ in faces:
-            _first_tick_s(own, process, is_over, n_asked=1)
+            _first_tick_s(own, process, is_over, n_ticks=1)
         losers: set[int] = set()
         until_s = time.monotonic() + seconds
         while time.monotonic() < until_s:
@@ -418,15 +420,17 @@ def _first_tick_s(
     folder: Path,
     process: subprocess.Popen[bytes],
     is_over: Callable[[], bool],
-    n_asked: int = _N_ASKED,
+    n_ticks: int = _N_TICKS,
 ) -> float:
     """The monotonic time of the face's first tick, of its counts: to some 10 ms."""
     give_up_s = time.monotonic() + _STARTS_S
     found_s: list[float] = []
-    while len(found_s) < n_asked:
+    while len(found_s) < n_ticks:
         if time.monotonic() > give_up_s or process.poll() is not None:
-            said = (folder / "log").read_text(errors="replace").strip().splitlines()
-            raise LadderError(f"the face did not start: {said[-1] if said else 'says nothing'}")
+            log_lines = (folder / "log").read_text(errors="replace").strip().splitlines()
+            raise LadderError(
+                f"the face did not start: {log_lines[-1] if log_lines else 'says nothing'}"
+            )
         if is_over():
             raise LadderError(_STOPPED)
         time.sleep(_ASK_S)

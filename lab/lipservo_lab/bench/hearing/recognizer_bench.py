@@ -21,7 +21,7 @@ from lipservo_lab.corpus.transcribed import (
     read_speakers,
     read_transcribed,
 )
-from lipservo_lab.evaluation.recognition.stream_observers import ToldText
+from lipservo_lab.evaluation.recognition.stream_observers import KnownText
 from lipsync.errors import UserError, check_extra
 from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition.energy_recognizer import EnergyRecognizer
@@ -81,22 +81,22 @@ def measured_recognizer(
     return lambda: NetworkRecognizer(learned, latency_s)
 
 
-def told_texts(
+def known_texts(
     utterances: Sequence[TranscribedUtterance],
     which: Literal["own", "another", "pieces"] | None,
     late_s: float,
-) -> dict[str, ToldText]:
+) -> dict[str, KnownText]:
     """What the recogniser is told of each utterance, by name; None: nothing.
 
     another: the text of the utterance half the list away. pieces: its own, in pieces of three
     words. late_s: so long after the sound began; what came before it is not scored.
     """
     if which is None:
-        return {u.name: ToldText("", late_s) for u in utterances}
+        return {u.name: KnownText("", late_s) for u in utterances}
     shift = max(1, len(utterances) // 2) if which == "another" else 0
     others = [*utterances[shift:], *utterances[:shift]]
     return {
-        u.name: ToldText(other.text.lower(), late_s, which == "pieces")
+        u.name: KnownText(other.text.lower(), late_s, which == "pieces")
         for u, other in zip(utterances, others, strict=True)
     }
 

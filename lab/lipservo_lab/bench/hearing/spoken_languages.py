@@ -32,7 +32,9 @@ def language_sentences() -> Mapping[str, tuple[str, ...]]:
     text = (
         files("lipservo_lab.bench.hearing").joinpath("language_sentences.yaml").read_text("utf-8")
     )
-    return MappingProxyType({tag: tuple(said) for tag, said in yaml.safe_load(text).items()})
+    return MappingProxyType(
+        {tag: tuple(sentences) for tag, sentences in yaml.safe_load(text).items()}
+    )
 
 
 def read_languages(listed: str) -> tuple[str, ...]:

@@ -75,11 +75,11 @@ def phoneme_face(model: TrainedModel, phoneme: str) -> Array:
     nearest.
     """
     neighbour = "T" if phoneme in _VOWELS else SILENCE if phoneme == SILENCE else "AH"
-    said = (SILENCE, SILENCE, neighbour, phoneme, neighbour, SILENCE)
+    phonemes = (SILENCE, SILENCE, neighbour, phoneme, neighbour, SILENCE)
     events = tuple(
-        PhonemeEvent(name, _PHONE_S * k, _PHONE_S * (k + 1)) for k, name in enumerate(said)
+        PhonemeEvent(name, _PHONE_S * k, _PHONE_S * (k + 1)) for k, name in enumerate(phonemes)
     )
-    times_s = np.arange(0.0, _PHONE_S * len(said), TICK_S)
+    times_s = np.arange(0.0, _PHONE_S * len(phonemes), TICK_S)
     faces = LiveMethod().faces(model, Heard(events), times_s, _LOOKAHEAD_S)
     inside = np.flatnonzero((times_s >= events[3].start_s) & (times_s < (events[3].end_s or 0.0)))
     shown = inside[len(inside) // 2]

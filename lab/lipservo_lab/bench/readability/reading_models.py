@@ -16,7 +16,7 @@ ModelOf = Callable[[Part], TrainedModel]
 _NEW = "new_"
 
 
-def asked_parts(folder: Path, corpus: Corpus, words: str | None) -> list[Part]:
+def requested_parts(folder: Path, corpus: Corpus, words: str | None) -> list[Part]:
     """Known words and the sets of the folder's splits.json; or `words`, with commas, alone.
 
     corpus: labelled. Raises BenchError or CorpusError for what cannot be held out.

@@ -77,14 +77,14 @@ class RobotAtPort:
         return self.folder / "log"
 
     @property
-    def said(self) -> str:
+    def output(self) -> str:
         """The same as text."""
         return self.log.read_text(errors="replace")
 
     @property
-    def last_said(self) -> str:
+    def last_output(self) -> str:
         """Its end, for a message."""
-        return self.said[-_TAIL:]
+        return self.output[-_TAIL:]
 
     @property
     def torque(self) -> NDArray[np.bool_]:

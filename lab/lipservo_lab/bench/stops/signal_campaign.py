@@ -332,7 +332,7 @@ def _wait_for_moment(
             lambda: _works(command, robot) or process.poll() is not None, _WORKS_S
         )
     if not come or process.poll() is not None:
-        raise RuntimeError(f"the moment did not come: {robot.last_said}")
+        raise RuntimeError(f"the moment did not come: {robot.last_output}")
     if case.moment is Moment.OPENING_SOUND:
         return
     if not command.arms:
@@ -390,12 +390,12 @@ def _judge_words(
     outcome: SignalOutcome,
 ) -> None:
     """Exit status, and what it says of the servos."""
-    said, status = robot.said, process.poll()
-    if "Traceback" in said or "Fatal Python error" in said:
-        outcome.broken.append(f"traceback: {robot.last_said}")
+    output, status = robot.output, process.poll()
+    if "Traceback" in output or "Fatal Python error" in output:
+        outcome.broken.append(f"traceback: {robot.last_output}")
     allowed = _allowed_statuses(case, command)
     if status is not None and status not in allowed:
-        outcome.broken.append(f"exit status {status}, not {allowed}: {robot.last_said[-300:]}")
+        outcome.broken.append(f"exit status {status}, not {allowed}: {robot.last_output[-300:]}")
     if not command.arms or case.moment in (Moment.STARTING, Moment.OPENING_SOUND):
         return
     if case.moment in (Moment.UNPLUGGED, Moment.DEAF):
@@ -404,8 +404,8 @@ def _judge_words(
         wanted = "confirmed by all 4 servos"
     else:
         wanted = "confirmed by 1 servo" if command.name == "new-face" else "confirmed by 4 servos"
-    if wanted not in said:
-        outcome.broken.append(f"does not say {wanted!r}: {robot.last_said[-300:]}")
+    if wanted not in output:
+        outcome.broken.append(f"does not say {wanted!r}: {robot.last_output[-300:]}")
 
 
 def _allowed_statuses(case: SignalCase, command: Command) -> tuple[int, ...]:
@@ -447,7 +447,9 @@ def _judge_killed(
         after = robot.start("calibrate", "neutral", "--config", FACE, "--port", str(robot.port))
     robot.look_until(lambda: after.poll() is not None, _WORKS_S)
     if after.poll() != 0:
-        outcome.broken.append(f"`{case.then}` ended with {after.poll()}: {robot.last_said[-300:]}")
+        outcome.broken.append(
+            f"`{case.then}` ended with {after.poll()}: {robot.last_output[-300:]}"
+        )
     outcome.limp_after_kill = not robot.torque.any()
     if not outcome.limp_after_kill:
         outcome.broken.append(f"{robot.torque.sum()} servos hold after `{case.then}`")

@@ -96,7 +96,7 @@ class Shafts:
     the gears. n_rate_hits: goals that the last gate slowed down.
     """
 
-    asked_deg: Array
+    goals_deg: Array
     horn_deg: Array
     n_rate_hits: int
 
@@ -135,16 +135,16 @@ def shafts_of(
     options = SpeechOptions(plan=plan)
     speech = Speech(phonemes, SteadyClock(), synthesizer, face.calibration, names, channel, options)
     speech.begin(0.0)
-    asked: list[Array] = []
+    goals: list[Array] = []
     n_ticks = round((sentence.end_s + _AFTER_S + speech.delay.total_s) / PUBLISH_PERIOD_S)
     for n in range(n_ticks):
         speech.advance(n * PUBLISH_PERIOD_S)
         for targets in channel.drain():
             if targets.time_s - speech.delay.total_s > -PUBLISH_PERIOD_S / 2:
-                asked.append(targets.positions_deg)
-    asked_deg = np.array(asked)
+                goals.append(targets.positions_deg)
+    goals_deg = np.array(goals)
     if np.isinf(speeds_deg_s).all():
-        return Shafts(asked_deg, asked_deg, 0)
+        return Shafts(goals_deg, goals_deg, 0)
     servos = [face.settings.servos[name] for name in names]
     joints = [
         Joint(name, n, servo.min_deg, servo.max_deg, float(speed_deg_s))
@@ -153,10 +153,10 @@ def shafts_of(
         )
     ]
     gate = Limiter(joints, PUBLISH_PERIOD_S)
-    gate.start_from(asked_deg[0], -PUBLISH_PERIOD_S)
-    sent = [gate.apply(goal_deg, n * PUBLISH_PERIOD_S) for n, goal_deg in enumerate(asked_deg)]
+    gate.start_from(goals_deg[0], -PUBLISH_PERIOD_S)
+    sent = [gate.apply(goal_deg, n * PUBLISH_PERIOD_S) for n, goal_deg in enumerate(goals_deg)]
     n_hits = int(gate.counts.rate_hits.sum())
-    return Shafts(asked_deg, _behind(play_deg, [each.positions_deg for each in sent]), n_hits)
+    return Shafts(goals_deg, _behind(play_deg, [each.positions_deg for each in sent]), n_hits)
 
 
 def _behind(play_deg: Array, shafts_deg: Sequence[Array]) -> Array:
@@ -223,7 +223,7 @@ METHODS: Final[dict[str, Motion]] = {"live": live_motion, "scripted": scripted_m
 def over_speed_share(shafts: Sequence[Shafts], speeds_deg_s: Array) -> float:
     """Share of ticks at which a joint is asked for more than its speed."""
     over = [
-        (np.abs(np.diff(each.asked_deg, axis=0)) > speeds_deg_s * PUBLISH_PERIOD_S + _SAME_DEG)
+        (np.abs(np.diff(each.goals_deg, axis=0)) > speeds_deg_s * PUBLISH_PERIOD_S + _SAME_DEG)
         for each in shafts
     ]
     return float(np.concatenate(over).any(axis=1).mean())
@@ -273,7 +273,7 @@ class RobotLips:
         return np.asarray(np.linalg.norm(off_mm, axis=2))
 
 
-def closures_met(sentence: Sentence, touch: NDArray[np.bool_]) -> list[bool]:
+def reached_closures(sentence: Sentence, touch: NDArray[np.bool_]) -> list[bool]:
     """For each P B M whether lips touch around it."""
     times_s = np.arange(len(touch)) * PUBLISH_PERIOD_S
     found = []
@@ -305,7 +305,7 @@ def speed_figures(corpus: Path, n_sentences: int, advance: Advance) -> dict[str,
     figures["faces"] = by_face
     for n, name in enumerate(FACES):
         advance(name, n, n_steps)
-        by_face[name] = _asked_of(assemble_face(name, None), sentences, model)
+        by_face[name] = _goals_of(assemble_face(name, None), sentences, model)
     figures["rate_limits_per_s_run"] = {name: _limits_per_s(name) for name in RUN}
     robots = [assemble_face(name, None) for name in ROBOTS]
     lips = [RobotLips(face, model) for face in robots]
@@ -339,7 +339,7 @@ def _at_speeds(
     play_deg = lips.play_deg
     free = [shafts_of(ideal, s, make(s, model), None, unlimited, play_deg) for s in sentences]
     free_gaps_mm = [lips.gap_mm(each) for each in free]
-    n_free = _n_met(sentences, [lips.touch(each) for each in free])
+    n_free = _n_reached(sentences, [lips.touch(each) for each in free])
     rows: dict[str, list[float]] = {}
     for speed_deg_s in SPEEDS_DEG_S:
         speeds = np.full(n_servos, speed_deg_s)
@@ -348,17 +348,17 @@ def _at_speeds(
             for s in sentences:
                 plan = None if way else plan_at(speeds)
                 shafts.append(shafts_of(loose, s, make(s, model), plan, speeds, play_deg))
-            n_met = _n_met(sentences, [lips.touch(each) for each in shafts])
+            n_reached = _n_reached(sentences, [lips.touch(each) for each in shafts])
             gaps_mm = zip(shafts, free_gaps_mm, strict=True)
             late_s = float(np.median([shift_s(lips.gap_mm(a), b) for a, b in gaps_mm]))
-            rows.setdefault(f"closures_at_shaft{way}", []).append(n_met / n_free)
+            rows.setdefault(f"closures_at_shaft{way}", []).append(n_reached / n_free)
             rows.setdefault(f"lips_late_ms{way}", []).append(1e3 * late_s)
     return {name: np.array(values) for name, values in rows.items()}
 
 
-def _n_met(sentences: Sequence[Sentence], touch: Sequence[NDArray[np.bool_]]) -> int:
+def _n_reached(sentences: Sequence[Sentence], touch: Sequence[NDArray[np.bool_]]) -> int:
     pairs = zip(sentences, touch, strict=True)
-    return sum(sum(closures_met(sentence, each)) for sentence, each in pairs)
+    return sum(sum(reached_closures(sentence, each)) for sentence, each in pairs)
 
 
 def _error_ratios(
@@ -387,7 +387,7 @@ def _error_ratios(
     return found
 
 
-def _asked_of(
+def _goals_of(
     face: Face, sentences: Sequence[Sentence], model: FaceWithAnimPhos
 ) -> dict[str, float]:
     """What a face's plan asks of joints that have the speeds of its YAML."""
@@ -403,7 +403,7 @@ def _asked_of(
                 plan = None if way else mouth_plan(face)
                 motion = make(sentence, model)
                 shafts.append(shafts_of(face, sentence, motion, plan, speeds, tight_deg))
-            seconds = sum(len(each.asked_deg) for each in shafts) * PUBLISH_PERIOD_S
+            seconds = sum(len(each.goals_deg) for each in shafts) * PUBLISH_PERIOD_S
             hits = sum(each.n_rate_hits for each in shafts)
             figures[f"over_speed_share_{method}{way}"] = round(over_speed_share(shafts, speeds), 4)
             figures[f"rate_limits_per_s_{method}{way}"] = round(hits / seconds, 3)
@@ -428,7 +428,7 @@ def _plan_times(face: Face, sentence: Sentence, model: FaceWithAnimPhos) -> dict
     backlash = BacklashCompensation(
         np.zeros(n_servos) if following is None else following.backlash_deg
     )
-    took_ms = []
+    elapsed_ms = []
     for n in range(round(sentence.end_s / PUBLISH_PERIOD_S)):
         for update in phonemes.updates(n * PUBLISH_PERIOD_S + synthesizer.lookahead_s):
             synthesizer.push(update)
@@ -440,6 +440,6 @@ def _plan_times(face: Face, sentence: Sentence, model: FaceWithAnimPhos) -> dict
         )
         goals_deg = backlash.feed(np.array(poses_deg))
         plan.step(TargetWindow(window.times_s, goals_deg, window.closed, shut_deg))
-        took_ms.append(1e3 * (time.perf_counter() - began_s))
-    p50, p99 = np.percentile(took_ms, [50, 99])
+        elapsed_ms.append(1e3 * (time.perf_counter() - began_s))
+    p50, p99 = np.percentile(elapsed_ms, [50, 99])
     return {"plan_ms_p50": round(float(p50), 3), "plan_ms_p99": round(float(p99), 3)}

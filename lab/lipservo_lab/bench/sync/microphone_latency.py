@@ -158,14 +158,14 @@ def microphone_table(
                 weights=weights, style=Style(lookahead_s), recognizer_latency_s=latency_s
             )
             bus_s = clip_to_bus_s(motion, n_times)
-            met = _closures(recordings, face, motion)
+            closures = _closures(recordings, face, motion)
             rows.append(
                 {
                     "lookahead_ms": _ms(lookahead_s),
                     "latency_ms": _ms(latency_s),
                     "declared_delay_ms": _ms(declared_delay_s(motion)),
                     "microphone_to_bus_p95_ms": _ms(float(np.percentile(bus_s, 95))),
-                    **closure_figures(met),
+                    **closure_figures(closures),
                     **accurate,
                 }
             )

@@ -135,15 +135,15 @@ class SimulatedLoudspeaker:
                 due_s = until_s
         return due_s
 
-    def _take(self, asked_s: float) -> None:
+    def _take(self, requested_s: float) -> None:
         position_s = self._ring.n_taken / self.rate_hz
         n = self._ring.take_into(self._frames)
-        leaves_s = asked_s + self._latency_s
+        leaves_s = requested_s + self._latency_s
         error_s = self._jitter_s * (2.0 * float(self._rng.random()) - 1.0)
-        told_s = leaves_s + error_s
+        reported_s = leaves_s + error_s
         end_position_s = position_s + n / self.rate_hz
         self._report = PositionReport(
-            told_s, position_s, told_s + self._period_s + self._jitter_s, end_position_s
+            reported_s, position_s, reported_s + self._period_s + self._jitter_s, end_position_s
         )
         if n:
             self._played.append((leaves_s, self._frames[:n, 0].copy()))
@@ -197,7 +197,7 @@ class SpeakingRobot:
         self,
         loudspeaker: SimulatedLoudspeaker | None = None,
         *,
-        hears: bool = False,
+        is_listening: bool = False,
         rate_hz: float = RATE_HZ,
         performance: Performance | None = None,
     ) -> None:
@@ -212,7 +212,7 @@ class SpeakingRobot:
         self._bus, self.clock = simulated_wire(face.settings)
         self._neutral_mm = face.model.markers_mm(face.model.rest[None])[0]
         self._names = [joint.name for joint in face.joints]
-        recognizer: LiveRecognizer = make_recognizer() if hears else Deaf()
+        recognizer: LiveRecognizer = make_recognizer() if is_listening else Deaf()
         synthesizer = make_synthesizer(face.model, MotionOptions())
         if performance is not None:
             recognizer = no_recognizer()
@@ -252,7 +252,7 @@ class SpeakingRobot:
 
 
 def spoken_stream(
-    text: SynthesizedSpeech, playout: Playout, *, knows: bool, told: UnitKind | None = None
+    text: SynthesizedSpeech, playout: Playout, *, knows: bool, kind: UnitKind | None = None
 ) -> PlayoutStream:
     """A whole text as a stream that has ended. knows: with its phonemes.
 
@@ -260,19 +260,19 @@ def spoken_stream(
     """
     known = text.phonemes if knows else ()
     stream = PlayoutStream("text", text.sample_rate_hz, playout.output_rate_hz, known)
-    if told is not None:
-        spoken = _told(text, told)
+    if kind is not None:
+        spoken = _spoken_text(text, kind)
         stream.tell(spoken, () if spoken.moves_mouth else pronounced_units(spoken))
     stream.push(text.samples)
     stream.end()
     return stream
 
 
-def _told(text: SynthesizedSpeech, kind: UnitKind) -> SpokenText:
+def _spoken_text(text: SynthesizedSpeech, kind: UnitKind) -> SpokenText:
     rate_hz = text.sample_rate_hz
     if kind == "text":
-        said = " ".join(word.text for word in text.words)
-        return SpokenText(kind, (SpokenUnit(said),), rate_hz)
+        joined = " ".join(word.text for word in text.words)
+        return SpokenText(kind, (SpokenUnit(joined),), rate_hz)
     if kind == "word":
         units = [SpokenUnit(word.text, round(word.start_s * rate_hz)) for word in text.words]
     else:

@@ -92,12 +92,12 @@ def seen_closures(times_s: Array, gap_mm: Array, closed_mm: float = CLOSED_GAP_M
     return Crossings(at_s[closed[changed + 1]], at_s[~closed[changed + 1]])
 
 
-def matched_errors_s(asked_s: Array, seen_s: Array) -> tuple[Array, int]:
+def matched_errors_s(wanted_s: Array, seen_s: Array) -> tuple[Array, int]:
     """How much later each asked-for event was seen, (n_matched,), and how many were not at all."""
-    if len(seen_s) == 0 or len(asked_s) == 0:
-        return np.zeros(0), len(asked_s)
-    late_s = seen_s[None] - asked_s[:, None]
-    nearest_s = late_s[np.arange(len(asked_s)), np.abs(late_s).argmin(axis=1)]
+    if len(seen_s) == 0 or len(wanted_s) == 0:
+        return np.zeros(0), len(wanted_s)
+    late_s = seen_s[None] - wanted_s[:, None]
+    nearest_s = late_s[np.arange(len(wanted_s)), np.abs(late_s).argmin(axis=1)]
     matched = np.abs(nearest_s) <= MATCHED_S
     return nearest_s[matched], int(np.sum(~matched))
 
@@ -151,7 +151,7 @@ class SpeechTiming:
     """
 
     errors_s: Array
-    n_asked: int
+    n_wanted: int
     n_unmatched: int
     n_closures: int
     n_hits: int
@@ -162,7 +162,7 @@ def speech_timing(
     texts: Sequence[SynthesizedSpeech],
     *,
     knows: bool,
-    told: UnitKind | None = None,
+    kind: UnitKind | None = None,
     performances: Sequence[Performance] | None = None,
     loudspeaker_seed: int = 0,
 ) -> SpeechTiming:
@@ -178,29 +178,29 @@ def speech_timing(
     rng = np.random.default_rng(loudspeaker_seed)
     errors_s: list[Array] = []
     others_s: dict[float, list[Array]] = {closed_mm: [] for closed_mm in _OTHER_GAPS_MM}
-    n_asked = n_unmatched = n_closures = n_hits = 0
+    n_wanted = n_unmatched = n_closures = n_hits = 0
     for text, performance in zip(texts, rendered, strict=True):
-        watched, sound_s = _said(text, _loudspeaker(rng), performance, knows=knows, told=told)
+        watched, sound_s = _spoken(text, _loudspeaker(rng), performance, knows=knows, kind=kind)
         times_s = watched.times_s - sound_s
-        asked, seen = sounding_closures(text), seen_closures(times_s, watched.gap_mm)
-        for asked_s, seen_s in (
-            (asked.closing_s, seen.closing_s),
-            (asked.parting_s, seen.parting_s),
+        wanted, seen = sounding_closures(text), seen_closures(times_s, watched.gap_mm)
+        for wanted_s, seen_s in (
+            (wanted.closing_s, seen.closing_s),
+            (wanted.parting_s, seen.parting_s),
         ):
-            late_s, n_missing = matched_errors_s(asked_s, seen_s)
+            late_s, n_missing = matched_errors_s(wanted_s, seen_s)
             errors_s.append(late_s)
-            n_asked += len(asked_s)
+            n_wanted += len(wanted_s)
             n_unmatched += n_missing
         for closed_mm, found_s in others_s.items():
             other = seen_closures(times_s, watched.gap_mm, closed_mm)
-            found_s.append(matched_errors_s(asked.closing_s, other.closing_s)[0])
-            found_s.append(matched_errors_s(asked.parting_s, other.parting_s)[0])
+            found_s.append(matched_errors_s(wanted.closing_s, other.closing_s)[0])
+            found_s.append(matched_errors_s(wanted.parting_s, other.parting_s)[0])
         hits = _closure_hits(text.phonemes, times_s, watched.gap_mm)
         n_closures += len(hits)
         n_hits += sum(hits)
     by_gap_s = {closed_mm: np.concatenate(found_s) for closed_mm, found_s in others_s.items()}
     return SpeechTiming(
-        np.concatenate(errors_s), n_asked, n_unmatched, n_closures, n_hits, by_gap_s
+        np.concatenate(errors_s), n_wanted, n_unmatched, n_closures, n_hits, by_gap_s
     )
 
 
@@ -213,18 +213,18 @@ def _loudspeaker(rng: np.random.Generator) -> SimulatedLoudspeaker:
     )
 
 
-def _said(
+def _spoken(
     text: SynthesizedSpeech,
     loudspeaker: SimulatedLoudspeaker,
     performance: Performance | None,
     *,
     knows: bool,
-    told: UnitKind | None,
+    kind: UnitKind | None,
 ) -> tuple[Watched, float]:
     """What was seen, and when the first sample of the text left the loudspeaker."""
-    robot = SpeakingRobot(loudspeaker, hears=not knows, performance=performance)
+    robot = SpeakingRobot(loudspeaker, is_listening=not knows, performance=performance)
     if performance is None:
-        stream = spoken_stream(text, robot.playout, knows=knows, told=told)
+        stream = spoken_stream(text, robot.playout, knows=knows, kind=kind)
     else:
         stream = performed_stream(text, performance, robot.playout)
     robot.playout.requests.append(PlayoutRequest("say", stream))

@@ -96,7 +96,7 @@ def closures(
         "latency_ms": latency_ms,
         "machine": machine_class(),
     }
-    missed = [f"{c.phone.phoneme} at {c.phone.start_s:.2f} s" for c in found if not c.was_met]
+    missed = [f"{c.phone.phoneme} at {c.phone.start_s:.2f} s" for c in found if not c.is_reached]
     if corpus is None:
         figures["missed"] = missed
     if as_json:

@@ -247,8 +247,8 @@ def _about(
                 {"take": take.name, "scans": len(take.scans), "left_out": sound, "notes": ()}
             )
         else:
-            said = None if sound is None else sound.source
-            of_takes.append({**done[take.name].as_json(), "phonemes": said})
+            text_source = None if sound is None else sound.source
+            of_takes.append({**done[take.name].as_json(), "phonemes": text_source})
     used = [report for report in imported.scans if report.left_out is None]
     return {
         "template": str(imported.neutral),

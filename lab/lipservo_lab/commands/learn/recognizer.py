@@ -345,8 +345,8 @@ def _print(voice: "Voice", before: dict[str, float], after: dict[str, float]) ->
         f"graded on {len(voice.held_out)} others, {voice.held_out_s:.0f} s:"
     )
     table = Table("", "before", "after", box=None, pad_edge=False)
-    for key, told in _GRADED.items():
-        table.add_row(told, f"{before[key]:.3f}", f"{after[key]:.3f}")
+    for key, label in _GRADED.items():
+        table.add_row(label, f"{before[key]:.3f}", f"{after[key]:.3f}")
     RESULTS.print(table)
 
 

@@ -120,17 +120,17 @@ def cues_of(voice: Iterable[VoiceFrame]) -> Iterator[ExpressionCue]:
 
 def shown(source: ExpressionSource, cues: Iterable[ExpressionCue]) -> ShownExpression:
     """Steps a source through cues, each step timed."""
-    values, speaking, loudness, pitch, took = [], [], [], [], []
+    values, speaking, loudness, pitch, costs_s = [], [], [], [], []
     for cue in cues:
         began_ns = time.perf_counter_ns()
         expression = source.step(cue)
-        took.append((time.perf_counter_ns() - began_ns) * 1e-6)
+        costs_s.append((time.perf_counter_ns() - began_ns) * 1e-6)
         values.append([_number(getattr(expression, name)) for name in NAMES])
         speaking.append(cue.is_speaking)
         loudness.append(cue.voice.loudness_z if cue.voice.is_speech else 0.0)
         pitch.append(cue.voice.pitch_z if cue.voice.is_speech else 0.0)
     return ShownExpression(
-        np.array(values), np.array(speaking), np.array(loudness), np.array(pitch), np.array(took)
+        np.array(values), np.array(speaking), np.array(loudness), np.array(pitch), np.array(costs_s)
     )
 
 

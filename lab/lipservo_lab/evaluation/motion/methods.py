@@ -204,17 +204,17 @@ class _Replayed:
     def __init__(self, updates: Sequence[PhonemeUpdate], ahead_s: float) -> None:
         self._updates = updates
         self._ahead_s = ahead_s
-        self._n_told = 0
+        self._n_passed = 0
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
-        told = []
-        while self._n_told < len(self._updates):
-            update = self._updates[self._n_told]
+        due = []
+        while self._n_passed < len(self._updates):
+            update = self._updates[self._n_passed]
             if update.heard_until_s > until_s + self._ahead_s:
                 break
-            told.append(update)
-            self._n_told += 1
-        return told
+            due.append(update)
+            self._n_passed += 1
+        return due
 
 
 def script_of(heard: Heard, lookahead_s: float) -> PhonemeScript:

@@ -73,16 +73,19 @@ def find_pairs(utterances: Sequence[Utterance]) -> Pairs:
     weights: list[float] = []
     for alike in places.values():
         pairs = [(a, b) for n, b in enumerate(alike) for a in alike[:n] if a[0] != b[0]]
-        said = [frozenset(utterances[s].phones[i].phoneme for s, i in pair) for pair in pairs]
-        counts = Counter(said)
+        phonemes_of = [
+            frozenset(utterances[s].phones[i].phoneme for s, i in pair) for pair in pairs
+        ]
+        counts = Counter(phonemes_of)
         kinds = [kind for kind in counts if len(kind) == 2]
         n_repetitions = len(pairs) - sum(counts[kind] for kind in kinds)
         if not kinds or not n_repetitions:
             continue
         ends += pairs
-        differ += [len(kind) == 2 for kind in said]
+        differ += [len(kind) == 2 for kind in phonemes_of]
         weights += [
-            1.0 / counts[kind] if len(kind) == 2 else len(kinds) / n_repetitions for kind in said
+            1.0 / counts[kind] if len(kind) == 2 else len(kinds) / n_repetitions
+            for kind in phonemes_of
         ]
     both = np.array(ends, dtype=np.int64).reshape(-1, 2, 2)
     return Pairs(

@@ -168,7 +168,7 @@ class Reading:
 
     sentence: str
     slot: int
-    said: str
+    spoken: str
     read: str
     projection: float
     recorded_square: float

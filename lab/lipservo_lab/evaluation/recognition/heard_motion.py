@@ -92,7 +92,7 @@ class Closure:
     """A phone that closes the mouth, as it was spoken, and whether the mouth closed for it."""
 
     phone: PhonemeEvent
-    was_met: bool
+    is_reached: bool
 
 
 def closure_hits(
@@ -116,8 +116,8 @@ def closure_figures(closures: Iterable[Closure]) -> dict[str, object]:
     figures: dict[str, object] = {}
     found = list(closures)
     for name, wanted in (("closure", True), ("labiodental", False)):
-        met = [c.was_met for c in found if is_bilabial(c.phone.phoneme) == wanted]
-        figures[f"{name}s"] = len(met)
-        figures[f"{name}s_met"] = sum(met)
-        figures[f"{name}_hits"] = sum(met) / len(met) if met else None
+        reached = [c.is_reached for c in found if is_bilabial(c.phone.phoneme) == wanted]
+        figures[f"{name}s"] = len(reached)
+        figures[f"{name}s_met"] = sum(reached)
+        figures[f"{name}_hits"] = sum(reached) / len(reached) if reached else None
     return figures

@@ -93,7 +93,7 @@ _PIECE_WORDS, _PIECE_AHEAD_S = 3, 0.3
 
 
 @dataclass(frozen=True, slots=True)
-class ToldText:
+class KnownText:
     """What a recogniser is told, when: before the sound, so long after it began, or in pieces."""
 
     text: str
@@ -115,14 +115,14 @@ class ToldText:
         ]
 
 
-NOTHING_TOLD: Final = ToldText("")
+NO_TEXT: Final = KnownText("")
 
 
 def label_frames(
     recognizer: LiveRecognizer,
     samples: Array32,
     servos_deg: Array | None = None,
-    told: ToldText = NOTHING_TOLD,
+    text: KnownText = NO_TEXT,
 ) -> tuple[FrameLabels, StepCosts]:
     """Reset and feed samples (n,) at 16 kHz as a live stream, and silence until all is settled.
 
@@ -141,8 +141,8 @@ def label_frames(
     blocks = blocks_of(whole, n_first)
     if servos_deg is not None and isinstance(recognizer, ServoListener):
         blocks = _with_servos(blocks, recognizer, servos_deg)
-    if told.text and isinstance(recognizer, TextFollower):
-        pieces = told.pieces(len(samples) / SAMPLE_RATE_HZ)
+    if text.text and isinstance(recognizer, TextFollower):
+        pieces = text.pieces(len(samples) / SAMPLE_RATE_HZ)
         blocks = _telling(blocks, recognizer, [(at_s, pronounced(t)) for at_s, t in pieces])
     RecognizerStream(recognizer, (labels, costs)).run(blocks)
     return labels, costs
@@ -171,7 +171,7 @@ class Leaving:
 
 
 def time_to_leave(
-    recognizer: LiveRecognizer, said: Array32, other: Array32, onset_s: float, told: str
+    recognizer: LiveRecognizer, speech: Array32, other: Array32, onset_s: float, text: str
 ) -> Leaving:
     """A sound (n,) with its words, and another (m,) whose words differ from those that are told.
 
@@ -179,9 +179,9 @@ def time_to_leave(
     """
     recognizer.reset()
     assert isinstance(recognizer, TextFollower)
-    recognizer.tell(pronounced(told))
-    samples = np.concatenate((said, other))
-    onset_s += len(said) / SAMPLE_RATE_HZ
+    recognizer.tell(pronounced(text))
+    samples = np.concatenate((speech, other))
+    onset_s += len(speech) / SAMPLE_RATE_HZ
     stream = RecognizerStream(recognizer)
     for block in blocks_of(samples[: len(samples) // _HOP * _HOP], _HOP):
         stream.feed([block])
@@ -195,13 +195,13 @@ def _with_servos(
     blocks: Iterable[AudioBlock], recognizer: ServoListener, servos_deg: Array
 ) -> Iterator[AudioBlock]:
     """The blocks; before each, the recogniser is told what was read by then."""
-    speeds, n_told = ServoSpeeds(), 0
+    speeds, n_passed = ServoSpeeds(), 0
     for block in blocks:
-        while n_told < len(servos_deg) and (n_told + 1) * BLOCK_S <= block.end_s:
-            found = speeds.take((n_told + 1) * BLOCK_S, servos_deg[n_told])
+        while n_passed < len(servos_deg) and (n_passed + 1) * BLOCK_S <= block.end_s:
+            found = speeds.take((n_passed + 1) * BLOCK_S, servos_deg[n_passed])
             if found is not None:
                 recognizer.note_servo_speeds(*found)
-            n_told += 1
+            n_passed += 1
         yield block
 
 

@@ -26,7 +26,7 @@ from lipservo_lab.learning.expression.tracks import (
     TrackError,
     check_alike,
     hear,
-    nobody_watches,
+    no_progress,
     read_track_files,
 )
 from lipservo_lab.learning.learned_expression.expression_model import RATE_HZ, ExpressionModel
@@ -248,7 +248,7 @@ _HELD_OUT_EVERY = 10
 
 
 def train_expression(
-    folder: Path, seed: int = 0, progress: Progress = nobody_watches
+    folder: Path, seed: int = 0, progress: Progress = no_progress
 ) -> tuple[ExpressionModel, dict[str, object]]:
     """The model, and its figures by name.
 
@@ -277,7 +277,7 @@ def train_expression(
     return model, figures
 
 
-def read_tracks(folder: Path, progress: Progress = nobody_watches) -> list[ExpressionTrack]:
+def read_tracks(folder: Path, progress: Progress = no_progress) -> list[ExpressionTrack]:
     """The tracks of either kind of folder. Raises TrackError, CorpusError."""
     if (folder / "landmarks.json").is_file():
         return read_grid_tracks(folder, progress)

@@ -13,7 +13,7 @@ from lipservo_lab.learning.expression.tracks import (
     Progress,
     TrackError,
     at_model_rate,
-    nobody_watches,
+    no_progress,
 )
 from lipsync.arrays import Array
 from lipsync.face.head_motion import apply_similarity, fit_similarity, refine_mean
@@ -34,7 +34,7 @@ _SEES_BELOW = 0.35
 _MEAN_OF = 5
 
 
-def read_grid_tracks(folder: Path, progress: Progress = nobody_watches) -> list[ExpressionTrack]:
+def read_grid_tracks(folder: Path, progress: Progress = no_progress) -> list[ExpressionTrack]:
     """Head, gaze and lids of every recording. Raises CorpusError, TrackError.
 
     Head: the rotation of the rigid points against their mean, from the usual pose. Gaze: irises

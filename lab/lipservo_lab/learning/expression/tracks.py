@@ -35,7 +35,7 @@ _BLOCKS_PER_FRAME = round(1.0 / (RATE_HZ * BLOCK_S))
 Progress = Callable[[str, int, int], None]
 
 
-def nobody_watches(_what: str, _n_done: int, _n_all: int) -> None:
+def no_progress(_what: str, _n_done: int, _n_all: int) -> None:
     """Progress that is not shown."""
 
 
@@ -75,9 +75,7 @@ def at_model_rate(times_s: Array, values: dict[str, Array]) -> dict[str, Array]:
     return {name: np.interp(frames_s, times_s, each) for name, each in values.items()}
 
 
-def hear(
-    tracks: Sequence[ExpressionTrack], progress: Progress = nobody_watches
-) -> list[HeardTrack]:
+def hear(tracks: Sequence[ExpressionTrack], progress: Progress = no_progress) -> list[HeardTrack]:
     """The tracks with their prosody, as the live part hears it; one voice speaks them all.
 
     The same tracker hears one after the other, so that the voice is known from the second on.
@@ -124,7 +122,7 @@ _LONGEST_HOLE_S = 0.5
 _MOST_DEG = 90.0
 
 
-def read_track_files(folder: Path, progress: Progress = nobody_watches) -> list[ExpressionTrack]:
+def read_track_files(folder: Path, progress: Progress = no_progress) -> list[ExpressionTrack]:
     """All tracks of a folder, by name. Raises TrackError."""
     if not folder.is_dir():
         raise TrackError(f"{folder}: no such folder")

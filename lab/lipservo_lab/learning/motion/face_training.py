@@ -122,10 +122,13 @@ def train(
         both = joined([from_labels, from_hearing])
         expectation = fit_expectation(both, centres, seed=seed, progress=progress)
         each = counted_sentences(labelled.utterances)
-        said, motion = [labelled.utterances[i] for i in each], [coefficients[i] for i in each]
-        expectation = with_deviation(expectation, said, motion)
+        utterances_of, motion = (
+            [labelled.utterances[i] for i in each],
+            [coefficients[i] for i in each],
+        )
+        expectation = with_deviation(expectation, utterances_of, motion)
         progress("baselines")
-        dominance = tune_dominance(said, motion, centres)
+        dominance = tune_dominance(utterances_of, motion, centres)
         regression = fit_regression(
             from_labels.phonemes, from_labels.times_s, from_labels.lookahead_s, from_labels.faces
         )

@@ -51,7 +51,7 @@ def observe_closures(
 
     lip_gaps_mm: (n_frames, n_points, 3) -> (n_frames,), how far the lips are apart.
     """
-    moments_s: dict[str, list[float]] = {phoneme: [] for phoneme in _CLOSING}
+    at_s: dict[str, list[float]] = {phoneme: [] for phoneme in _CLOSING}
     labiodental_mm: list[float] = []
     for utterance in utterances:
         gaps_mm = lip_gaps_mm(utterance.markers_mm)
@@ -62,12 +62,12 @@ def observe_closures(
             times_s = np.arange(phone.start_s - _AROUND_S, phone.end_s + _AROUND_S, _STEP_S)
             around_mm = np.interp(times_s, frames_s, gaps_mm)
             tight = around_mm <= around_mm.min() + _AS_TIGHT_MM
-            moments_s[phone.phoneme].append(float(times_s[tight].mean() - phone.start_s))
+            at_s[phone.phoneme].append(float(times_s[tight].mean() - phone.start_s))
             if phone.phoneme in ("F", "V"):
                 labiodental_mm.append(float(around_mm.min()))
-    everything = [m for list_ in moments_s.values() for m in list_] or [0.0]
+    everything = [m for list_ in at_s.values() for m in list_] or [0.0]
     tightest_s = np.zeros(len(PHONEMES))
-    for phoneme, list_ in moments_s.items():
+    for phoneme, list_ in at_s.items():
         enough = list_ if len(list_) >= _FEWEST else everything
         # Inside the phone, or a closure would belong to the phone before.
         tightest_s[PHONEMES.index(phoneme)] = max(0.0, float(np.median(enough)))

@@ -174,16 +174,18 @@ def on_one_face(
     maps: dict[str, FaceMap] = {}
     utterances: list[Utterance] = []
     for corpus in corpora:
-        said = corpus.labelled().utterances
+        spoken = corpus.labelled().utterances
         if corpus is not target:
             try:
                 maps[corpus.name] = fit_face_map(faces[corpus.name], faces[target.name])
             except FaceMapError as error:
                 raise CorpusError(f"{corpus.name} beside {target.name}: {error}") from error
-            said = _moved(said, maps[corpus.name], target.labelled().utterances[0].frame_rate_hz)
+            spoken = _moved(
+                spoken, maps[corpus.name], target.labelled().utterances[0].frame_rate_hz
+            )
         weight = (weights or {}).get(corpus.name, 1.0)
         utterances += [
-            replace(u, name=f"{corpus.name}{SEPARATOR}{u.name}", weight=weight) for u in said
+            replace(u, name=f"{corpus.name}{SEPARATOR}{u.name}", weight=weight) for u in spoken
         ]
     skipped = tuple(line for corpus in corpora for line in corpus.skipped)
     name = "+".join(of_speaker)
@@ -223,21 +225,21 @@ def check_speakers(names: Sequence[str], face_of: str | None, weights: Mapping[s
 
 
 def _moved(
-    said: Sequence[Utterance], face_map: FaceMap, frame_rate_hz: float
+    spoken: Sequence[Utterance], face_map: FaceMap, frame_rate_hz: float
 ) -> tuple[Utterance, ...]:
     """A speaker's sentences on the target's face, at its frame rate."""
     on_target = [
-        replace(u, markers_mm=face_map.on_target(u.markers_mm).astype(np.float32)) for u in said
+        replace(u, markers_mm=face_map.on_target(u.markers_mm).astype(np.float32)) for u in spoken
     ]
     return tuple(at_frame_rate(utterance, frame_rate_hz) for utterance in on_target)
 
 
 def _phoneme_faces(corpus: Corpus) -> PhonemeFaces:
-    said = corpus.labelled().utterances
-    for utterance in said:
+    spoken = corpus.labelled().utterances
+    for utterance in spoken:
         if not np.isfinite(utterance.markers_mm).all():
             raise CorpusError(
                 f"corpus {corpus.name}: {utterance.name} has markers that are not numbers; leave "
                 "the sentence out or track it again"
             )
-    return phoneme_faces(said, closed_mouth_mm(said, corpus.layout))
+    return phoneme_faces(spoken, closed_mouth_mm(spoken, corpus.layout))

@@ -93,8 +93,8 @@ def fit_sound_expectation(
     mean, spread = inputs.mean(axis=0), inputs.std(axis=0) + np.float32(_SMALLEST_SPREAD)
     inputs = (inputs - mean) / spread
     unit = max(float(faces.std()), 1e-9)
-    told = _GAP_WEIGHT * (gaps_mm - gaps_mm.mean())
-    targets = (np.concatenate([faces, told[:, None]], axis=1) / unit).astype(np.float32)
+    weighted = _GAP_WEIGHT * (gaps_mm - gaps_mm.mean())
+    targets = (np.concatenate([faces, weighted[:, None]], axis=1) / unit).astype(np.float32)
 
     def learn(number: int) -> Layers:
         rng = np.random.default_rng([seed, number])

@@ -36,7 +36,7 @@ class TaughtRecordings:
 
     recordings: tuple[LabelledSamples, ...]
     taught: Taught
-    n_not_said: int
+    n_unspoken: int
 
 
 def taught_by(

@@ -104,21 +104,21 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
         )
     sounds = [sound for folder in run.sounds for sound in read_found_sounds(folder)]
     utterances, alignments = _aligned(run, advance)
-    usable = [u for u in utterances if _is_said(alignments[u.name])]
+    usable = [u for u in utterances if _is_spoken(alignments[u.name])]
     training = [u for u in usable if u.speaker not in run.validation]
     if not training:
         raise TrainingError("no utterance is left to learn from; hold out fewer speakers")
     clean = [read_labelled(u, alignments[u.name]) for u in training]
     taught = None
     if run.teacher is not None:
-        told = taught_by(
+        labels = taught_by(
             run.teacher,
             [(each, alignments[u.name]) for each, u in zip(clean, training, strict=True)],
             lambda n: advance("teaching", n, len(training)),
         )
-        if not told.recordings:
+        if not labels.recordings:
             raise TrainingError("the teacher hears none of the texts; train one first")
-        clean, taught = list(told.recordings), told.taught
+        clean, taught = list(labels.recordings), labels.taught
     scale = feature_scale(clean[::_SCALE_STEP]) if run.start is None else run.start.scale
     arrays = []
     for array in training_arrays(
@@ -214,7 +214,7 @@ def _aligned(
     return utterances, alignments
 
 
-def _is_said(aligned: AlignedUtterance) -> bool:
+def _is_spoken(aligned: AlignedUtterance) -> bool:
     """Learners and children say other words than their text; labels of those would be wrong."""
     return not aligned.error and (aligned.score is None or aligned.score >= LEAST_SCORE)
 
