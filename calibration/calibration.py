@@ -95,7 +95,7 @@ class Origin:
     """Where a calibration comes from: what a person wants to know about a file found later.
 
     method: `simulated face`, `measured` or `guided`; date: ISO 8601; servo_models, servo_memories:
-    one a servo, or none where no servo was asked. not_measured: what whoever saw the markers
+    one a servo, or none where no servo was read. not_measured: what the tracker
     cannot see, `protrusion` for one camera.
     """
 
@@ -123,7 +123,7 @@ class Calibration:
     the file; kept by every pose. centres: (n_centres, n_components), c_k, or none; centre_weights:
     (n_servos, n_centres). grade: None where nothing was measured after the fit. learnt_lips: None
     where no lips were captured; closure: None where it is not known what the lips of this robot do;
-    closing: None where nobody saw whether they meet.
+    closing: None where the lips were not observed.
     """
 
     servo_names: tuple[str, ...]

@@ -64,7 +64,7 @@ class Closure:
         return np.asarray((1.0 - closes) * opened_mm - closes * self.press_mm)
 
     def corrected_deg(self, from_rest: Array, poses_deg: Array, low: Array, high: Array) -> Array:
-        """(k, n_components) and their poses (k, n_servos) -> the same with the lips as asked.
+        """Correct poses (k, n_servos) so that the lips are as far apart as planned.
 
         Frame by frame with plain numbers: live there is one, and NumPy takes longer for it.
         """

@@ -103,12 +103,12 @@ class VisemeReach:
 
     On the face as it was learnt, so estimated: reachable, the part of its frames, 0..1, of which
     the face has opening and width within 1 mm; off_mm, how far the calibrated face is from the
-    shapes wanted, rms over the lips; gap_slope, openings made over openings asked for;
+    wanted shapes, rms over the lips; gap_slope, openings made over openings wanted;
     closed_gap_mm, how far closed lips stay apart in 95 % of the frames in which the speaker's are
     closed; small_gaps_kept, the part of small openings that stay open; at_limit, the part of the
     frames in which a joint stands at a limit. None where the class has no such frames, or an older
     file does not say.
-    Measured: measured_mm, the lips' distance from what was asked for in n_measured graded poses.
+    Measured: measured_mm, the lips' distance from the target in n_measured graded poses.
     """
 
     reachable: float
@@ -183,10 +183,10 @@ class Closing:
 class Grade:
     """What was measured on the robot at poses of speech that were never fitted.
 
-    Distances from the shapes asked for, without the tracker's noise in lip_rms_mm; each pose counts
+    Distances from the wanted shapes, without the tracker's noise in lip_rms_mm; each pose counts
     by the share of speech that it stands for. closed_gap_mm: how far lips that should be closed
-    were apart, beyond the robot's own closed gap; gap_slope: openings made over openings asked
-    for; small_gaps_kept: the part of small openings that are at least half made, None where none
+    were apart, beyond the robot's own closed gap; gap_slope: openings made over openings wanted;
+    small_gaps_kept: the part of small openings that are at least half made, None where none
     was measured.
     """
 
@@ -201,9 +201,9 @@ class Grade:
 def lips_off_mm(grade: Grade, lips: LearntLips | None) -> float:
     """How far the lips are from the shapes of speech.
 
-    As measured from the shapes asked for, and what those themselves may be off by. Without the
+    As measured from the wanted shapes, and what those themselves may be off by. Without the
     second it would be a fifth too little (elastic robots of seeds 100 to 117, whose true shapes
-    no calibration was told).
+    no calibration has seen).
     """
     if lips is None:
         return grade.lip_rms_mm
@@ -220,7 +220,7 @@ _LEAST_SPREAD_MM = 0.3
 class GapFigures:
     """None where no frame can tell.
 
-    slope: openings made over openings asked for; closed_mm: how far lips stay apart in 95 % of the
+    slope: openings made over openings wanted; closed_mm: how far lips stay apart in 95 % of the
     frames in which the speaker's are closed; small_kept: the part of small openings that are at
     least half made.
     """
@@ -233,7 +233,7 @@ class GapFigures:
 def gap_figures(
     wanted_mm: Array, made_mm: Array, human_gap_mm: Array, shares: Array | None = None
 ) -> GapFigures:
-    """(n,) each: openings beyond the robot's own closed gap, NaN where nobody saw; the speaker's.
+    """(n,) each: openings beyond the robot's own closed gap, NaN where not measured; the speaker's.
 
     shares: (n,), of speech that each frame stands for; None: all the same.
     """

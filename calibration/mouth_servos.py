@@ -34,7 +34,7 @@ class MouthServos:
     """Joints in the order of the YAML, with what belongs to them.
 
     models: one servo model a joint; positive: what a positive angle does, one word a joint, which
-    lets a reversed joint be found. Both may be empty where nobody knows. rules: what the joints
+    lets a reversed joint be found. Both may be empty where unknown. rules: what the joints
     must not do together.
     """
 

@@ -25,7 +25,7 @@ _IN_OUR_WORDS = {
 def main() -> None:
     """Run the command line: status 0, 1 for what the user can mend, 2 for wrong usage.
 
-    Every mistake is told in clear lines on stderr that begin with `lipservo:`.
+    Every mistake is reported in clear lines on stderr that begin with `lipservo:`.
     """
     for stream in (sys.stdin, sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

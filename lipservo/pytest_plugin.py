@@ -104,7 +104,7 @@ class SimulatedFace:
                 time.sleep(_POLL_S)
 
     def _read(self) -> None:
-        """Keep what it prints: a pipe that nobody empties would hold the face up."""
+        """Keep what it prints: a full pipe would block the face."""
         for line in self._messages:
             self._lines.append(line)
             del self._lines[:-1000]

@@ -3,7 +3,7 @@
 Every pose is reached by a short last step from a known side of each joint, so that backlash lies on
 a known side too: from below a joint's horn lags by half the backlash, from above it leads by half.
 Poses are thereby independent of one another, and a capture, of which every pose is kept, can stop
-and go on. Knows no bus: `move` and `measure` are functions that somebody else makes.
+and go on. Knows no bus: `move` and `measure` are functions of the caller.
 Loads SciPy; the live path never does.
 """
 
@@ -254,8 +254,8 @@ def capture_poses(
     """Move through the plan, measure every pose, and leave the robot at its neutral.
 
     keep: a file of one line a pose, written at once, so that a capture that was cut short goes on
-    where it stopped; a file of another plan is refused. arrived hears of each pose before it is
-    measured; progress hears the number of poses done.
+    where it stopped; a file of another plan is refused. arrived is called for each pose before it
+    is measured; progress is called with the number of poses done.
     """
     poses = [] if keep is None else read_kept(keep, plan, marker_names)
     on = Robot(move, measure, arrived, progress)
@@ -267,7 +267,7 @@ class Robot:
     """All that a capture knows of a robot and its tracker.
 
     strained: which servo pulls with all the current that it may draw, None where none does or
-    nobody measures.
+    the load is not measured.
     """
 
     move: Move

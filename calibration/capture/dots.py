@@ -1,6 +1,6 @@
 """Coloured dots on a face, found in a folder of pictures from the front, one a pose.
 
-A dot is told by its colour and its shape: a disc, seen at an angle an ellipse, and as large as the
+A dot is known by its colour and its shape: a disc, seen at an angle an ellipse, and as large as the
 others. A shirt of that colour is none. A single camera sees across and up; forward is given as 0,
 so the calibration learns nothing of it. `dots.csv` in the folder names every dot where it is in one
 of the pictures, in pixels from the top left: `marker,column_px,row_px`. Its size comes from a
@@ -255,7 +255,7 @@ class DotsFolder:
     """Pictures as they come; all of one size, for `dots.csv` counts in pixels."""
 
     def __init__(self, folder: Path, tell: Callable[[str], None] = lambda _: None) -> None:
-        """tell: hears of dots that touch, or that no picture shows, a line for each picture.
+        """tell: called for dots that touch, or that no picture shows, with a line for each picture.
 
         Raises CalibrationError for a `dots.csv` that is not as described above.
         """

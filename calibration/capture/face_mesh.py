@@ -101,7 +101,7 @@ class MeshFolder:
         eye_distance_mm: float,
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """tell: hears why a photograph is of no use."""
+        """tell: called with the reason why a photograph is of no use."""
         self._folder, self._tracker = folder, tracker
         self._eye_distance_mm = eye_distance_mm
         self._tell = tell
@@ -216,7 +216,7 @@ class CameraTracker:
         self._pose = pose + 1
 
     def measure(self) -> Array:
-        """(47, 3) mm; NaN in a pose without a face, which is told.
+        """(47, 3) mm; NaN in a pose without a face, which is reported.
 
         Raises CalibrationError after five such poses in a row.
         """

@@ -195,7 +195,7 @@ def _left(inputs: Array, y: Array) -> float:
 def _stops(
     base: Array, x: Array, y: Array, healthy: float, sure: float
 ) -> list[tuple[float, JointFault]]:
-    """The joint that best counts as standing still from some pose on."""
+    """The joint whose loss of motion from some pose on explains the capture best."""
     n, n_servos = x.shape
     freedom = n - base.shape[1]
     best = []

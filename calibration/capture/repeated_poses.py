@@ -1,6 +1,6 @@
 """What changed on a face between a pose and the same pose later: horns, rods, all of it.
 
-A face that is asked for the same pose, from the same side, looks the same, however crooked its skin
+A face in the same pose, from the same side, looks the same, however crooked its skin
 is: nothing has to be learnt first. The first part of a plan, neutral and every joint alone, is
 taken again at the end. What all of these poses are off by alike, and along what one joint does, is
 a horn that slipped; where a joint alone does less than it did, it stopped, or its rod is torn. Of
@@ -98,7 +98,7 @@ def is_repeated(capture: Capture) -> bool:
 class ChangedPoses:
     """What repeated poses say, (n_servos,) each.
 
-    did_mm: how far each joint took the face along its own way when it was alone, early; does_mm:
+    did_mm: how far each joint moved the face along its own way when it was alone, early; does_mm:
     the same late; lost_error_mm: what noise makes of the difference; turned_deg: by turning so far.
     slid_mm: how far all poses alike are off along that way, and what noise makes of it in
     slid_error_mm; alike: the cosine between the two, without the noise. common_mm: (n_markers, 3),

@@ -219,7 +219,7 @@ def _check_range(capture: Capture) -> None:
 
 @dataclass(slots=True)
 class _JointFindings:
-    """What is said of joints: what is certain is refused unless accepted. still: the dead ones."""
+    """Findings about joints: certain ones are refused unless accepted. still: the dead ones."""
 
     certain: list[str] = field(default_factory=list)
     doubtful: list[str] = field(default_factory=list)
@@ -311,7 +311,7 @@ def _lost_points(capture: Capture) -> tuple[str, ...]:
 
 
 def _check_doubles(capture: Capture) -> None:
-    """One dot under two names: nobody else is in the same place in every pose."""
+    """Refuse one dot under two names: no other marker is in the same place in every pose."""
     for a, b in combinations(range(len(capture.marker_names)), 2):
         apart_mm = np.linalg.norm(capture.markers_mm[:, a] - capture.markers_mm[:, b], axis=1)
         if np.nanmax(apart_mm, initial=0.0) < _SAME_DOT_MM:

@@ -1,4 +1,4 @@
-"""Two markers whose names changed places: in every pose, or in some, found, put right and told.
+"""Two markers whose names were exchanged: in every pose, or in some, found, corrected and reported.
 
 A tracker that follows dots takes one for its neighbour now and then. Which two and in which pose is
 plain from what the other poses say; so the pose is looked at again, and where three looks agree the
@@ -179,7 +179,7 @@ def put_right(
     report: Callable[[str], None] = lambda _: None,
     expected_mm: Array | None = None,
 ) -> list[CapturedPose]:
-    """The same poses; one in which two names changed places is taken again, and that is told.
+    """Return the poses; one in which two names were exchanged is captured again, and reported.
 
     Where all of three readings agree, the names are exchanged. expected_mm: (n, n_markers, 3), of
     the plan; None: by what the other poses say.

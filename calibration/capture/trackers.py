@@ -1,6 +1,6 @@
-"""Where markers come from while a robot holds a pose: a file or folder somebody fills, or keys.
+"""Where markers come from while a robot holds a pose: a file or folder that is filled, or keys.
 
-A tracker is told of every pose (`arrived`) and then asked for its markers (`measure`). It waits by
+A tracker gets every pose (`arrived`) and then returns its markers (`measure`). It waits by
 a function that it is given, so that the servos are held meanwhile.
 """
 
@@ -37,7 +37,7 @@ POSE_FILE = "pose.json"
 
 
 class Tracker(Protocol):
-    """What a capture asks of whoever sees the markers."""
+    """What a capture needs of a source of markers."""
 
     @property
     def marker_names(self) -> tuple[str, ...]:
@@ -55,7 +55,7 @@ class FileTracker:
 
     Poses count from 1, as in a plan; pose 0 is the robot in neutral, a test before anything else:
     it says which markers there are. `pose.json` (for a file `FILE.pose.json`) says which pose
-    stands now, so that a program needs nobody to tell it.
+    the robot holds, so that a recording program knows it.
     """
 
     def __init__(
@@ -93,7 +93,9 @@ class FileTracker:
         return self._names
 
     def arrived(self, pose: int, reached_deg: Array) -> None:
-        """Tell whoever records. Raises CalibrationError where the pose was recorded before.
+        """Announce a pose to the recorder.
+
+        Raises CalibrationError where the pose was recorded before.
 
         A pose that stands a second time shows what was recorded at the first.
         """
@@ -167,7 +169,7 @@ class FileTracker:
         return {name: median_place(seen) for name, seen in places.items()}
 
     def _is_in_mid_line(self) -> bool:
-        """Whether somebody is writing a CSV file just now: its last line has no end."""
+        """Whether a CSV file is being written just now: its last line has no end."""
         is_csv = self._path.suffix.lower() == ".csv"
         return is_csv and not self._path.read_bytes().endswith(b"\n")
 

@@ -3,7 +3,7 @@
 A ladder begins with the lips open in one of the shapes in which the speaker closes them, and goes
 on in small steps by all joints that close, as far as their limits. How far the lips should come in
 each step says the face as learnt about the open end, by a straight line: so a joint at its limit is
-a step of nothing, not lips that have met. Contact is a ladder that goes on closing while the dots
+step of nothing, not lips that touch. Contact is a ladder that goes on closing while the dots
 of upper and lower lip, all of them, come no nearer: the far lip is pushed along. One kink in all
 ladders must explain what was seen far better than none, and leave little of the slope.
 Loads scikit-learn; the live path never does.

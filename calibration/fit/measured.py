@@ -1,6 +1,6 @@
 """From captured poses to a calibration, with its errors: the measured way, from end to end.
 
-Errors are how well it makes the shapes it was asked for, on the learnt face, not the real one: what
+Errors are how well it makes the wanted shapes, on the learnt face, not the real one: what
 that got wrong everywhere alike does not show there. The error of poses left out of its fit, noise
 included, is reported beside these.
 Loads scikit-learn; the live path never does.
@@ -68,12 +68,12 @@ class ShapeErrors:
     stay_apart_mm: float = 0.0
 
     def reached(self, from_rest: Array) -> NDArray[np.bool_]:
-        """(n, n_components) -> (n,): whether the best pose has the opening and width asked for."""
+        """(n, n_components) -> (n,): whether the best pose has opening and width within 1 mm."""
         wanted_mm, best_mm = self.openings_and_widths_mm(from_rest)
         return np.asarray((np.abs(best_mm - wanted_mm) <= REACHABLE_MM).all(axis=1))
 
     def openings_and_widths_mm(self, from_rest: Array) -> tuple[Array, Array]:
-        """(n, 2) asked for, and (n, 2) of the best poses."""
+        """(n, 2) wanted opening and width, mm, and (n, 2) those of the best poses."""
         right, left = self.mouth.names.corners
         poses_deg = self.retargeting.poses_deg(from_rest)
         copies_mm, gaps_mm = self.retargeting.copies_mm(from_rest)
@@ -130,9 +130,9 @@ def _errors(on: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors:
 
 
 def _coverage(on: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
-    """By the first phoneme of each class the speaker ever said.
+    """By the first phoneme of each class that the speaker uttered.
 
-    Within reach: opening and width of the best pose are those asked for.
+    Within reach: opening and width of the best pose are the wanted ones.
     """
     rows = {viseme[0]: _rows_of(on.model, viseme) for viseme in VISEME_CLASSES}
     rows = {viseme: chosen for viseme, chosen in rows.items() if len(chosen)}
@@ -196,7 +196,7 @@ def loose_joint(servo_names: tuple[str, ...], backlash_deg: Array) -> tuple[str,
     """A line where one joint, and no other, has far more play than is usual for its face.
 
     Play beyond the last step of a pose (3 degrees) is not seen whole, and joints that hardly move
-    the skin are not told from their neighbours: of them nothing is said.
+    the skin are not distinguished from their neighbours: they are left out.
     """
     if len(backlash_deg) < _FEWEST_JOINTS:
         return ()
@@ -363,9 +363,9 @@ def mouth_of(face: RobotFace, names: Correspondence, servos: MouthServos) -> Rob
 def retargeting_of(
     model: FaceWithAnimPhos, mouth: RobotMouth, face: RobotFace, capture: Capture
 ) -> Retargeting:
-    """What is asked of a learnt face: by where its lips stop, where they were seen to.
+    """The targets of a learnt face: by where its lips stop, where that was seen.
 
-    Its scale is by all that the speaker said: a fiftieth of a few hundred frames is chance.
+    Its scale is by all recorded speech: a fiftieth of a few hundred frames is chance.
     """
     frames = model.animphos.frames
     heights_mm = gap_heights_mm(capture.markers_mm, mouth.names.shape_features.gaps)

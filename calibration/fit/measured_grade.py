@@ -1,12 +1,12 @@
 """What a calibration is worth, measured: poses of speech that nothing was fitted to.
 
-The learnt face asked about itself knows nothing of what it got wrong. So the robot goes to where
+The learnt face cannot show its own errors. So the robot goes to where
 the fresh map sends it for frames that were left out, is measured there, and compared with the
-shapes asked for; what the tracker's own noise adds is taken off. Where the poses go and what should
+wanted shapes; what the tracker's own noise adds is taken off. Where the poses go and what should
 be seen there is all that this needs, so a second visit to the robot can be weeks later: a check
 plan is their file, with the columns of a plan, so that whatever moves a robot through one moves it
 through this; then, of each pose, the viseme class, the speaker's gap, the share of speech that it
-stands for, the opening asked for, the robot's own closed gap and the tracker's noise; which map it
+it represents, the wanted opening, the robot's own closed gap and the tracker's noise; which map it
 belongs to; and where each marker should be, `<marker>_x_mm`, `_y_mm`, `_z_mm`.
 Loads scikit-learn; the live path never does.
 """
@@ -214,7 +214,7 @@ def _viseme(units: AnimPhoUnits, frame: Array) -> str:
 def _without_far(
     seen_mm: Array, targets_mm: Array, lips: Sequence[int], names: tuple[str, ...]
 ) -> tuple[Array, tuple[str, ...]]:
-    """Single readings of lips that nobody can believe, left out and counted by marker."""
+    """Remove implausible single readings of lips, counted by marker."""
     far = np.zeros(seen_mm.shape[:2], dtype=bool)
     off_mm = np.linalg.norm((seen_mm - targets_mm)[:, lips], axis=2)
     for pose, own_mm in enumerate(off_mm):

@@ -194,10 +194,10 @@ class Procedure:
     ) -> Capture:
         """Both parts, one after the other; arguments as of `capture_poses` and `Robot`.
 
-        Axes and size are judged by the first pose. Beyond `n_poses` a joint that may be dead is
+        Axes and size are checked by the first pose. Beyond `n_poses` a joint that may be dead is
         looked at again in between, and the first part of the plan at the end; a pose in which the
-        tracker exchanged two names is taken again. told hears of each. Lips are closed no farther
-        once a servo is strained.
+        tracker exchanged two names is captured again. report gets a line for each. Lips are closed
+        no farther once a servo is strained.
         """
         on = Robot(move, measure, arrived, progress, strained)
         poses: list[CapturedPose] = []

@@ -7,7 +7,7 @@ robot's neutral. A skin drawn by a few horns cannot copy a speaker's point by po
 aim for is that of the robot's own nearest pose, found by bounded least squares, many at once; lip
 gaps weigh most.
 
-Only where the speaker closes are lips asked to go past contact, by as much as the learnt gap may be
+Only where the speaker closes do lips go past contact, by as much as the learnt gap may be
 wrong there: more is force, not closure.
 """
 
@@ -251,7 +251,7 @@ _LEAST_WIDTH_MM, LEAST_OPENING_MM = 10.0, 1.5
 
 @dataclass(frozen=True, slots=True)
 class Retargeting:
-    """What is asked of a mouth. closed_mm: (n_gaps,), heights between dots of lips that touch.
+    """Targets of a mouth. closed_mm: (n_gaps,), heights between dots of lips that touch.
 
     scale: robot over speaker; press_mm: how far past contact where the speaker closes.
     """

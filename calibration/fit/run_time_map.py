@@ -55,7 +55,7 @@ class RunTimeMap:
         return mouth.kept_deg(poses_deg)
 
     def without(self, still: Sequence[int]) -> "RunTimeMap":
-        """The same with these joints, by number, at 0 whatever is said."""
+        """Return the map with these joints, by number, at 0 for all faces."""
         if not still:
             return self
         moves = np.ones(len(self.rest_deg))

@@ -52,8 +52,8 @@ def identify(
 ) -> Following:
     """Move one joint after another by a chirp and two steps, the others resting at 0.
 
-    rate_hz: at least 50, or the fastest part of the chirp is lost; progress hears the number of
-    joints done. Raises CalibrationError for a joint whose encoder does not follow.
+    rate_hz: at least 50, or the fastest part of the chirp is lost; progress is called with the
+    number of joints done. Raises CalibrationError for a joint whose encoder does not follow.
     """
     found = []
     for joint in range(len(joints)):

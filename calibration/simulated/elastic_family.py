@@ -2,7 +2,7 @@
 
 What the joints are called and what a positive angle does is enough to make a robot that is built
 so; what that leaves open is shared out among the places that are left. All else is drawn from a
-seed, and none of it is told to what fits.
+seed, and none of it is known to the fit.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""A robot mouth to practise on: geometry, backlash and noise drawn from a seed, none of it told.
+"""A robot mouth to practise on: geometry, backlash and noise drawn from a seed, all hidden.
 
 What calibrates it sees `move` and `measure` only, as with a real robot before a tracker. Scores are
 taken against `true_markers_mm`, which knows no noise.
@@ -130,7 +130,7 @@ class SimulatedRobot:
         return self.true_markers_mm() + self._noise.normal(0.0, self._noise_mm, (47, 3))
 
     def true_markers_mm(self) -> Array:
-        """(47, 3): where the markers are, which nobody who calibrates is told."""
+        """(47, 3) mm: the true marker positions, which no calibration may use."""
         return self._skin.seen_mm(self._output_deg, self._n_moves)
 
 

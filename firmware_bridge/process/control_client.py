@@ -162,7 +162,7 @@ def change_settings(path: Path, values: Mapping[str, float]) -> Answer:
 
 
 def switch_servo(path: Path, name: str, switch: ServoSwitch) -> Answer:
-    """Order one servo switched off or on, or rebooted: {"servo", "asked"}, or {"error"}.
+    """Order one servo switched off or on, or rebooted; the answer has "servo", or "error".
 
     What became of it is in `status`: `servos`, `troubles`. Raises OSError when no face answers.
     """

@@ -135,9 +135,9 @@ def _pictures(folder: Path, names: tuple[str, ...], read: ReadPose) -> MakeTrack
 
 
 def _warned_once(read: ReadPose) -> ReadPose:
-    """What is wrong with a picture is told, and the picture waited for anew.
+    """Report what is wrong with a picture, and wait for the picture anew.
 
-    At the second look: somebody may have been writing it.
+    Only at the second reading: the file may have been half written.
     """
     seen: Counter[str] = Counter()
 

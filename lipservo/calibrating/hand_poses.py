@@ -1,7 +1,7 @@
 """What a person puts into a calibration: poses made with the fingers, a touch pose, trims.
 
 `touched` becomes the touch pose; `widest` and `rounded` bound the joints that open and narrow the
-mouth; all are kept in the file, as places of the lip gap that somebody has seen and felt. Encoders
+mouth; all are kept in the file, as places of the lip gap that a person has seen and felt. Encoders
 are read live while the fingers pose, and a key keeps the pose that the hands hold. What was made
 stays when the face is calibrated again.
 """
@@ -156,7 +156,7 @@ class Keys(Protocol):
 class Posing:
     """Where a person is, and what was made: angles (n_servos,) by the name of the pose.
 
-    keep: told of all that was made after each pose. undivided: what happens in it is not broken
+    keep: called with all poses so far after each. undivided: what happens in it is not broken
     off by a signal.
     """
 

@@ -87,7 +87,7 @@ class CalibrationResult:
         return replace(self, calibration=replace(self.calibration, following=following))
 
     def with_memories(self, memories: Sequence[ServoMemory | None]) -> "CalibrationResult":
-        """The same with what the servos hold in themselves, where all of them said so."""
+        """The same result with the servos' own memories, where every servo was read."""
         known = tuple(memory for memory in memories if memory is not None)
         if len(known) != len(self.calibration.servo_names):
             return self
@@ -220,7 +220,7 @@ def calibrate_on_servos(
 ) -> CalibrationResult:
     """Capture, fit, then the servos' lags.
 
-    passed: hears of every place that the encoders came to, measured or not.
+    passed: called with every place that the encoders came to, measured or not.
     """
     memories = servo_memories(setup.settings)
     with held_servos(setup) as face:

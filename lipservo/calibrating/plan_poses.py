@@ -70,8 +70,8 @@ def stand_in_poses(
 ) -> None:
     """Go to one pose after another, each from the side it names; then to neutral, and let go.
 
-    arrived: hears the row of the pose in the plan and the encoders, (n_servos,). wait: returns when
-    the pose has been recorded; the servos are held meanwhile.
+    arrived: called with the row of the pose in the plan and the encoders, (n_servos,). wait:
+    returns when the pose has been recorded; the servos are held meanwhile.
     """
     with held_servos(setup) as face:
         for row in range(len(plan)):

@@ -231,7 +231,7 @@ def grade_values(calibration: Calibration) -> dict[str, object] | None:
 
 
 def closing_values(calibration: Calibration) -> dict[str, object] | None:
-    """Whether the lips meet, and how far past contact closures go; None: nobody looked."""
+    """Whether the lips touch, and how far past contact closures go; None: not observed."""
     closing, closure = calibration.closing, calibration.closure
     if closing is None:
         return None
@@ -242,7 +242,7 @@ def closing_values(calibration: Calibration) -> dict[str, object] | None:
 def shown_values(
     calibration: Calibration, rules: Sequence[PreventSettings] | None
 ) -> dict[str, object]:
-    """Everything for JSON but the map itself. rules: of the face's YAML, None: not asked for."""
+    """Everything for JSON but the map itself. rules: of the face's YAML, None: not wanted."""
     origin, errors = calibration.origin, asdict(calibration.errors)
     lips = calibration.learnt_lips
     errors.pop("joint_rms_deg")
@@ -320,12 +320,12 @@ def shown_lines(
 
 
 def coverage_values(calibration: Calibration) -> dict[str, dict[str, float | None]]:
-    """What is known of each viseme class, by its first phoneme; None where nobody can say."""
+    """What is known of each viseme class, by its first phoneme; None where unknown."""
     return {viseme: asdict(reach) for viseme, reach in calibration.coverage.items()}
 
 
 def coverage_table(calibration: Calibration) -> Table:
-    """One row a viseme class; a dash where nobody can say."""
+    """One row a viseme class; a dash where unknown."""
     table = Table(box=None, pad_edge=False)
     table.add_column("class", no_wrap=True)
     for title, _ in _VISEME_COLUMNS.values():
@@ -450,7 +450,7 @@ def _draw_classes(axes: "Axes", calibration: Calibration) -> None:
 def _best_off(
     model: FaceWithAnimPhos, fit: "MeasuredFit", frames: Array
 ) -> tuple[Array, Array, Array]:
-    """Opening and width that are asked for, and how far the best pose is off; (n,) each, mm."""
+    """Wanted opening and width, and how far the best pose is off; (n,) each, mm."""
     from calibration.fit.measured import ShapeErrors
 
     found = ShapeErrors(model, fit.retargeting.mouth, fit.retargeting)

@@ -1,7 +1,7 @@
 """Whether a calibrated mouth stays within its joints' speeds while it speaks, as `run` moves it.
 
 What the speaker's recorded AnimPhos ask, one after another as they may follow, goes through the
-map, play made up for, and the plan of joint motion. A joint that is asked for more than its
+map, play made up for, and the plan of joint motion. A joint that should go faster than its
 `max_speed_deg_s` is held back by that plan; closures come first, and are counted behind it.
 """
 
@@ -32,7 +32,7 @@ _REACHED_MM = 0.1
 
 @dataclass(frozen=True, slots=True)
 class WithinSpeeds:
-    """Shares 0..1. slowest: the joint that is asked for too much most often, and how often.
+    """Shares 0..1. slowest: the joint that is held back most often, and how often.
 
     reached_closures: of those that the map alone meets, behind the plan; None: no contact is known;
     strength: `lipservo set strength` that keeps all but a hundredth of the frames within speeds;
@@ -71,7 +71,7 @@ def spoken_frames(model: FaceWithAnimPhos, rng: np.random.Generator) -> Array:
     """(n, n_components) at 100 Hz: walks without pauses through AnimPhos that may follow.
 
     Each walk is short, as some AnimPhos lead round in a circle, and of a motion that repeats itself
-    nobody can say how late it is.
+    there is no lag to measure.
     """
     speaking = np.setdiff1d(np.arange(len(model.animphos)), model.animphos.of_phoneme(SILENCE))
     animpho = int(rng.choice(speaking))

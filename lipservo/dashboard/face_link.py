@@ -1,4 +1,4 @@
-"""The dashboard's hold on a running face: what it is told, thirty times a second, and commands.
+"""The dashboard's hold on a running face: its state, thirty times a second, and commands.
 
 The dashboard is a client of a face like any other. What it reads is memory that the face writes
 anyway, and a status that it asks for twice a second; if all of it hangs, no face does. Commands go
@@ -114,7 +114,7 @@ class FaceLink:
 
     @property
     def answers(self) -> bool:
-        """Whether the face has said within the last second how it is."""
+        """Whether the face has reported its status within the last second."""
         return self.trouble is None and self.status_age_s < STATUS_OLD_S + STATUS_EVERY_S
 
     def certainty(self) -> dict[str, Any]:
@@ -380,7 +380,7 @@ class FaceLink:
 
 
 def not_answering(error: Exception) -> FaceError:
-    """What is told of a face that cannot be spoken to."""
+    """The error of a face that cannot be reached."""
     if isinstance(error, TimeoutError):
         why = "the face hangs; `lipservo stop --limp` lets its servos go"
     elif isinstance(error, PermissionError):
@@ -395,7 +395,7 @@ def _requested_status(path: Path) -> Answer:
 
 
 def _reached(url: str) -> str:
-    """A server that listens at every address of this computer is asked at loopback."""
+    """The URL for requests: a server at every address of this computer is reached at loopback."""
     split = urlsplit(url)
     if split.hostname in ("0.0.0.0", "::"):
         host = "127.0.0.1" if split.hostname == "0.0.0.0" else "[::1]"

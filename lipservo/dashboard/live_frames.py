@@ -110,7 +110,7 @@ class BoardReader:
 
 
 def hello(layout: BoardLayout) -> str:
-    """What is said once: the names that a frame counts by."""
+    """The message sent once: the names that a frame counts by."""
     return json.dumps(
         {
             "version": VERSION,
@@ -138,7 +138,7 @@ def flags_of(moment: Moment) -> int:
 
 
 def state_of(moment: Moment, layout: BoardLayout) -> int:
-    """The state's number; 255 where nobody says it any more."""
+    """The state's number; 255 where it is unknown."""
     if moment.servos is None or moment.servos_gone:
         return UNKNOWN
     state = int(moment.servos["state"])
@@ -154,7 +154,7 @@ def phoneme_of(moment: Moment, layout: BoardLayout) -> int:
 
 
 def arousal_of(moment: Moment) -> float:
-    """-1 to 1; 0 where nobody says it."""
+    """-1 to 1; 0 where it is unknown."""
     if moment.speech is None or moment.speech_gone:
         return 0.0
     return float(np.nan_to_num(np.clip(moment.speech["arousal"], -1.0, 1.0)))
@@ -167,13 +167,13 @@ def goals_of(moment: Moment, layout: BoardLayout, scale: float) -> NDArray[np.in
 
 
 def encoders_of(moment: Moment, layout: BoardLayout, scale: float) -> NDArray[np.int16]:
-    """Where the servos are (n_servos,), in 1/scale degrees; absent while nobody reads them."""
+    """Where the servos are (n_servos,), in 1/scale degrees; absent while they are not read."""
     record = None if moment.servos_gone else moment.servos
     return whole_numbers(nothing(layout) if record is None else record["encoder_deg"], scale)
 
 
 def expression_of(moment: Moment) -> NDArray[np.int16]:
-    """The degrees of freedom in their order; absent where nothing is said about one."""
+    """The degrees of freedom in their order; absent where one is not set."""
     record = None if moment.speech_gone else moment.speech
     return whole_numbers(
         [np.nan] * len(_SCALES) if record is None else record["expression"], _SCALES
@@ -220,7 +220,7 @@ def whole_numbers(values: ArrayLike, scale: float | NDArray[np.float64]) -> NDAr
 
 
 def state_hello(layout: BoardLayout) -> str:
-    """What is said once: fields of an array, and the names that they count by."""
+    """The message sent once: fields of an array, and the names that they count by."""
     return json.dumps(
         {
             "version": VERSION,

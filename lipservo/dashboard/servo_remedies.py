@@ -73,7 +73,7 @@ def listed_servos(status: Mapping[str, Any] | None, *, is_fresh: bool) -> list[d
 
     Nothing is reported better than it is: what was never heard is null, and of a face that does not
     answer nothing is known but what its servos are called. While a person has stopped the face, a
-    servo is `limp` or `unconfirmed`, as it said at the stop, or `released` where it cannot say.
+    servo is `limp` or `unconfirmed`, as it answered the stop, or `released` where it cannot answer.
     """
     status = status or {}
     report = (status.get("stop_report") or {}) if is_fresh and is_stopped(status) else {}
@@ -126,7 +126,7 @@ def _released(words: str) -> dict[str, Any]:
 def _heard(
     health: Mapping[str, Any], state: str, *, is_fresh: bool, has_heat: bool
 ) -> dict[str, Any]:
-    """heard: whether anything came from it; a bus without a way back hears of none, and asks none.
+    """heard: whether anything came from it; a bus without a way back reads none.
 
     answers: and it does now.
     """

@@ -1,4 +1,4 @@
-"""A film from what was asked for: whose motion, on which face, one or two of them."""
+"""A film of a request: whose motion, on which face, one or two of them."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -50,7 +50,7 @@ class FilmRequest:
 
 
 def make_film(request: FilmRequest, chosen: ChosenMotion, advance: Advance) -> dict[str, float]:
-    """Make it; what it took. Raises UserError."""
+    """Make it; return durations in s by name. Raises UserError."""
     began_s = time.perf_counter()
     # What can be wrong with the face is told before anything is heard.
     displays = [_display(request)]
@@ -104,7 +104,7 @@ def photograph(
     size: tuple[int, int],
     face: FaceModel,
 ) -> PhotoFace:
-    """A photograph in the size of a film, its face found or told. Raises UserError."""
+    """A photograph in the size of a film, its face detected or given. Raises UserError."""
     picture, share = read_photo(path)
     if landmarks is not None:
         points = read_landmarks(landmarks, share)

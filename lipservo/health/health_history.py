@@ -67,7 +67,7 @@ class History:
 
 @dataclass(slots=True)
 class _Column:
-    """What one servo said in the course of a day, reading by reading."""
+    """The readings of one servo in the course of a day."""
 
     values: dict[str, list[float]] = field(
         default_factory=lambda: {name: [] for name in _QUANTITIES}
@@ -311,7 +311,7 @@ def _trends(name: str, days: Sequence[ServoDay], shared: Mapping[date, float]) -
 
 
 def _change(values: Mapping[date, float]) -> tuple[float, int] | None:
-    """How much it rose, and within how many days; None where that cannot be told from chance."""
+    """How much it rose, and within how many days; None where that may be chance."""
     known = sorted((day.toordinal(), v) for day, v in values.items() if math.isfinite(v))
     if len(known) < _FEWEST_DAYS:
         return None

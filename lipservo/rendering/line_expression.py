@@ -1,7 +1,7 @@
 """Head, eyes, lids and brows of a line that is known to its end, as its face moves them live.
 
-What knowing the end changes: the voice is judged by the whole line's own loudness and pitch, not
-by what was said so far; a turn is over when its last phone is, not 0.3 s later; and the head is no
+What knowing the end changes: the voice is compared with the whole line's own loudness and pitch,
+not with the part before; a turn is over when its last phone is, not 0.3 s later; and the head is no
 later than a human one.
 """
 
@@ -70,7 +70,7 @@ def voice_frames(samples: NDArray[np.float32]) -> list[VoiceFrame]:
 
 
 def silent_s(events: Sequence[PhonemeEvent], n_frames: int) -> Iterator[float]:
-    """For each 10 ms how long nobody has spoken, as the face counts it: 0 in a sentence."""
+    """Yield for each 10 ms the seconds of silence so far: 0 within a sentence."""
     spoken = [event for event in events if event.phoneme != SILENCE]
     end_s = -np.inf  # of what was said so far
     ahead = iter(spoken)

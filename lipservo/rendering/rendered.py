@@ -39,7 +39,7 @@ class Rendering:
 
 @dataclass(frozen=True, slots=True)
 class Rendered:
-    """What became of a line: duration_s of sound, seconds it took, and notes for a person."""
+    """A rendered line: duration_s of sound, seconds of computing, and notes for a person."""
 
     output: Path
     duration_s: float

@@ -56,7 +56,7 @@ class SpokenSound:
         return list(settled_events(FileSource(self.path), recognizer))
 
     def _recognizer(self) -> FallbackRecognizer:
-        """Told the text. Raises PronunciationError."""
+        """Make the recogniser, with the text given to it. Raises PronunciationError."""
         recognizer = make_recognizer(self.motion.engine, None, self.motion.weights)
         if self.text:
             recognizer.tell(spoken_words(self.text))

@@ -62,7 +62,7 @@ class AvatarStream:
         self.show(tick.report.time_s, tick.sound_s, tick.frame)
 
     def show(self, time_s: float, sound_s: float, frame: Frame) -> None:
-        """The same where nobody ticks. time_s: monotonic, ascending."""
+        """Send a frame outside the tick of a face. time_s: monotonic, ascending."""
         if time_s < self._due_s - _ROUNDING_S:
             return
         # On a grid, so that ticks a little late make the frames no fewer.
@@ -84,7 +84,7 @@ class AvatarStream:
         self._send(self._sound_s, Frame(self._sound_s, self._rest))
 
     def _shapes(self, values: Array) -> list[tuple[str, float]]:
-        """The mouth's shapes, and of the others those of which anything was ever said."""
+        """The mouth's shapes, and of the others those that were ever above 0."""
         pairs = list(zip(ARKIT_NAMES, values.tolist(), strict=True))
         self._sent_names.update(name for name, value in pairs if value > 0.0)
         known_pairs = [pair for pair in pairs if pair[0] in self._sent_names]
@@ -135,7 +135,7 @@ def entered_avatars(
 
 
 def resolved_avatars(targets: AvatarTargets) -> AvatarTargets:
-    """The targets with the numbers of their hosts, so that nobody need ask for them again.
+    """The targets with the numbers of their hosts, so that no name is looked up again.
 
     Raises AvatarError for a target that cannot be sent to.
     """

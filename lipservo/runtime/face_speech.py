@@ -22,7 +22,7 @@ _PERFORMED: Final = "performed"
 
 
 class FaceSpeech:
-    """What a requested face hears, says and shows, and how that is."""
+    """The sound, motion and expression of a requested face, and their status."""
 
     def __init__(
         self,
@@ -34,7 +34,7 @@ class FaceSpeech:
         timer_s: Callable[[], float] | None = None,
         synthesizer: Synthesizer | None = None,
     ) -> None:
-        """source: entered. board, timer_s: None on a clock of its own, where nobody looks or waits.
+        """source: entered. board, timer_s: None on a clock of its own, without watcher or deadline.
 
         synthesizer: of what needs no recogniser; None: whom the request's motion asks for.
         """

@@ -38,7 +38,7 @@ class PageLine:
             self._pending_lines.put_nowait(json.dumps({"event": event, **content}))
 
     def finish(self) -> None:
-        """Wait until all that was told is written, a second at most."""
+        """Wait until all lines are written, a second at most."""
         until_s = time.monotonic() + _PATIENCE_S
         while self._pending_lines.unfinished_tasks and time.monotonic() < until_s:
             time.sleep(0.01)

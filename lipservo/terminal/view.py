@@ -158,7 +158,7 @@ class TerminalView:
         joints: Sequence[Joint],
         model: FaceModel,
     ) -> None:
-        """status: of the face; asked once a second, by whoever calls `observe`."""
+        """status: of the face; called once a second, by the caller of `observe`."""
         self._ask_status = status
         self._status = status()
         self._status_at_s = 0.0

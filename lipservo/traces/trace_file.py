@@ -46,7 +46,7 @@ def is_trace(head: bytes) -> bool:
 
 
 class TraceFile:
-    """Writes each tick at once. For `replay`, where nobody waits for a tick."""
+    """Writes each tick at once. For `replay`, where no loop waits for a tick."""
 
     def __init__(self, path: Path, header: Mapping[str, object]) -> None:
         """header: what a reader needs to know first, such as the servo names.

@@ -1,6 +1,6 @@
 """The published live method, end to end: phonemes in, face coefficients at any time out.
 
-A phoneme is planned once, when its first instant is asked for; what was shown is never taken back.
+A phoneme is planned once, when its first instant is due; frames already shown never change.
 The caller shows sound `longest_phone_s` late, so that the end of every phoneme up to that length
 is known by then; a longer one plays for that long and is then held.
 """
@@ -78,7 +78,7 @@ class PublishedSynthesizer:
 
     @property
     def lookahead_s(self) -> float:
-        """How much sound after an instant must have been heard before its face is asked for."""
+        """Seconds of sound needed after an instant before its face can be computed."""
         return self.longest_phone_s
 
     @property

@@ -196,7 +196,10 @@ class FaceInOtherLayout(FaceWithAnimPhos):
 
 
 def in_layout(model: FaceWithAnimPhos, layout: PointLayout) -> FaceWithAnimPhos:
-    """The face at the points of a layout. Raises LayoutError for a point that cannot be told."""
+    """The face at the points of a layout.
+
+    Raises LayoutError for a point that cannot be computed.
+    """
     if model.layout == layout:
         return model
     basis = model.basis.reshape(model.n_components, -1, 3)

@@ -111,7 +111,7 @@ class SteadyClock:
         return self._zero_s + sound_s
 
     def arrived(self, now_s: float, until_s: float) -> None:
-        """Changes nothing: sound that nobody captures is never late."""
+        """Changes nothing: sound that no device captures is never late."""
 
     def captured_s(self, sound_s: float) -> float:
         """The sound of a file counts as captured when it would be heard."""
@@ -177,7 +177,7 @@ class OwnPlaybackClock:
         """At monotonic `now_s` sound time `position_s` left the loudspeaker.
 
         Positions may be in error and reports may come late or out of order: a report counts from
-        the last time that was asked for, so that nothing told before is taken back.
+        the last time that was queried, so that no earlier answer changes.
         """
         self._lag_s = self._lag_at(self._queried_s)
         self._since_s = self._queried_s
@@ -196,7 +196,7 @@ class OwnPlaybackClock:
         """Changes nothing: the position is what counts."""
 
     def captured_s(self, sound_s: float) -> float:
-        """Nobody captures it: as if when the recogniser gets it."""
+        """Sound that no device captures: the time at which the recogniser gets it."""
         return self.monotonic_s(sound_s)
 
     def _lag_at(self, now_s: float) -> float:

@@ -38,14 +38,14 @@ _MOST_WORDS: Final = 2_000
 
 
 class PlayoutTextError(ValueError):
-    """Too much is told of a stream, or for a time that is too far off; the message is one line."""
+    """Too many units of a stream, or a time that is too far off; the message is one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class StartedWords:
-    """What is said next, in seconds of a timeline or of a stream.
+    """The words that come next, in seconds of a timeline or of a stream.
 
-    is_new: what was told before and was not said yet never will be. behind_s: so much of the sound
+    is_new: they replace earlier words that were not spoken yet. behind_s: so much of the sound
     of these words has gone by already.
     """
 
@@ -70,7 +70,7 @@ class PlayoutBlock:
 class PlayoutStream:
     """Samples in, blocks out. One thread pushes, one takes.
 
-    name: the stream's id. phonemes: what is said in it, where that is known beforehand, in seconds
+    name: the stream's id. phonemes: its phonemes, where they are known beforehand, in seconds
     from its first sample; empty: a recogniser finds out. played_elsewhere: who sends it plays it,
     and our loudspeaker is silent.
     """
@@ -118,7 +118,7 @@ class PlayoutStream:
 
     @property
     def waiting_s(self) -> float:
-        """Speech that waits to be said, in whole blocks."""
+        """Seconds of speech that wait to be played, in whole blocks."""
         return len(self._blocks) * BLOCK_S
 
     @property
@@ -138,7 +138,7 @@ class PlayoutStream:
 
     @property
     def is_dropped(self) -> bool:
-        """Nobody will hear what was not taken."""
+        """Whether the blocks that were not taken will never be played."""
         return self._dropped
 
     @property
@@ -166,7 +166,7 @@ class PlayoutStream:
         self._cut()
 
     def tell(self, spoken: SpokenText, words: Sequence[PronouncedWord] = ()) -> None:
-        """What is said in it: more of it, late or early, or in place of what was told before.
+        """Add units of the speech: more, late or early, or in place of earlier ones.
 
         Phonemes and visemes with times move the mouth; all else is looked for in the sound. words:
         of the text, as they may sound, in seconds of the stream. Raises PlayoutTextError and
@@ -250,7 +250,7 @@ class PlayoutStream:
         return self._blocks.popleft() if self._blocks and not self._dropped else None
 
     def put_back(self, block: PlayoutBlock) -> None:
-        """The taker's: the block that it took last is taken again."""
+        """Return the last taken block to the front, to be taken again."""
         if not self._dropped:
             self._blocks.appendleft(block)
 
@@ -316,7 +316,7 @@ EventKind = Literal[
 
 @dataclass(frozen=True, slots=True)
 class PlayoutEvent:
-    """What became of a stream, told when it leaves the loudspeaker.
+    """What became of a stream, reported when it leaves the loudspeaker.
 
     position_s: on the timeline. n_played: samples of the stream, at its own rate, that were heard
     so far; n_dropped: that never will be. name: of a mark.
@@ -332,7 +332,7 @@ class PlayoutEvent:
 
 @dataclass(frozen=True, slots=True)
 class PlayoutRequest:
-    """What is asked of the playout.
+    """A request to the playout.
 
     say: a new stream, after those that wait, or right after `after`, of which it is the next part:
     it is dropped where that was. interrupt: silence at once, and everything that was
@@ -373,7 +373,7 @@ class Segment:
 
 @dataclass(slots=True)
 class PlayingStream:
-    """A stream that was asked to be said, and where it lies on the timeline so far."""
+    """A stream that was queued to play, and where it lies on the timeline so far."""
 
     stream: PlayoutStream
     segments: list[Segment] = field(default_factory=list)
@@ -435,7 +435,7 @@ class PlayingStream:
         return last.start_s - last.n_before / self.stream.sample_rate_hz
 
     def known_from(self, start_s: float) -> list[KnownStretch]:
-        """The phonemes of what is said from `start_s` on, as if without another gap."""
+        """The known phonemes from `start_s` on, as if without another gap."""
         shift_s = start_s - self.n_taken / self.stream.sample_rate_hz
         events = self.stream.phonemes
         if not events and (units := phonemes_or_visemes(self.stream)) is not None:
@@ -465,7 +465,7 @@ class PlayingStream:
 
 
 def phonemes_or_visemes(stream: PlayoutStream) -> SpokenText | None:
-    """What its sender told that moves the mouth by itself: phonemes, else visemes, with times."""
+    """The sender's units that move the mouth by themselves: phonemes, else visemes, with times."""
     for kind in ("phoneme", "viseme"):
         units = stream.spoken.get(kind)
         if units is not None and units.units and units.units[-1].start_sample is not None:
@@ -503,7 +503,7 @@ class KnownPhonemes:
         self._began_s = 0.0  # to be said, the stream that goes on, without a gap since
 
     def is_silent(self, start_s: float, end_s: float) -> None:
-        """Between them nothing is said, and nobody is listened to."""
+        """Note that no stream plays in between, and that no recogniser listens."""
         self.sounds(None, start_s)
         last = self._stretches[-1] if self._stretches else None
         if last is not None and last[2] == _SILENCE and abs(last[1] - start_s) < 1e-6:
@@ -512,7 +512,7 @@ class KnownPhonemes:
             self._stretches.append((start_s, end_s, _SILENCE))
 
     def sounds(self, playing: PlayingStream | None, start_s: float) -> None:
-        """From `start_s` on this stream is said; None: nothing is."""
+        """Note that this stream plays from `start_s` on; None: none does."""
         units = None if playing is None else phonemes_or_visemes(playing.stream)
         if playing is self._going_on and (
             units is None
@@ -537,7 +537,7 @@ class KnownPhonemes:
             self._going_on, self._units, self._looked_up_s = playing, units, start_s
 
     def cut(self, cut_s: float) -> None:
-        """What was to be said from `cut_s` on never is."""
+        """Remove the stretches after `cut_s`, which will not be played."""
         self._stretches = deque(
             (start_s, min(end_s, cut_s), events)
             for start_s, end_s, events in self._stretches
@@ -550,6 +550,6 @@ class KnownPhonemes:
         return [stretch for stretch in self._stretches if stretch[1] > from_s]
 
     def forget(self, committed_s: float) -> None:
-        """Those that nobody asks for any more, the timeline being settled until `committed_s`."""
+        """Drop stretches older than any query, the timeline being settled until `committed_s`."""
         while self._stretches and self._stretches[0][1] < committed_s - _REMEMBERED_S:
             self._stretches.popleft()

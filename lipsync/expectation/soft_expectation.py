@@ -1,8 +1,8 @@
-"""What the mouth is expected to do by all that a recogniser believes, not by what it decides alone.
+"""The mouth expected from all posteriors of a recogniser, not from its decision alone.
 
 A decoder names one phoneme for each instant and throws away how sure it was; what it throws away
 is what the eye misses. Here the posteriors of the frames around an instant, written as what
-phonemes look like (articulation and viseme class, so that words never met are made of known
+phonemes look like (articulation and viseme class, so that unknown words are made of known
 parts), become a face: by a ridge over random cosines (Rahimi and Recht, "Random features for
 large-scale kernel machines", NIPS 2007) and a small network of rectifiers, averaged. The face has
 its share in the motion where the recogniser doubts, and none where it is sure: phonemes known from

@@ -210,7 +210,7 @@ def _share(value: float, full: float) -> float:
 
 
 def _add_expression(found: Array, expression: Expression) -> None:
-    """Set eyes, lids and brows where something is said of them. found: (52,)."""
+    """Set eyes, lids and brows from those values that are not None. found: (52,)."""
     values = {
         "eyeBlinkLeft": expression.lid_left,
         "eyeBlinkRight": expression.lid_right,

@@ -4,7 +4,7 @@ Shapes and file formats: the README of Rhubarb Lip Sync 1.13
 (https://github.com/DanielSWolf/rhubarb-lip-sync), sections "Mouth shapes" and "Output formats".
 
 The rules are in our own words and code. Which shapes a phone may have, and every duration, are
-those of Rhubarb Lip Sync 1.13. What differs is said where it does, and in docs/avatars.md: the
+those of Rhubarb Lip Sync 1.13. Differences are noted where they are, and in docs/avatars.md: the
 nearest of several shapes is found by their openness and rounding, and short shapes go to a
 neighbour.
 """

@@ -3,7 +3,7 @@
 It is one part of a model file: one `.npz` without pickle, of which each reader loads only its own
 part. What moves a face (AnimPhos, the learned expectation, the baselines) are others. A member of
 the archive is called `PART/ARRAY`. `about` comes first and says in JSON what the file is. Nothing
-is read of a part before it is asked for.
+is read of a part before it is used.
 """
 
 import hashlib

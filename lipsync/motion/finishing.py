@@ -309,7 +309,7 @@ class FinishedSynthesizer:
 
     @property
     def is_resting(self) -> bool:
-        """Whether the mouth is at rest, or on its way there, because nobody speaks."""
+        """Whether the mouth is at rest, or on its way there, because of silence."""
         return self._ticks.newest.rest.goal == 1.0
 
     @property
@@ -329,7 +329,7 @@ class FinishedSynthesizer:
 
     @property
     def lookahead_s(self) -> float:
-        """How much sound after an instant must have been heard before its frame is asked for."""
+        """Seconds of sound needed after an instant before its frame can be computed."""
         return self._inner.lookahead_s
 
     def reset(self) -> None:

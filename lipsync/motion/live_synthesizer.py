@@ -101,7 +101,7 @@ class ExpectedMotion:
 
     @property
     def lookahead_s(self) -> float:
-        """How much sound after an instant must have been heard before its frame is asked for."""
+        """Seconds of sound needed after an instant before its frame can be computed."""
         return self._lookahead_s
 
     @property
@@ -176,7 +176,7 @@ class ExpectedMotion:
         return _Tick(last.end, last.end_speed, self._wanted, end_speed, rest)
 
     def _expected(self, time_s: float, *, at_rest: bool) -> Array:
-        """What the mouth should look like a little later, while somebody speaks.
+        """The expected face a little later, while a person speaks.
 
         From a mouth at rest the motion sets out from rest itself, not from the mean of silences.
         """

@@ -106,7 +106,7 @@ _LEAD_OVER_S = 0.04
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """What is said: phones in order without gaps from 0 to the end, and 16 kHz samples (n,).
+    """A spoken line: phones in order without gaps from 0 to the end, and 16 kHz samples (n,).
 
     posteriors: of a line whose phones were recognised; None where they are known.
     """

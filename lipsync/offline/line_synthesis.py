@@ -320,7 +320,7 @@ WINDOW_DEVIATION_S = 0.04
 
 @dataclass(frozen=True, slots=True)
 class ModelledLine:
-    """Motion (n, p) in the model's own components, one a frame, and the path it took."""
+    """Motion (n_frames, p) in the model's own components, and its path through the states."""
 
     motion: Array
     path: Path

@@ -5,12 +5,12 @@ a second: Davis and Mermelstein, IEEE Trans. ASSP 28(4), 1980, equation (1). Nor
 recording, mean and spread of each coefficient over the frames in which something is heard, so that
 level, microphone and much of a voice fall out (Viikki and Laurila, Speech Communication 25, 1998).
 
-The long-term mean of the cepstra tells voices and microphones apart, whatever is said (Furui, IEEE
-Trans. ASSP 29(2), 1981). Normalising takes it away, and what is left of another voice still lies
-elsewhere: there distances of sound mean little, and phonemes alone are believed.
+The long-term mean of the cepstra distinguishes voices and microphones, whatever the words (Furui,
+IEEE Trans. ASSP 29(2), 1981). Normalising takes it away, and what is left of another voice still
+lies elsewhere: there distances of sound mean little, and phonemes alone are believed.
 
 The expectation of sound is not of the paper. The live expectation knows the phonemes alone; sound
-tells how they were said: how wide a vowel was, and when within a phone the mouth turned. Small
+tells how they were spoken: how wide a vowel was, and when within a phone the mouth turned. Small
 networks with two hidden layers of rectifiers, averaged.
 """
 

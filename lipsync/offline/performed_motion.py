@@ -60,7 +60,7 @@ class StoredMotion:
 
 
 class PerformedMotion:
-    """A synthesiser around another one: a performance where one is said, else what is inside.
+    """A synthesiser that plays performed lines, and leaves all other speech to an inner one.
 
     The one inside goes on meanwhile, and so is where it belongs when the performance is over.
     """
@@ -89,11 +89,11 @@ class PerformedMotion:
 
     @property
     def lookahead_s(self) -> float:
-        """How much sound after an instant must have been heard before its frame is asked for."""
+        """Seconds of sound needed after an instant before its frame can be computed."""
         return self._inner.lookahead_s
 
     def reset(self) -> None:
-        """Forget what was said; performances stay."""
+        """Forget the sound so far; performances stay."""
         self._inner.reset()
         self._newest_s = -math.inf
 

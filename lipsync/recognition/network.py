@@ -233,7 +233,7 @@ def check_weights(name_or_path: str) -> None:
     """Raises WeightsError for what is neither shipped nor a file of weights that can be used.
 
     Of the default ones nothing is read: where they are damaged a lesser recogniser takes over. What
-    somebody asked for by name is used, or refused.
+    weights given by name are used, or refused.
     """
     if name_or_path != DEFAULT_WEIGHTS:
         find_weights(name_or_path)

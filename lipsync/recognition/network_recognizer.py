@@ -46,9 +46,9 @@ FOLLOWING_LATENCY_S: Final = _WINDOW_S + FOLLOWING.settled_frames / FRAMES_PER_S
 class NetworkRecognizer:
     """A `PreparingRecognizer`; takes any rate and block size, gaps as silence.
 
-    Where words are told it is a `TextFollower`: what it finds of them in the sound is told as soon
-    as what it hears, but settled later, when the network's last head has spoken. A look-ahead waits
-    as long anyway.
+    Where words are given it is a `TextFollower`: what it finds of them in the sound is reported as
+    soon as its phonemes, but settled later, when the network's last head has spoken. A look-ahead
+    waits as long anyway.
 
     latency_s: 25 ms plus so many frames as a head of the network waits, or more. It may revise only
     what is not final. Memory stays bounded as long as `updates` is called.
@@ -98,16 +98,18 @@ class NetworkRecognizer:
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """Words around the one that is said now, and which of them it is; ((), 0): none is told."""
+        """Words around the one that is spoken now, and its index; ((), 0): no text is known."""
         return ((), 0) if self._text is None else self._text.saying
 
     def forget(self) -> None:
-        """What was told and is not being said yet never will be."""
+        """Drop the words that were given and are not spoken yet."""
         if self._text is not None:
             self._text.forget()
 
     def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
-        """What is said next, after all that was told. Raises TextError for too many words.
+        """Add the words that come next, after all earlier ones.
+
+        Raises TextError for too many words.
 
         behind_s: so much of their sound was heard already.
         """

@@ -5,8 +5,8 @@ that servo j adds at speed v is interpolated between a few speeds, and all servo
 
     N_b(v_1, ..., v_n) = sum_j sum_s phi_s(v_j) E_jsb
 
-E is learned where the network is sure that nobody speaks, and only there: the mouth moves with the
-voice that it hears, so that whatever is learned beside a voice is partly that voice. Each such
+E is learned where the network is sure that there is no speech, and only there: the mouth moves with
+the sound, so that what is learned beside a voice is partly that voice. Each such
 frame moves log N to where it was heard by a part of the way, shared among the E as they share in N
 (normalised least mean squares, Haykin, Adaptive Filter Theory, in logarithms).
 
@@ -82,7 +82,7 @@ class OwnNoise:
     """One robot's servos; outlives the streams that it listens to.
 
     `note_speeds` as they are read, `explains` for each frame in order, `learn` once it is known
-    that nobody spoke. Memory and time of a call are bounded by the number of servos.
+    to hold no speech. Memory and time of a call are bounded by the number of servos.
     """
 
     def __init__(self, most_frames: int) -> None:
@@ -127,7 +127,7 @@ class OwnNoise:
         return self._louder < _EXPLAINED_AT_REST
 
     def learn(self, n_ago: int) -> None:
-        """Nobody spoke in the frame that was heard `n_ago` frames before the last one."""
+        """Learn from the frame `n_ago` frames before the last one, which held no speech."""
         if n_ago >= len(self._heard):
             return
         frame, shares = self._heard[-1 - n_ago]
@@ -144,7 +144,7 @@ class OwnNoise:
         self._power[used] *= np.exp(step[:, None] * share * off)
 
     def _shares_at(self, sound_s: float) -> Array | None:
-        """How much each E counts then, (n_servos n_knots,); None: not known, or nobody moved."""
+        """Weight of each E then, (n_servos n_knots,); None: not known, or no servo moved."""
         nearest = min(self._speeds, key=lambda entry: abs(entry[0] - sound_s), default=None)
         if nearest is None or abs(nearest[0] - sound_s) > _LASTS_S or not nearest[1].any():
             return None

@@ -1,6 +1,6 @@
 """From samples to the posteriors of phonemes: features, network, and what is surely no voice.
 
-Digital silence, sound that stands still, and the robot's own servos, where it is told of them.
+Digital silence, constant sound, and the robot's own servos, where their speeds are given.
 
 One arithmetic for the live recogniser (a frame at a time), for a file that is worked on ahead of
 its time (many frames in one matrix product), and for whole recordings.
@@ -43,7 +43,7 @@ class PosteriorStream:
     """
 
     def __init__(self, weights: NetworkWeights, own_noise: OwnNoise | None = None) -> None:
-        """own_noise: of the robot that listens; None: nobody tells how its servos move."""
+        """own_noise: of the robot that listens; None: servo speeds are not known."""
         self._own_noise = own_noise
         self._n_samples = self._n_frames = 0
         self.format = PosteriorFormat(weights.phonemes, weights.delays)
@@ -58,7 +58,7 @@ class PosteriorStream:
         self._audible = np.ones(weights.delays[-1], np.bool_)
 
     def hear_own_noise(self, own_noise: OwnNoise) -> None:
-        """From now on somebody tells how the robot's servos move."""
+        """From now on servo speeds are given to `own_noise`."""
         self._own_noise = own_noise
 
     def push(self, samples: Array32, until_s: float = 0.0, *, is_awake: bool = False) -> Array32:

@@ -27,12 +27,12 @@ class ScriptedPhonemes:
 
     @property
     def latency_s(self) -> float:
-        """What is told is settled at once."""
+        """0: scripted phonemes are settled at once."""
         return 0.0
 
     @property
     def heard_until_s(self) -> float:
-        """The sound time up to which it was asked."""
+        """The sound time of the last call of `updates`, in s."""
         return self._heard_until_s
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:

@@ -1,8 +1,8 @@
 """The one way to run a recogniser over a stream of sound: live, in replay, and when measured.
 
 `RecognizerStream` feeds blocks, collects what became known, takes the time, and tells observers.
-`SoundAhead` hands out a source's blocks at their times; where nobody waits for a tick it shows the
-recogniser much sound at once before, which is cheaper and changes nothing of what is told when.
+`SoundAhead` hands out a source's blocks at their times; where no caller waits for a tick it shows
+the recogniser much sound at once before, which is cheaper and changes no result and no time of one.
 
 Recognisers share `AudioInput`, which makes 16 kHz without gaps of blocks of any size and rate, and
 `UpdateBuilder`, which makes updates that never take back what is final of one phoneme a frame.
@@ -31,7 +31,10 @@ class PreparingRecognizer(LiveRecognizer, Protocol):
 
     @property
     def ahead_s(self) -> float:
-        """How much sound `prepare` is best given at once; 0: none, somebody waits for each tick."""
+        """Seconds of sound that `prepare` is best given at once.
+
+        0: none, a caller waits for each tick.
+        """
 
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
         """Work on the blocks that will be fed next, one by one.
@@ -53,7 +56,7 @@ class StreamStep:
     """What one step of a stream brought.
 
     blocks: what was fed; updates: what became known by it; cost_s: processor time of this thread,
-    0 where nobody observes (reading that clock is a system call).
+    0 without an observer (reading that clock is a system call).
     """
 
     blocks: Sequence[AudioBlock]

@@ -55,7 +55,7 @@ class CommandVoice:
         return ()
 
     def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
-        """See `Synthesizer`; what it told no times of has `told` in place of phonemes."""
+        """See `Synthesizer`; without phoneme times the speech has `units` in place of phonemes."""
         written = checked_text(text, self.longest_text)
         _check(voice)
         answer, sound = self._process.request(

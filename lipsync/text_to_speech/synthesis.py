@@ -52,7 +52,7 @@ class SpokenWord:
 
 @dataclass(frozen=True, slots=True)
 class SynthesizedSpeech:
-    """Sound and what is said in it; times in seconds from the first sample.
+    """Sound with its phonemes or units; times in seconds from the first sample.
 
     samples: float32 (n,), within [-1, 1]. phonemes: of our inventory, in order, each beginning
     where the one before ends, SIL in pauses, from 0 to the end of the sound. A stop holds its

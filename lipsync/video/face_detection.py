@@ -41,7 +41,7 @@ class Detection:
 
 
 def _anchors() -> Array:
-    """(896, 2): the middles that boxes are told from."""
+    """(896, 2): the middles that boxes are relative to."""
     rows = []
     for n_places, n_each in _GRIDS:
         steps = (np.arange(n_places) + 0.5) / n_places

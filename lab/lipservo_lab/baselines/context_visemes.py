@@ -21,7 +21,7 @@ _BEFORE, _ITSELF, _AFTER = range(3)
 
 @dataclass(frozen=True, slots=True)
 class ContextVisemes:
-    """Recorded phones in the order in which they were said.
+    """Recorded phones in the order in which they were spoken.
 
     phonemes: (n, 3), numbers in PHONEMES of the phone before, of itself, and of the one after;
     beyond a sentence it is silent. durations_s: (n,). faces: (n, n_components), at its centre.

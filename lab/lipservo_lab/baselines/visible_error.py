@@ -1,6 +1,6 @@
-"""How wrong a mouth looks that shows the viseme heard in place of the one said.
+"""How wrong a mouth looks that shows the recognised viseme in place of the spoken one.
 
-A wrong T for a K is a wrong frame that nobody sees, a rounded vowel for a spread one is seen by
+A wrong T for a K is a wrong frame that is not seen, a rounded vowel for a spread one is seen by
 everybody. So frames are weighed by how far the mean faces of two classes lie apart: gap, width and
 protrusion of the lips, in mm, of the face that ships (the mean of its frames of each class).
 """
@@ -39,13 +39,13 @@ def visible_distances_mm() -> Array:
 
 
 def visible_error_mm(confusion: NDArray[np.int64]) -> float:
-    """Mean over all frames; confusion (n_visemes, n_visemes), rows are what was said."""
+    """Mean over all frames, mm; confusion (n_visemes, n_visemes), rows are spoken classes."""
     n_frames = int(confusion.sum())
     return float((confusion * visible_distances_mm()).sum()) / n_frames if n_frames else 0.0
 
 
 def visible_error_table(confusion: NDArray[np.int64]) -> Mapping[str, Mapping[str, object]]:
-    """For each class that was said its frames, their mean error, and what they were heard as.
+    """For each spoken class its frames, their mean error in mm, and what they were recognised as.
 
     heard_as: share of the class's frames and mm that it adds to the class's mean, the worst first.
     """

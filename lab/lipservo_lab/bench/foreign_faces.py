@@ -1,4 +1,4 @@
-"""The figures of `lipservo bench motion --video`: our mouth beside faces that nobody trained on.
+"""The figures of `lipservo bench motion --video`: our mouth beside faces that no model trained on.
 
 A clip's sound alone drives our mouth, through the street that a replay goes. Its lip gap is
 compared with the one tracked in the pictures, in frames of speech, as both were filmed: a shift

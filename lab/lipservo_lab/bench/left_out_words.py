@@ -2,7 +2,7 @@
 
 A random split flatters whatever learns the fifty words by heart. Here the words are dealt into ten
 folds; a model trained without any sentence that holds a word of a fold moves the mouth in those
-words, and every word of the corpus is scored once. What is asked: how near, which words fail, and
+words, and every word of the corpus is scored once. The questions: how near, which words fail, and
 whether closures of contexts never heard come too early or too late.
 
 Models are kept from one run to the next, under the digest of all that made them: the sentences,
@@ -95,7 +95,7 @@ _LEARNING = (
 
 @dataclass(frozen=True, slots=True)
 class KeptModels:
-    """Models of parts of one corpus, made when they are first asked for and kept in a folder.
+    """Models of parts of one corpus, made at the first use and kept in a folder.
 
     heard: of the corpus's sentences, by name. Two runs at once make a model twice; its file is
     written whole.
@@ -173,7 +173,7 @@ class _Scores:
     lips: dict[tuple[int, str], _Lips] = field(default_factory=lambda: defaultdict(_Lips))
 
     def row(self, lookahead_ms: int, name: str) -> Row:
-        """Figures with 95 % intervals over places where a word was said."""
+        """Figures with 95 % intervals over places where a word was spoken."""
         sums = np.array(self.sums[lookahead_ms, name])
         found = figures(sums.sum(axis=0))
         intervals = confidence_intervals(sums, ("ratio", "gap_r"))

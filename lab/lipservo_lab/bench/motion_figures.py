@@ -63,7 +63,7 @@ _RECOVERING = ("priority", LIVE_STRATEGY, UNIT_STRATEGY)
 
 
 class BenchError(UserError):
-    """Something asked of the bench that it cannot do."""
+    """A request that the bench cannot fulfil."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +122,7 @@ def question(
 def with_offline_methods(
     question: Question, models: OfflineModels, visemes: RecordedVisemes | None
 ) -> Question:
-    """The same with the methods that hear a whole line after those asked for.
+    """The question with the methods that use a whole line after the given ones.
 
     visemes: what the published comparison plays; None where no sentence that taught the face model
     is at hand. With it `catmull-rom` is the paper's, and the baseline of that name, which knows
@@ -282,9 +282,9 @@ def _miss_rate(
 def live_listener(
     engine: MeasuredEngine = "network", *, with_text: bool = False
 ) -> Callable[[Utterance], Heard]:
-    """What a live recogniser finds in a sentence's sound; made when the first is asked for.
+    """What a live recogniser finds in a sentence's sound; made at the first call.
 
-    with_text: it is told the words beforehand, without their times.
+    with_text: it gets the words beforehand, without their times.
     """
 
     def listen(utterance: Utterance) -> Heard:

@@ -55,7 +55,7 @@ class ComparedShapes:
 
 
 def compared_shapes(from_text: SpokenSound, heard: SpokenSound) -> ComparedShapes:
-    """The methods on one sound. told: with its true phones; heard: by the recogniser."""
+    """The methods on one sound. from_text: with its true phones; heard: by the recogniser."""
     phones, duration_s = tuple(from_text.events()), from_text.duration_s
     rules = rule_cues(phones, duration_s)
     at_burst = rule_cues(phones, duration_s, stops_at_burst=True)
@@ -78,8 +78,8 @@ def closing_figures(
 ) -> dict[str, float | int | None]:
     """When a mouth closes for P B M against the beginning of the phone; ms, late is positive.
 
-    phones: how many; met: in how many the mouth is closed, 40 ms around; from an open mouth alone:
-    median and 10th and 90th percentile of closings within 200 ms. None where there are none.
+    phones: how many; closed: in how many the mouth is closed, 40 ms around; from an open mouth
+    alone: median and 10th and 90th percentile of closings within 200 ms. None where there are none.
     """
     bilabials = [phone for phone in phones if phone.phoneme in BILABIALS]
     n_closed = sum(any(_overlap(phone, interval) for interval in closed) for phone in bilabials)

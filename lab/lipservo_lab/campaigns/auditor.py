@@ -1,6 +1,6 @@
 """Watches a simulated face from outside: every packet on the wire, every step of every shaft.
 
-It knows the face's limits and nothing of the code under test, and trusts nobody.
+It knows the face's limits and nothing of the code under test, and trusts none of it.
 """
 
 import struct
@@ -222,7 +222,7 @@ class Auditor:
         return min(before, place) - _PLACE_PULSES <= goal <= max(before, place) + _PLACE_PULSES
 
     def _is_place(self, servo_id: int, goal: int) -> bool:
-        """Whether the servo stands at `goal`, so that nothing moves. True of one nobody knows."""
+        """Whether the servo stands at `goal`, so that nothing moves. True of an unknown one."""
         index = self._index(servo_id)
         if index is None or self._chain is None:
             return True

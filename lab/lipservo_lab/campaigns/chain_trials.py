@@ -102,7 +102,7 @@ class ChainStage:
         self.n_untrue += int((off_deg[feedback.age_s == 0.0] > _PLACE_DEG).sum())
 
     def look_at_last(self) -> None:
-        """Whether torque is as the bus believes."""
+        """Check that torque is as the bus reports it."""
         if self.chain.plugged:
             believed = self.bus.look_after().torque_on
             for servo, belief in zip(self.chain.servos, believed, strict=True):

@@ -1,4 +1,4 @@
-"""The sentences that somebody reads, and which of them a folder already holds."""
+"""The sentences that a person reads, and which of them a folder already holds."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

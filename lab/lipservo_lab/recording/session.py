@@ -1,6 +1,6 @@
-"""A session: sentence after sentence, told by keys; what is kept is on the disk at once.
+"""A session: sentence after sentence, controlled by keys; what is kept is on the disk at once.
 
-What somebody sees who is being recorded: the sentence, how loud it is, what to press.
+The recorded person sees: the sentence, how loud it is, what to press.
 
 When the microphone's sound was captured, on the monotonic clock that pictures are timed by.
 """
@@ -42,7 +42,7 @@ class Screen:
         self._has_meter = MESSAGES.is_terminal and not quiet
 
     def show(self, sentence: Sentence, number: int, total: int) -> None:
-        """The sentence to be read; said even to the quiet."""
+        """Show the sentence to be read, even in quiet mode."""
         self._line(f"\n{number} of {total}  {sentence.name}\n", "dim")
         self._line(f"    {sentence.text}\n", "bold")
 
@@ -81,7 +81,7 @@ _REMEMBERED = 200
 
 
 class SoundClock:
-    """The monotonic time of a moment of sound: the median of what the device has said of late.
+    """The monotonic time of a sample: the median of the device's latest reports.
 
     One time stamp is off by a few milliseconds, whenever the computer was busy.
     """
@@ -176,7 +176,7 @@ class _NextStep(enum.Enum):
 
 
 class Session:
-    """Asks for the sentences that the folder does not hold; the rest can be said again."""
+    """Shows the sentences that the folder does not hold; the rest can be read again."""
 
     def __init__(self, devices: Devices, screen: Screen, folder: Path) -> None:
         self._devices, self._screen, self._folder = devices, screen, folder
@@ -187,7 +187,7 @@ class Session:
         self._outcome = Outcome()
 
     def run(self, sentences: Sequence[Sentence], recorded: set[str]) -> Outcome:
-        """Until all are said, or somebody stops; the devices are open.
+        """Run until all are read, or the person stops; the devices are open.
 
         Raises SoundError, CameraError or OutputError where one fails; what was kept stays.
         """
@@ -255,7 +255,7 @@ class Session:
         return step
 
     def _take_in(self, take: Take) -> _NextStep:
-        """Everything until somebody says that the sentence is done."""
+        """Record until the person ends the sentence."""
         begun_s = self._heard_s
         while True:
             key, blocks, frames = self._tick()
@@ -276,7 +276,7 @@ class Session:
                 return _NextStep.NEXT
 
     def _step_after(self, warnings: tuple[str, ...]) -> _NextStep:
-        """A good take is kept; of another one somebody is asked."""
+        """Keep a good take; for another one let the person decide."""
         if not warnings:
             return _NextStep.NEXT
         for line in warnings:

@@ -1,7 +1,7 @@
 """Work done on a Dask cluster, by joblib's own backend for it (docs/decisions/0030-cluster.md).
 
 That backend waits without end for a task whose workers have died, and for workers that are gone.
-So it works in a thread of its own, and whoever called looks on.
+So it works in a thread of its own, and the caller looks on.
 """
 
 import logging
@@ -176,7 +176,7 @@ class _Workers(threading.Thread):
 
 
 def _failure(client: "Client") -> str | None:
-    """Why a task was given up, of which joblib never hears."""
+    """Why a task was given up, which joblib does not report."""
     for future in list(client.futures.values()):
         if future.status == "error":
             return _one_line(future.exception)

@@ -2,7 +2,8 @@
 
 Units and axes of scans, and how they become those of a face: millimetres, y up, z to the viewer.
 
-Nothing is guessed silently: what looks like other units or axes is told with the option to give.
+Nothing is guessed silently: what looks like other units or axes is reported with the option to
+give.
 """
 
 from collections.abc import Callable

@@ -1,6 +1,6 @@
 """Which takes of scans a folder holds, and what lies beside them: sound, words, labels, markers.
 
-What is said in a take, and when: its labels, else its text, else as it is recognised.
+The phonemes of a take and their times: its labels, else its text, else as it is recognised.
 """
 
 import re
@@ -23,7 +23,7 @@ _SOUND_ENDINGS = (".wav", ".flac")
 class Take:
     """Scans in order of time; None for what is not there.
 
-    text: what is said. labels: a TextGrid with phones. markers: where named points were seen.
+    text: its words. labels: a TextGrid with phones. markers: where named points were seen.
     """
 
     name: str

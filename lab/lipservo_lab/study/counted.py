@@ -43,7 +43,7 @@ class Tables:
     ratings: rater, sentence, method, and `points`. pairs: rater, sentence, the method that was
     chosen, the one that was not. readings: rater, sentence, method, and of the sentence's words
     those read right (`hits`), how many there are, and how many would be right by chance: of the
-    words of all other sentences that are read, said in place of these.
+    words of all other sentences that are read, in place of these.
     """
 
     methods: tuple[str, ...]
@@ -141,7 +141,10 @@ def _inverted(tables: Tables) -> list[str]:
 
 
 def tables_of(study: Study, key: Key, raters: Mapping[str, RaterRecord]) -> Tables:
-    """All answers of some raters; what a study does not hold is an error of whoever wrote it."""
+    """All answers of some raters.
+
+    An answer that the study does not hold is an error of its writer.
+    """
     names = tuple(raters)
     sentences = tuple(sorted({clip.sentence for clip in key.clips.values()}))
     method_of = {m: n for n, m in enumerate(key.methods)}

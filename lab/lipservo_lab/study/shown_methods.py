@@ -1,7 +1,7 @@
 """The ways to move a mouth that a study shows, all on one face, at the frames of the recording.
 
-What each knows is what it has when it is used: ours live hears the sound, without the words or with
-them; all others know every phoneme with its times beforehand, as their papers have it.
+What each knows is what it has when it is used: ours live recognises the sound, without the words or
+with them; all others know every phoneme with its times beforehand, as their papers have it.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -117,7 +117,7 @@ def chosen_methods(text: str) -> tuple[str, ...]:
 def faces_of_methods(model: TrainedModel, corpus: Corpus) -> FacesOf:
     """The faces (n_frames, n_components) of a sentence by the name of a method.
 
-    model: one that has not learned what it is asked for. corpus: labelled, what it has learned.
+    model: one that has not learned the test sentences. corpus: labelled, what it has learned.
     Raises MissingExtraError, before the work, where the offline method's library is missing.
     """
     offline = models_of(corpus, "a study with `edge` or `scripted`")
@@ -146,7 +146,7 @@ def faces_of_methods(model: TrainedModel, corpus: Corpus) -> FacesOf:
 
 
 def vocabulary_of(sentences: Iterable[Sequence[str]]) -> tuple[tuple[str, ...], ...]:
-    """The words that are said at each place, where all sentences have as many; else nothing."""
+    """The words that are spoken at each place, where all sentences have as many; else nothing."""
     word_lists = [tuple(words) for words in sentences]
     if len({len(words) for words in word_lists}) != 1:
         return ()

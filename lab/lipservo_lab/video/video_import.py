@@ -169,7 +169,7 @@ def _parts(
 
 
 def _seen(name: str, take: Take, start_s: float, end_s: float) -> ClipReport:
-    """What can be said of the pictures of a part alone."""
+    """The report of a part by its pictures alone."""
     begins_s = take.sound.begins_s
     quality = quality_of(take.track.between(begins_s + start_s, begins_s + end_s))
     report = ClipReport(name, phonemes=take.labels.source, text_score=take.labels.score)
@@ -184,7 +184,7 @@ def _seen(name: str, take: Take, start_s: float, end_s: float) -> ClipReport:
 
 
 def _finished(part: _Part, shift_s: float) -> tuple[Sentence | None, ClipReport]:
-    """The part with its sound taken `shift_s` earlier, and what is said of it."""
+    """The part with its sound taken `shift_s` earlier, and its report."""
     take = part.take
     sound = replace(take.sound, begins_s=take.sound.begins_s - shift_s)
     begins_s = take.sound.begins_s

@@ -57,7 +57,7 @@ def setup_servos(
 ) -> None:
     """Give each servo its id, rate and limits; only what differs is written, torque stays off.
 
-    When all of them answer at their own ids, nobody is unplugged. Else connect one at a time:
+    When all of them answer at their own ids, none is unplugged. Else connect one at a time:
     without JOINTS it asks for one after another, with one joint it asks nothing.
     """
     from firmware_bridge.stop_signals import DeferredSignals, StopRequested

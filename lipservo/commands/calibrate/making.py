@@ -104,7 +104,7 @@ def load_setup(config: str, model: Path | None, ranges: Path | None = None) -> "
 def setup_at_port(
     setup: "CalibrationSetup", port: str | None, sim: str | None, config: str
 ) -> Iterator["CalibrationSetup"]:
-    """The same with its servos at the port asked for, or at one made for `--sim pty`."""
+    """The setup with its servos at the port of the user, or at one made for `--sim pty`."""
     from lipservo.runtime.servos.sim_process import servo_port
 
     with servo_port(port, sim, config) as found:

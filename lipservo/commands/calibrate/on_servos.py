@@ -123,7 +123,7 @@ def guided(
 ) -> None:
     """No tracker: put the mouth into 14 named poses with keys, by eye.
 
-    Coarser than a measured calibration: nobody knows millimetres without a tracker.
+    Coarser than a measured calibration: without a tracker no millimetres are known.
     """
     check_files(output, keep=keep)
     setup = replace(
@@ -241,7 +241,7 @@ def lags(
     """Find how late each servo follows, by chirps and steps, and write it into a calibration.
 
     The map stays; the file that was there is kept as `.previous`. 14 s for each joint. Servos
-    without encoders cannot be asked: their lags are typed (docs/calibration.md).
+    without encoders cannot be read: their lags are typed (docs/calibration.md).
     """
     from calibration.calibration import CalibrationError
     from calibration.files.calibration_file import load_calibration, save_calibration

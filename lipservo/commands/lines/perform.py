@@ -74,9 +74,9 @@ def perform(
 ) -> None:
     """Play a performance: the sound, and the motion that was rendered for it.
 
-    Nobody listens and nothing is planned any more; strength was chosen when it was rendered.
-    With --dashboard, in a terminal, the face goes on afterwards until Ctrl-C, and hears and speaks
-    as any other.
+    No recogniser runs and nothing is planned any more; strength was chosen when it was rendered.
+    With --dashboard, in a terminal, the face goes on afterwards until Ctrl-C, and listens and
+    speaks as any other.
     """
     if mute and output is not None:
         raise typer.BadParameter("give --mute or --output, not both")

@@ -1,6 +1,6 @@
 """`servo`: one servo of a running face off, on again, or restarted.
 
-Somebody waits for it: it loads nothing that it does not use.
+A person waits for it: it loads nothing that it does not use.
 """
 
 import time

@@ -1,4 +1,4 @@
-"""The first hour of a face: from servos that nobody has named to its first words.
+"""The first hour of a face: from unnamed servos to its first words.
 
 All that a page shows and does is here, so that a page that is reloaded, or opened twice, goes on
 where it was. What was made is in files; what was typed and not yet written is here alone. Servos
@@ -99,7 +99,7 @@ class FirstHour:
     # ---- what is so ----
 
     def state(self) -> JsonObject:
-        """Everything that a page draws; to be asked for all the time by a page that is open."""
+        """Everything that a page draws; an open page polls it."""
         self._seen_s = time.monotonic()
         with self._lock:
             settings, trouble = self._settings()
@@ -249,7 +249,7 @@ class FirstHour:
     def write_limits(self) -> None:
         """Into the YAML what was set, all or nothing; then into the servos.
 
-        The servos are asked for nothing more before.
+        No other request goes to the servos before.
         """
         step = self._step
         if step is not None and step.step == "limits" and step.runs:

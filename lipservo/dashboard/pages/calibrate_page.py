@@ -32,7 +32,7 @@ def read_calibration(config: str | None) -> tuple[JsonObject | None, str | None]
 
 
 def calibrate_page(config: str | None, values: JsonObject | None, trouble: str | None) -> None:
-    """Its content. told, trouble: what `read_calibration` found."""
+    """Its content. values, trouble: what `read_calibration` found."""
     if values is not None and not values["fits_the_face"]:
         trouble = "the face has changed since it was calibrated: calibrate it again"
     with card("Present calibration", _origin(values)):

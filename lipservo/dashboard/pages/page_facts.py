@@ -1,4 +1,4 @@
-"""What pages know of a face beyond its status, said once: limits, colours, and what servos move."""
+"""Facts of a face beyond its status, for all pages: limits, colours, and what servos move."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -62,7 +62,7 @@ _RULES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class RigServo:
-    """What a servo moves in the drawing. channel: None where nobody can tell, drawn as a dial.
+    """What a servo moves in the drawing. channel: None where unknown, drawn as a dial.
 
     sign: -1 where a positive angle is the drawing's negative direction.
     """
@@ -135,7 +135,7 @@ def page_facts(config: str | None) -> dict[str, object]:
 
 
 def servo_facts(servo: ServoSettings) -> dict[str, object]:
-    """Limits in joint degrees, what its model bears, null where nobody says it, and its pulse."""
+    """Limits in joint degrees, those of its model, null where unknown, and its pulse."""
     return {
         "id": servo.address,
         "model": servo.make,

@@ -52,7 +52,7 @@ def face_routes(link: FaceLink) -> APIRouter:
     async def status() -> JsonObject:
         """The face's `Status` (docs/architecture.md), and how sure that is.
 
-        face_answers: false: what follows is what it said last, `age_s` ago.
+        face_answers: false: the rest is its last status, `age_s` ago.
         """
         return {**(link.status or {}), **link.certainty()}
 
@@ -69,7 +69,7 @@ def face_routes(link: FaceLink) -> APIRouter:
 
     @routes.post("/say")
     async def say(body: SayBody) -> JsonObject:
-        """Say a text. Answered when it is to be said, not once it was."""
+        """Say a text. Answered when it is queued, not once it was spoken."""
         return dict(await link.say(body.text))
 
     @routes.post("/interrupt")
@@ -148,7 +148,7 @@ def face_routes(link: FaceLink) -> APIRouter:
 
     @routes.get("/health")
     async def health() -> JsonObject:
-        """For whoever watches over the dashboard: it serves; and whether its face is there."""
+        """For a monitor of the dashboard: it serves; and whether its face is there."""
         return {"serves": True, **link.certainty()}
 
     return routes
@@ -224,7 +224,7 @@ def file_routes(link: FaceLink) -> APIRouter:
 
 
 def shown_settings(status: Mapping[str, Any] | None) -> dict[str, float]:
-    """What people set of a face, by name, as it is now; without wishes for the moment."""
+    """The settings of a face that people change, by name, as they are now; without passing ones."""
     if status is None:
         return {}
     lively = (status.get("expression") or {}).get("expression")

@@ -26,12 +26,12 @@ def first_hour_routes(hour: FirstHour) -> APIRouter:
 
     @routes.get("")
     async def state() -> JsonObject:
-        """Everything that the page shows. Servos are held for a person only while it is asked."""
+        """Everything that the page shows. Servos are held for a person only while it is polled."""
         return await asyncio.to_thread(hour.state)
 
     @routes.post("/port")
     async def port(body: PortBody) -> JsonObject:
-        """Choose where the servos are; those that can be asked are found at once."""
+        """Choose where the servos are; those that answer are found at once."""
         await asyncio.to_thread(hour.choose_port, body.port, body.kind, simulated=body.simulated)
         return await state()
 

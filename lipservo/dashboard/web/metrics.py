@@ -1,4 +1,4 @@
-"""`/metrics` for Prometheus. What nobody knows is absent, and never a good figure."""
+"""`/metrics` for Prometheus. What is unknown is absent, and never a good figure."""
 
 from collections.abc import Callable, Iterable
 from typing import Any, Final
@@ -38,7 +38,7 @@ _COUNTS: Final = (
 
 
 class FaceCollector(Collector):
-    """The figures at the moment when they are asked for."""
+    """The figures at the moment of the request."""
 
     def __init__(self, link: FaceLink, n_clients: Callable[[], dict[str, int]]) -> None:
         """n_clients: of each stream, by its name."""

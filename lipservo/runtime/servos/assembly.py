@@ -129,7 +129,7 @@ def wiring_of(face: FaceSettings) -> Wiring:
 
 
 def allow_first_start(face: FaceSettings) -> None:
-    """A person allows servos of which nobody knows where they stand to jump to neutral."""
+    """Allow servos of unknown position to jump to neutral; a person confirmed it."""
     for one in face.alone.values():
         one.bus_kind.allow_first_start(wiring_of(one))
 

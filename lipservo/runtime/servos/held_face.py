@@ -1,7 +1,7 @@
 """A face whose servos are on and held: moved from pose to pose through the bridge, as speech is.
 
-Everything goes through the last gate. One thread speaks to the bus; whoever waits for a person or a
-tracker does so in `hold`, or in `hold_while`, so that the servos hear something all the time.
+Everything goes through the last gate. One thread speaks to the bus; code that waits for a person or
+a tracker does so in `hold`, or in `hold_while`, so that the servos hear something all the time.
 """
 
 import math
@@ -63,7 +63,7 @@ class HeldFace:
     """Servos armed from `__enter__` to `__exit__`, on a bus and a life cycle of their own.
 
     Poses are joint degrees (n_joints,) of the joints named, by default the mouth's in the order of
-    the YAML; all others stay where they are asked to be at the beginning. Raises what `Bridge` and
+    the YAML; all others stay at their goals of the beginning. Raises what `Bridge` and
     the bus raise, and FaceStopped when a person stops the face; it is limp then.
     """
 
@@ -317,7 +317,7 @@ class HeldFace:
         return self.stands_deg
 
     def _heard_deg(self) -> Array:
-        """Where the servos stand that have just said so; NaN, never still, for the others.
+        """Where the servos stand by a reading of just now; NaN, never still, for the others.
 
         Of those alone that can say it at all.
         """

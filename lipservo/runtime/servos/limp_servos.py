@@ -1,4 +1,4 @@
-"""Servos with torque off, for somebody who turns them with the fingers.
+"""Servos with torque off, for a person who turns them with the fingers.
 
 Torque is only ever switched off here, so that whatever ends the program leaves it off.
 """

@@ -36,8 +36,8 @@ _LATEST_S: Final = 1e9
 def expression_settings(amount: float) -> dict[str, Setting]:
     """What may be set, with its bounds.
 
-    look_weight: 1 = look at (look_yaw_deg, look_pitch_deg), 0 = at nobody. The affect that a
-    dialogue system wishes fades with affect_tau_s from monotonic affect_at_s on.
+    look_weight: 1 = look at (look_yaw_deg, look_pitch_deg), 0 = at no target. The affect that a
+    dialogue system sets fades with affect_tau_s from monotonic affect_at_s on.
     """
     return {
         "expression": Setting(amount, 0.0, LIVELIEST),
@@ -82,7 +82,7 @@ class ExpressionRequests:
 
     @property
     def look_at_deg(self) -> tuple[float, float] | None:
-        """(yaw, pitch) to look at; None: nobody is there."""
+        """(yaw, pitch) to look at; None: no target."""
         if self._values["look_weight"] < 0.5:
             return None
         return self._values["look_yaw_deg"], self._values["look_pitch_deg"]

@@ -1,6 +1,6 @@
-"""What goes with a wish for the moment, so that whoever has it need not say all of it.
+"""Values that complete a passing request, so that a caller need not give all of them.
 
-Loads nothing: `lipservo set` is typed by somebody who stands beside the robot.
+Loads nothing: a person who types `lipservo set` stands beside the robot and waits.
 """
 
 from collections.abc import Mapping

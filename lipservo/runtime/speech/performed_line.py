@@ -1,4 +1,4 @@
-"""The sound of a performance, ready to be said: decoded as it is said, silence at both ends."""
+"""The sound of a performance, ready to be played: decoded as it plays, silence at both ends."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace

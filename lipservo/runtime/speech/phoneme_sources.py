@@ -1,4 +1,4 @@
-"""Phonemes of what a face hears or says, and how its voice sounds."""
+"""Phonemes and prosody of the sound that a face listens to or speaks."""
 
 import math
 from collections.abc import Iterable
@@ -59,7 +59,7 @@ class RecognizedPhonemes:
     def __init__(
         self, source: AudioSource, recognizer: LiveRecognizer, voice: HeardVoice | None = None
     ) -> None:
-        """voice: hears the same sound."""
+        """voice: gets the same sound."""
         self._voice = voice
         self._source = source
         self._recognizer = recognizer
@@ -91,7 +91,7 @@ class RecognizedPhonemes:
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """Words around the one that is said now, and which of them it is; ((), 0): none is told."""
+        """Words around the one that is spoken now, and its index; ((), 0): no text is known."""
         return ((), 0) if self._follower is None else self._follower.saying
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
@@ -123,7 +123,7 @@ class SpokenPhonemes:
     def __init__(
         self, playout: Playout, recognizer: LiveRecognizer, voice: HeardVoice | None = None
     ) -> None:
-        """voice: hears what is spoken, also where its phonemes are known."""
+        """voice: gets the sound also where its phonemes are known."""
         self._voice = voice
         self._playout = playout
         self._recognizer = recognizer
@@ -159,7 +159,7 @@ class SpokenPhonemes:
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """Words around the one that is said now, and which of them it is; ((), 0): none is told.
+        """Words around the one that is spoken now, and its index; ((), 0): no text is known.
 
         By their times where they have some, else as far as they were followed.
         """

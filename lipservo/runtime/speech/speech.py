@@ -183,7 +183,7 @@ class SpeechOptions:
 
     least_delay_s: the face waits for a loudspeaker that is so late. expression: moves all else.
     lip_gap: lips more open or closed than planned; None: as planned. plan: of the mouth's joints;
-    None: they are asked for whatever the face wants.
+    None: joint goals are the planned ones.
     """
 
     least_delay_s: float = 0.0
@@ -255,7 +255,7 @@ class Speech:
 
     @property
     def hearing(self) -> Hearing | None:
-        """What is believed about the sound that was settled last; None: nobody listens."""
+        """The class of the sound that was settled last; None: no recogniser listens."""
         return None if self._listener is None else self._listener.hearing
 
     @property
@@ -265,7 +265,7 @@ class Speech:
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """Words around the one that is said now, and which of them it is; ((), 0): none is told."""
+        """Words around the one that is spoken now, and its index; ((), 0): no text is known."""
         return self._phonemes.saying if isinstance(self._phonemes, MouthMover) else ((), 0)
 
     @property
@@ -310,7 +310,7 @@ class Speech:
         self._n_published = max(self._n_published, n_due)
 
     def cut_off(self, now_s: float, rest: Array, until_s: float | None = None) -> None:
-        """Close the mouth now, whatever was planned; what is said from `until_s` on is shown again.
+        """Close the mouth now, whatever was planned; speech from `until_s` on is shown again.
 
         rest: the face (n_components,) of a mouth at rest. until_s: in sound time; None: until the
         sound, which stands still, goes on.
@@ -336,7 +336,7 @@ class Speech:
     def captured_s(self, goal_s: float) -> float | None:
         """When the sound was captured that moves the servos at `asked_s`, on the same clock.
 
-        Before any sound moves them, or where nobody knows: None. Ask in order.
+        Before any sound moves them, or where it is not known: None. Call in order of time.
         """
         # Beyond the newest target, whatever is shown was made of that one.
         sound_s = self._newest_sound_s - max(0.0, self._newest_goal_s - goal_s)

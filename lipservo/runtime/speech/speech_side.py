@@ -92,7 +92,7 @@ class OwnVoice:
     ) -> None:
         """clock: of the same speech side. rest: the face (n_components,) of a mouth at rest.
 
-        quiet_s: nothing is said so long after the beginning, as servos are slow at first.
+        quiet_s: seconds of silence at the beginning, as servos are slow at first.
         """
         self._quiet_s = quiet_s
         self.playout = playout
@@ -109,7 +109,7 @@ class OwnVoice:
         self.playout.begin(self._clock.lead_s, self._quiet_s)
 
     def advance(self, now_s: float) -> None:
-        """Follow whoever plays, do what was asked for, note which phoneme is heard."""
+        """Follow the playout, run its requests, note which phoneme is heard."""
         self._follow(now_s)
         self._get_up()
         position_s = self._clock.sound_s(now_s) - self._clock.lead_s
@@ -122,7 +122,7 @@ class OwnVoice:
             self.playout.phonemes.append((event.phoneme, event.start_s, end_s))
 
     def be_quiet(self) -> None:
-        """The servos come on: nothing is said until all of them follow."""
+        """The servos come on: nothing is spoken until all of them follow."""
         self.playout.be_quiet(self._quiet_s)
 
     def fall_silent(self) -> None:
@@ -131,7 +131,7 @@ class OwnVoice:
         self.playout.advance(self.playout.position_s)
 
     def _get_up(self) -> None:
-        """A face whose servos rest has them back before anything is said."""
+        """Give a face whose servos rest its torque before anything is spoken."""
         expression = self._speech.expression
         if expression is not None and expression.is_resting and not self.playout.is_over:
             expression.wake()
@@ -231,7 +231,7 @@ class SpeechSide:
         """mouth: takes what is set of it, and moves livelier with a voice that is excited.
 
         rest: the face (n_components,) of a mouth at rest, for while the face is stopped. board:
-        where it tells what it shows; None: nobody watches. quiet_s: servos follow so long after
+        where it writes what it shows; None: no watcher. quiet_s: servos follow so long after
         they got torque. is_live: the sound does not wait for them.
         """
         self._quiet_s, self._is_live = quiet_s, is_live
@@ -252,7 +252,7 @@ class SpeechSide:
     def start(self, now_s: float) -> float:
         """The servos get torque at monotonic `now_s`; when the sound begins.
 
-        Nothing is said and no mouth moves until all of them follow: of servos that come on one
+        Nothing is spoken and no mouth moves until all of them follow: of servos that come on one
         after another half a mouth would.
         """
         waits = self.voice is None and not self._is_live
@@ -296,7 +296,7 @@ class SpeechSide:
             self.speech.note_servo_speeds(*found)
 
     def change(self, settings: Mapping[str, float]) -> None:
-        """Take what was set while the face runs, by name; what nobody here knows is left alone."""
+        """Apply settings changed while the face runs, by name; unknown names are left alone."""
         if self._mouth is not None:
             self._mouth.change(settings)
         if self.speech.lip_gap is not None:
@@ -305,7 +305,7 @@ class SpeechSide:
             self.speech.expression.change(settings)
 
     def fall_silent(self) -> None:
-        """The face is stopped: nothing is said any more."""
+        """The face is stopped: drop all speech."""
         if self.voice is not None:
             self.voice.fall_silent()
 
@@ -342,7 +342,7 @@ def make_speech_side(
 ) -> SpeechSide:
     """Everything between an entered source and the targets of a face's servos.
 
-    start_s: the servos come on for so long, and nothing is said until they follow.
+    start_s: the servos come on for so long, and nothing is spoken until they follow.
     """
     names: Sequence[str] = list(face.settings.servos)
     mouth, rest = AdjustableMouth(synthesizer), face.model.rest

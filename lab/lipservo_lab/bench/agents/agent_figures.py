@@ -236,7 +236,7 @@ def _frames(turn: Turn) -> list[Frame]:
 
 
 def _n_errors(turn: Turn, spoken: set[str], heard: Counter[int]) -> int:
-    """Sentences, or words where each is told by its time, that are in the context wrongly or not.
+    """Count sentences, or timed words, that are in the context wrongly or missing there.
 
     heard: samples by value.
     """

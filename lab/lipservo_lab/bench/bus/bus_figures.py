@@ -243,10 +243,10 @@ def fault_figures(n_cycles: int = 1_000) -> dict[str, float]:
 
 
 def silent_cycle_figures(n_cycles: int = 1_200) -> dict[str, float]:
-    """Time beyond the wire of the cycles in which a silent servo is asked, in ms: median and most.
+    """Time beyond the wire of the cycles in which a silent servo is read, in ms: median and most.
 
     A cycle is what the bus asks in a tick: the places of all, and the health of one, in turns. The
-    silent one is asked now and then among all, and whenever it is its turn; the other cycles, 19 of
+    silent one is read now and then among all, and whenever it is its turn; the other cycles, 19 of
     20, would hide these in any percentile of all.
     """
     over_ms = []

@@ -2,7 +2,7 @@
 
 Run as `python -m lipservo_lab.bench.bus.canned_peer N SIZE [--on-time]`; prints its port, ends
 when its standard input closes. --on-time: real-time scheduling, where permitted, so that it answers
-at once on a busy computer, too. Servos 1..N are XL330-M288 at 1 Mbaud, seen at 64 moments of a
+at once on a busy computer, too. Servos 1..N are XL330-M288 at 1 Mbaud, at 64 instants of a
 motion of a few degrees about the middle of their turn; each question gets the next moment's answer.
 What is read beforehand is SIZE bytes from present_current on; any other span is made at its first
 question, then kept.
@@ -43,7 +43,7 @@ class CannedServos:
         self._turn = 0
 
     def answer(self, frame: Frame) -> bytes:
-        """What the servos say to one packet; empty where nobody speaks."""
+        """The servos' answers to one packet; empty where none answers."""
         answers = self._answers.get(frame.raw)
         if answers is None:
             if frame.instruction == Instruction.SYNC_WRITE and frame.parameters[0] == _GOAL:

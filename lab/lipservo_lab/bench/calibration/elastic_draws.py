@@ -1,6 +1,6 @@
 """Elastic robots by seed alone: how many servos, what they are called, which are mirrored.
 
-Names, limits, kinds of joints and which way they are mounted are drawn; none is told to what fits
+Names, limits, kinds of joints and which way they are mounted are drawn; the fit knows
 but names, limits and the word for what a positive angle does, as a face's YAML tells them.
 """
 

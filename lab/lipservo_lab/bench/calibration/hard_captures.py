@@ -5,7 +5,7 @@ reading in a hundred that is anywhere within three centimetres.
 
 What can be wrong with a capture, done to elastic robots on purpose, and whether it is named.
 
-Rightly: the first thing that is said names the fault, and the servo where one is to blame. Wrongly:
+Rightly: the first message names the fault, and the servo where one is to blame. Wrongly:
 another servo or another fault is named. The rest is silence.
 """
 

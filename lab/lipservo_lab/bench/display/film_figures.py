@@ -125,7 +125,7 @@ def seen_figures(
     motions: Mapping[str, Array],
     sentences: Sequence[Utterance],
 ) -> dict[str, object]:
-    """Lip gaps, closures and words of tracks against those of the frames that were asked for.
+    """Lip gaps, closures and words of tracks against those of the wanted frames.
 
     tracks: of `tracked_film`. sentences: of the corpus, those of `motions` held out; the reader
     learns from the others as they were recorded.

@@ -105,7 +105,7 @@ async def _new_page(program: str) -> AsyncIterator[Any]:
 
 
 async def _page_url(file: Path) -> str:
-    """Where its first page is asked."""
+    """The debugger's URL of its first page."""
     import urllib.request
 
     while not file.exists() or len(file.read_text().splitlines()) < 2:

@@ -1,4 +1,4 @@
-"""What a face costs that is asked to play five hundred sounds at once: threads, and late ticks.
+"""What a face costs with five hundred sounds queued at once: threads, and late ticks.
 
 The face is a daemon in a process of its own, with servos in memory: sound, recogniser and ticks
 share one process there, so whatever plays disturbs as much as it can.

@@ -1,9 +1,9 @@
-"""How a face hears while other programs take the computer: `lipservo bench ladder`.
+"""How a face recognises while other programs take the computer: `lipservo bench ladder`.
 
-A whole `lipservo run` process hears speech in real time, ten simulated servos at 100 Hz, and writes
-its trace. Beside it, every minute, other processes keep every core busy for 1, 2 and 5 s. What is
-measured is read from the trace: in a tick in which the network listens `hears` has a value, in one
-of a lesser recogniser it has none.
+A whole `lipservo run` process recognises speech in real time, ten simulated servos at 100 Hz, and
+writes its trace. Beside it, every minute, other processes keep every core busy for 1, 2 and 5 s.
+What is measured is read from the trace: in a tick in which the network listens `"hears"` has a
+value, in one of a lesser recogniser it has none.
 
 The ticks of a face under load, from its trace, and what they amount to.
 """
@@ -210,7 +210,7 @@ def ladder_figures(
 ) -> dict[str, object]:
     """The figures, by name. n_busy: processes for each core, scheduled as ours is.
 
-    folder: for the files; is_over: asked often, to end early.
+    folder: for the files; is_over: called often, to end early.
     Raises LadderError.
     """
     (folder / "session").mkdir(mode=0o700)
@@ -299,7 +299,7 @@ def slow_the_network(times: float) -> None:
 
 
 def _speech(path: Path, seconds: float) -> tuple[Path, NDArray[np.bool_]]:
-    """The bundled clip again and again, and for each 10 ms of one turn whether somebody speaks."""
+    """The bundled clip repeated, and for each 10 ms of one turn whether there is speech."""
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         samples = read_speech(clip)
         events = list(settled_events(FileSource(clip), make_recognizer("network")))
@@ -360,7 +360,10 @@ def _slowed(folder: Path, sound: Path, is_over: Callable[[], bool]) -> float | N
 
 @contextmanager
 def _face(code: str, folder: Path, sound: Path, trace: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """A whole `lipservo run` that nobody else finds; it ends with this block, or with us."""
+    """A whole `lipservo run` in a runtime folder of its own.
+
+    It ends with this block, or with us.
+    """
     environment = {
         **os.environ,
         "XDG_RUNTIME_DIR": str(folder / "session"),

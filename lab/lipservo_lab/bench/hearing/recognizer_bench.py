@@ -1,6 +1,6 @@
 """In which groups the speakers of a corpus are counted.
 
-Which utterances of a corpus a bench was asked for, and their alignments.
+Which utterances of a corpus a bench is to score, and their alignments.
 
 Recognisers as they are measured: one alone, without the ladder, as a failure must be seen.
 """
@@ -86,7 +86,7 @@ def known_texts(
     which: Literal["own", "another", "pieces"] | None,
     late_s: float,
 ) -> dict[str, KnownText]:
-    """What the recogniser is told of each utterance, by name; None: nothing.
+    """The text that the recogniser gets for each utterance, by name; None: none.
 
     another: the text of the utterance half the list away. pieces: its own, in pieces of three
     words. late_s: so long after the sound began; what came before it is not scored.
@@ -102,16 +102,16 @@ def known_texts(
 
 
 class SpeakerGroupError(UserError):
-    """Nobody says what kind of voice a speaker has; the message is one line."""
+    """The table does not give a speaker's kind of voice; the message is one line."""
 
 
 def speaker_groups(
     by: Literal["speaker", "group"] | None, corpus: Path, table: Path | None
 ) -> Callable[[str], Sequence[str]]:
-    """From a speaker's name to the names of the groups; none where nothing was asked for.
+    """From a speaker's name to the names of the groups; none where no grouping was requested.
 
     table: of the speakers; None: the one in the corpus's folder. Raises SpeakerGroupError where
-    there is none, and for a table nobody asked for; TranscriptError for one that cannot be read.
+    there is none, and for a table without a grouping; TranscriptError for one that cannot be read.
     """
     if by != "group" and table is not None:
         raise SpeakerGroupError(f"--groups {table} is for --by group; give both or neither")

@@ -57,7 +57,7 @@ def draw_lines(
     methods: Sequence[Method],
     rows: Sequence[Row],
 ) -> None:
-    """A sentence by each method that hears it whole, its way through the states, and all errors.
+    """Plot a sentence by each method that uses it whole, its path of states, and all errors.
 
     states: of the sentences `training`, in their order. methods: those that are drawn.
     """

@@ -221,7 +221,7 @@ def _robot_rows(
     track: Track,
     advance: Advance,
 ) -> Iterator[Row]:
-    """The default strategy, if it is asked for, and recorded motion, played by the robot."""
+    """Default strategy, if it is among the methods, and recorded motion, played by the robot."""
     robot = calibrated_robot(split.model)
     play = partial(_robot_seen, split, robot, advance)
     rate_hz = split.read[0].frame_rate_hz
@@ -285,7 +285,7 @@ def _row(
 
 @dataclass(slots=True)
 class OnceListener:
-    """A listener who hears every sentence once."""
+    """A listener that recognises every sentence once, and keeps the result."""
 
     listen: Listen
     heard: dict[str, Heard] = field(default_factory=dict)

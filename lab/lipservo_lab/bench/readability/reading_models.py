@@ -61,7 +61,7 @@ def given_models(folder: Path, parts: Sequence[Part]) -> ModelOf:
 
 
 def trained_models(corpus: Corpus, track: Track, tell: Callable[[str], None]) -> ModelOf:
-    """Models trained on each part's training sentences, when they are asked for.
+    """Models trained on each part's training sentences, at their first use.
 
     track: of what is heard, once for all trainings. tell: what training is doing.
     """

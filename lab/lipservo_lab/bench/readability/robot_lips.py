@@ -74,7 +74,7 @@ class PlayedMotion:
         return FaceWindow(_AHEAD_S, faces, closed, self._gap.shut(frame.coefficients))
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:  # noqa: ARG002 - knows no phonemes
-        """Nobody knows."""
+        """None: phonemes are not known."""
         return None
 
 
@@ -157,7 +157,7 @@ def _programme(robot: Face, faces: Motions, rate_hz: float) -> _Programme:
 
 
 def _played(robot: Face, programme: _Programme, progress: Progress) -> tuple[Array, Array]:
-    """Sound times (n,), ascending, and what the mouth's encoders said then, (n, n_servos)."""
+    """Sound times (n,), ascending, and the mouth's encoders then, (n, n_servos)."""
     bus, clock = simulated_wire(robot.settings)
     motion = PlayedMotion(programme.times_s, programme.faces, robot.model)
     names, channel = list(robot.settings.servos), MemoryTargetChannel()

@@ -234,7 +234,7 @@ def _serve(host: PtyHost, over: threading.Event) -> None:
 def _on_time() -> Iterator[None]:
     """Let a thread run before all others, where permitted, but not the processes it starts.
 
-    Servos do not wait for a busy computer; and whoever looks at them holds Python's lock meanwhile.
+    Servos do not wait for a busy computer; and reading their state holds Python's lock meanwhile.
     """
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     with contextlib.suppress(OSError):

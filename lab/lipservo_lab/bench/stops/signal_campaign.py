@@ -60,7 +60,7 @@ class Command:
     """A command at simulated servos.
 
     arguments: of a robot. prepare: what its servos are like before. answers: on standard input.
-    own_servos: it simulates servos of its own, so that only what it says can be judged.
+    own_servos: it simulates servos of its own, so that only its output can be checked.
     """
 
     name: str
@@ -258,7 +258,7 @@ def play_signal(case: SignalCase) -> SignalOutcome:
 
 @contextlib.contextmanager
 def _signals_heard() -> Iterator[None]:
-    """What we start hears all signals, also where a shell that runs us ignores some for us."""
+    """Start children with all stop signals enabled, also where our own shell ignores some."""
     ignored = [each for each in STOP_SIGNALS if signal.getsignal(each) is signal.SIG_IGN]
     for number in ignored:
         signal.signal(number, signal.SIG_DFL)
@@ -433,7 +433,7 @@ def _judge_killed(
     process: subprocess.Popen[bytes],
     outcome: SignalOutcome,
 ) -> None:
-    """Nobody is left who could do anything: the servos stop by themselves, then a person comes."""
+    """No process is left that could act: the servos stop by themselves, then a person comes."""
     kill_all(process)
     robot.look(_WATCHDOG_S)
     watched_s = time.monotonic()

@@ -65,8 +65,8 @@ class Shown:
 def closures_at_shaft(name: str) -> dict[str, float]:
     """Closures of the clip that the shafts of a face meet, and the same face on Dynamixels.
 
-    A closure is met where the lips come within half a millimetre of the gap that the angles leave
-    for the face whose lips are nearest, during the phoneme or 60 ms beside it.
+    A closure is reached where the lips come within half a millimetre of the gap that the angles
+    leave for the face whose lips are nearest, during the phoneme or 60 ms beside it.
     """
     face = assemble_face(name, None)
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:

@@ -77,7 +77,7 @@ Advance = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class Sentence:
-    """What is said, and the recorded faces (n, n_components) at 100 Hz from sound time 0."""
+    """A spoken sentence, and the recorded faces (n, n_components) at 100 Hz from sound time 0."""
 
     phones: tuple[PhonemeEvent, ...]
     faces: Array
@@ -92,7 +92,7 @@ class Sentence:
 class Shafts:
     """What joints of a mouth did, (n, n_servos) degrees, at sound times k / 100 s from 0.
 
-    asked_deg: what the plan asked for; horn_deg: where it brought the horns, behind the play of
+    goals_deg: the plan's goals; horn_deg: where it brought the horns, behind the play of
     the gears. n_rate_hits: goals that the last gate slowed down.
     """
 
@@ -221,7 +221,7 @@ METHODS: Final[dict[str, Motion]] = {"live": live_motion, "scripted": scripted_m
 
 
 def over_speed_share(shafts: Sequence[Shafts], speeds_deg_s: Array) -> float:
-    """Share of ticks at which a joint is asked for more than its speed."""
+    """Share of ticks at which a joint should go faster than its speed."""
     over = [
         (np.abs(np.diff(each.goals_deg, axis=0)) > speeds_deg_s * PUBLISH_PERIOD_S + _SAME_DEG)
         for each in shafts

@@ -43,7 +43,7 @@ class SimulatedLoudspeaker:
     """A `lipsync.audio.playout.Loudspeaker`; `advance` lets time pass.
 
     rate_hz: samples a second, a multiple of 100, by its own clock. latency_s: from its taking a
-    sample to the sample's leaving it. skew: how much faster than said its clock runs, 200e-6 for
+    sample to the sample's leaving it. skew: how much faster than nominal its clock runs, 200e-6 for
     200 parts in a million. jitter_s: its reports are up to so much early or late, evenly spread,
     and its callbacks come up to so much late, by `rng`.
     """
@@ -86,7 +86,7 @@ class SimulatedLoudspeaker:
 
     @property
     def n_underruns(self) -> int:
-        """How often nothing was written in time while it asked for more."""
+        """How often nothing was written in time while it needed more."""
         return self._ring.n_underruns
 
     def write(self, samples: Samples) -> None:
@@ -168,7 +168,7 @@ class Watched:
 
 
 class Deaf:
-    """A recogniser that hears silence, and says so as late as the network would."""
+    """A recogniser that reports silence, as late as the network would."""
 
     latency_s = LATENCY_S
 
@@ -203,8 +203,8 @@ class SpeakingRobot:
     ) -> None:
         """rate_hz: ticks a second.
 
-        hears: whether there is a recogniser; else only known phonemes move the mouth, or what was
-        rendered, where there is a performance.
+        is_listening: whether there is a recogniser; else only known phonemes move the mouth, or
+        what was rendered, where there is a performance.
         """
         face = assemble_face(FACE, None)
         self.loudspeaker = loudspeaker or SimulatedLoudspeaker()
@@ -256,7 +256,7 @@ def spoken_stream(
 ) -> PlayoutStream:
     """A whole text as a stream that has ended. knows: with its phonemes.
 
-    told: what its sender tells beside it, before it sounds, as a voice agent does.
+    kind: of the units that its sender gives before it sounds, as a voice agent does.
     """
     known = text.phonemes if knows else ()
     stream = PlayoutStream("text", text.sample_rate_hz, playout.output_rate_hz, known)

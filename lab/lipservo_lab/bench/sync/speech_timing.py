@@ -2,7 +2,7 @@
 
 When lips close and part, against when the sound says that they do.
 
-What a synthesiser says, rendered as `render` does, and said as `perform` does.
+A synthesiser's speech, rendered as `render` does, and played as `perform` does.
 """
 
 from collections.abc import Mapping, Sequence
@@ -52,7 +52,7 @@ def sounding_closures(text: SynthesizedSpeech) -> Crossings:
 
     The release is where the closure's silence ends, at the burst; without silence the end of the
     phoneme. Neighbours among them are one closure. Beside a silence lips may rest closed: there
-    nothing is asked for.
+    there is no wanted closure.
     """
     phonemes = text.phonemes
     closing_s: list[float] = []
@@ -93,7 +93,7 @@ def seen_closures(times_s: Array, gap_mm: Array, closed_mm: float = CLOSED_GAP_M
 
 
 def matched_errors_s(wanted_s: Array, seen_s: Array) -> tuple[Array, int]:
-    """How much later each asked-for event was seen, (n_matched,), and how many were not at all."""
+    """How much later each wanted event was seen, (n_matched,) s, and how many were not at all."""
     if len(seen_s) == 0 or len(wanted_s) == 0:
         return np.zeros(0), len(wanted_s)
     late_s = seen_s[None] - wanted_s[:, None]
@@ -168,8 +168,8 @@ def speech_timing(
 ) -> SpeechTiming:
     """Say each by a robot of its own. knows: the phonemes come with the sound; else it listens.
 
-    told: of a voice that listens, what is told beside the stream. performances: of the texts, which
-    are performed then.
+    kind: of a voice that listens, the units given beside the stream. performances: of the texts,
+    which are performed then.
 
     Every loudspeaker is another: its latency 20 to 120 ms, its clock up to 200 parts in a million
     off, its reports up to 5 ms.

@@ -177,7 +177,7 @@ def sync(
 ) -> None:
     """Measure lips against sound at the encoders of simulated servos, on a virtual clock.
 
-    What is said when is told by the synthesiser, never by our recogniser; with --face by the
+    Phones and their times are the synthesiser's, never our recogniser's; with --face the
     recogniser, on either side.
     """
     from lipservo_lab.bench.sync.closures_at_shaft import closures_at_shaft

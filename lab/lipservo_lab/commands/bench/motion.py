@@ -308,7 +308,7 @@ def _measure_left_out(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Print the figures of words that no model has met."""
+    """Print the figures of words that no model was trained on."""
     from lipservo_lab.bench import motion_figures as measure
     from lipservo_lab.bench.left_out_words import (
         KeptModels,
@@ -481,7 +481,7 @@ def speeds(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure motion whose joints are slow: what is asked of them, and whether lips still close.
+    """Measure motion whose joints are slow: speeds that it needs, and whether lips still close.
 
     With the plan of joint motion, and with the gate at the bus alone, at joints of 400, 300, 200
     and 150 degrees a second. The lips are those of simulated robots, at their shafts.

@@ -1,6 +1,6 @@
 """`lipservo bench recognition` and `bench listening`: accuracy of a recogniser and its cost.
 
-`lipservo bench texts`: how well `align` tells what was said from what was not.
+`lipservo bench texts`: how well `align` distinguishes spoken texts from others.
 
 `lipservo bench languages`: closures and openings heard in other languages than English.
 
@@ -353,7 +353,7 @@ def voices(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure how a text that is told is followed in a synthesiser's voice, by its own times.
+    """Measure how a known text is followed in a synthesiser's voice, by its own times.
 
     A voice of espeak is a language. Closures are of P B M; boundaries are
     where phones begin, of those that were found.

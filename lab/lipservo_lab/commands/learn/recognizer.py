@@ -277,7 +277,7 @@ def adapt(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Adapt the recogniser to one voice: a synthetic one, or whoever speaks for the robot.
+    """Adapt the recogniser to one voice: a synthetic one, or a person's who speaks for the robot.
 
     Every fifth sentence is not learned from but graded on; weights that do not hear the voice
     better are refused. Needs the extra `train` (torch). Use them with

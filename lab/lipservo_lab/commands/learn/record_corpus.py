@@ -1,4 +1,4 @@
-"""`record-corpus`: somebody is recorded while reading sentences, for `import-video`."""
+"""`record-corpus`: a person is recorded while reading sentences, for `import-video`."""
 
 import signal
 import time

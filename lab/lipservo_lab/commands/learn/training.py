@@ -1,6 +1,6 @@
 """`train`: a face model is learned from recordings.
 
-`train-expression`: head, gaze and lids are learned from somebody's tracks.
+`train-expression`: head, gaze and lids are learned from a person's tracks.
 
 `train-offline`: the model that scripted lines are rendered with.
 """
@@ -250,7 +250,7 @@ def train_soft(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Fit a face model to what a recogniser believes, frame by frame, beside what it decides.
+    """Fit a face model to a recogniser's posteriors, frame by frame, beside its decisions.
 
     Every sentence is heard as it is and in four other voices and rooms. A model without this part
     is moved by decided phonemes alone, and one that was fitted to other weights goes on with them.

@@ -86,7 +86,7 @@ class ShownExpression:
     """A track of n cues, CUE_PERIOD_S apart.
 
     values: (n, 9), columns by NAMES, NaN where absent. is_speaking: (n,). loudness_z, pitch_z:
-    (n,), of the voice. step_ms: (n,), how long each step took.
+    (n,), of the voice. step_ms: (n,), the cost of each step.
     """
 
     values: Array
@@ -109,7 +109,7 @@ class ShownExpression:
 
 
 def cues_of(voice: Iterable[VoiceFrame]) -> Iterator[ExpressionCue]:
-    """The cues of a face that speaks with this voice and looks at nobody in particular."""
+    """The cues of a face that speaks with this voice and has no person to look at."""
     silent_s, has_spoken = 0.0, False
     for n, frame in enumerate(voice, start=1):
         silent_s = 0.0 if frame.is_speech else silent_s + CUE_PERIOD_S
@@ -282,7 +282,7 @@ def _pauses(frames: Sequence[VoiceFrame]) -> Iterator[VoiceFrame]:
 
 
 def _first(whole: ShownExpression, n: int) -> ShownExpression:
-    """The first n cues: a voice repeated would be told from shuffled ones too easily."""
+    """The first n cues: a repeated voice would differ from shuffled ones too clearly."""
     return ShownExpression(
         whole.values[:n],
         whole.is_speaking[:n],

@@ -134,7 +134,7 @@ def sentence_sums(
 def _closure_hits(
     utterance: Utterance, times_s: Array, scored: Mask, gap_mm: Array
 ) -> tuple[int, int, int, int]:
-    """P B M asked for and met, F V asked for and met; only phones with a scored frame count."""
+    """P B M wanted and closed, F V wanted and closed; only phones with a scored frame count."""
     found = [0, 0, 0, 0]
     for phone in utterance.phones:
         labial = is_bilabial(phone.phoneme)
@@ -281,7 +281,7 @@ class LipSpeed:
 def lip_speed(model: FaceModel, faces: Array, spoken_s: float) -> LipSpeed:
     """The speed of the fastest point of the lips in faces (n, n_components), one a tick.
 
-    spoken_s: how much of the time somebody speaks, which the steps are counted by.
+    spoken_s: seconds of speech, which the steps are counted by.
     """
     markers_mm = model.markers_mm(faces)
     lips_mm = markers_mm[:, list(model.layout.lips)]
@@ -297,7 +297,7 @@ def lip_speed(model: FaceModel, faces: Array, spoken_s: float) -> LipSpeed:
 
 
 def lip_speed_figures(speeds: Iterable[LipSpeed]) -> dict[str, float | None]:
-    """Of many pieces together; steps are None where nobody speaks."""
+    """Of many pieces together; steps are None without speech."""
     found = list(speeds)
     spoken_s = sum(one.spoken_s for one in found)
     n_steps, n_gap_steps = sum(one.n_steps for one in found), sum(one.n_gap_steps for one in found)

@@ -36,7 +36,7 @@ class Heard:
 
     events: in the end. updates: as they came, for recognised phonemes, in order of
     `heard_until_s`, and `latency_s`, how much later than its sound a phoneme is settled; without
-    updates the events are told one by one by a perfect listener. sound_path: for methods that hear
+    updates a perfect listener yields the events one by one. sound_path: for methods that use
     the sound itself.
     """
 
@@ -58,7 +58,7 @@ class Method(Protocol):
         """Whether the look-ahead makes a difference; if not, the method sees the whole sentence."""
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
-        """(n, n_components) at the times asked for, which ascend."""
+        """(n, n_components) at the given times, which ascend."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,7 +199,7 @@ def all_methods() -> dict[str, Method]:
 
 
 class _Replayed:
-    """Updates that were recorded, told again when their sound has been heard."""
+    """Updates that were recorded, returned again when their sound has been heard."""
 
     def __init__(self, updates: Sequence[PhonemeUpdate], ahead_s: float) -> None:
         self._updates = updates
@@ -218,7 +218,7 @@ class _Replayed:
 
 
 def script_of(heard: Heard, lookahead_s: float) -> PhonemeScript:
-    """The sentence told as time goes on, as far as a look-ahead allows."""
+    """The sentence's phonemes as time goes on, as far as a look-ahead allows."""
     if heard.updates:
         return _Replayed(heard.updates, lookahead_s + heard.latency_s)
     return ScriptedPhonemes(heard.events, lookahead_s)

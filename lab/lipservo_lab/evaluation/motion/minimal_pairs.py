@@ -47,7 +47,7 @@ class Pairs:
     sentences: (n, 2), their sentences; phones: (n, 2), the numbers of their first phones there;
     differ: (n,), whether the first phoneme differs (a minimal pair) or is the same (a repetition).
     weights: (n,). Two phonemes in one place count as much as any other two in any other place,
-    however often they were said, and the repetitions of that place as much as they.
+    however often they were spoken, and the repetitions of that place as much as they.
     """
 
     sentences: Indices

@@ -82,7 +82,7 @@ _WITH_INTERVAL = ("ratio", "gap_r", "closure_hits")
 
 
 def true_phonemes(utterance: Utterance) -> Heard:
-    """A perfect listener: the labels, told one by one."""
+    """A perfect listener: the labels, one by one."""
     return Heard(utterance.phones, sound_path=utterance.sound_path)
 
 

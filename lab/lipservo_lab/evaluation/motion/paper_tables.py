@@ -1,6 +1,6 @@
 """Tables 2 and 3, Figures 1 and 6 of Wei and Deng in their own form, beside the printed numbers.
 
-Figure 1: how much of ten sentences a live recogniser hears as the labels have it. Table 2: RMSE of
+Figure 1: how much of ten sentences a live recogniser labels as the labels have it. Table 2: RMSE of
 three clips, drawn at random, with true phonemes (case 1) and live recognised ones (case 2, once for
 each recogniser), over the baseline's. Table 3: what a phoneme costs in processor time. Figure 6:
 miss rates of eight phrases. Only ratios compare: the paper's RMSE has no unit.
@@ -239,7 +239,7 @@ def paper_tables(
 
 
 def _agreement(sentence: Utterance, recognizers: Mapping[str, Listen]) -> Row:
-    """The share of a sentence's speech that each recogniser hears as its labels have it."""
+    """The share of a sentence's speech that each recogniser labels as its labels have it."""
     row: Row = {"sentence": sentence.name, "printed": list(PRINTED_AGREEMENT)}
     times_s = np.arange(0.0, sentence.phones[-1].start_s, _COMPARED_S)
     spoken = _phonemes_at(sentence.phones, times_s)

@@ -200,7 +200,7 @@ def known_fold(
 def new_word_folds(
     kind: ReaderKind, sentences: Sequence[Utterance], words: frozenset[str], recorded: Motions
 ) -> tuple[Fold, ...]:
-    """The folds of new words, over the slots in which they are said.
+    """The folds of new words, over the slots in which they are spoken.
 
     Raises CorpusError where no sentence holds one of the words.
     """
@@ -225,7 +225,7 @@ def sentences_with(words: frozenset[str], sentences: Iterable[Utterance]) -> lis
 
 
 def slots_of(words: frozenset[str], sentences: Iterable[Utterance]) -> list[int]:
-    """The slots in which any of the words is said."""
+    """The slots in which any of the words is spoken."""
     return sorted({s for u in sentences for s, w in enumerate(spoken_words(u)) if w.text in words})
 
 

@@ -238,7 +238,7 @@ def made_faces(
 ) -> Motions:
     """(n_frames, n_components) of each sentence; rate_hz: None for the recording's frames.
 
-    What comes after the last word is not played: nobody reads it.
+    What comes after the last word is not played and not read.
     """
     made = {}
     for utterance in sentences:

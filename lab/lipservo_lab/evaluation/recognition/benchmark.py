@@ -1,6 +1,6 @@
 """A recogniser measured on a corpus of transcribed speech.
 
-How often a text that was not said is taken for one that was, and the other way round.
+How often a text that was not spoken is taken for one that was, and the reverse.
 """
 
 from collections import Counter, defaultdict
@@ -112,8 +112,8 @@ def measure(
     """Recognise every utterance aligned at the default beams or labelled, each as a new stream.
 
     Alignments that needed the second try are no reference: they are counted, not scored. groups_of:
-    names of the groups that a speaker is counted in. told_of: what the recogniser is told; where
-    that comes late, the frames after it are scored.
+    names of the groups that a speaker is counted in. known_text_of: the text that the recogniser
+    gets; where that comes late, the frames after it are scored.
     """
     counts = Counter(alignments[u.name].beams for u in utterances if not alignments[u.name].error)
     scored = [u for u in utterances if alignments[u.name].beams in ("default", LABELLED)]
@@ -168,7 +168,7 @@ def leaving_figures(
     """How soon a text is left where the sound stops saying it.
 
     Each utterance is followed by that half the list away, while the words of the one after it are
-    told: what moves the mouth from the first phone of the second sound on.
+    given: what moves the mouth from the first phone of the second sound on.
     """
     recognizer, half = make_recognizer(), len(utterances) // 2
     times_s: list[float | None] = []
@@ -206,7 +206,7 @@ def false_speech(
 
 
 def own_servo_figures(make_recognizer: Callable[[], LiveRecognizer]) -> dict[str, float]:
-    """The share of frames called speech while a robot's servos move and nobody speaks.
+    """The share of frames called speech while a robot's servos move without speech.
 
     20 s at -36 dBFS, 10 dB below usual speech; then the same of a robot that tells how its servos
     move, after half a minute in which it listened to others of its moves. Means of four robots.
@@ -260,7 +260,10 @@ KINDS = ("true", "other", "half_other", "half_missing")
 def texts_of(
     utterance: TranscribedUtterance, pool: Sequence[TranscribedUtterance], rng: np.random.Generator
 ) -> dict[str, str]:
-    """By kind: what was said; what another utterance says; half of each; half of what was said."""
+    """By kind: the spoken text; that of another utterance; half of each.
+
+    Half of the spoken text.
+    """
     others = [u.text for u in pool if u.text != utterance.text]
     nearest = sorted(others, key=lambda text: abs(len(text) - len(utterance.text)))[:_NEAREST]
     own, other = utterance.text.split(), str(rng.choice(nearest)).split()

@@ -5,7 +5,7 @@ recogniser and synthesiser run as they do live. All times are sound time: the fa
 an instant of the sound. Shown it is a constant later (`ClosingBench.delay_s`), in which the
 look-ahead was spent; so a mouth may begin to close before the voice stops.
 
-How soon the mouth leaves rest when somebody begins to speak.
+How soon the mouth leaves rest when a person begins to speak.
 
 Each recording is played after a pause, once with digital silence there and once with room noise
 40 dB below the speech all over, to a mouth at rest. Times are sound time, as in closing_times.py: a

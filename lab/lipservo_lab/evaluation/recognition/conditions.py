@@ -2,7 +2,7 @@
 
 Speech in a room with six walls: the image method of Allen and Berkley (1979).
 
-Each wall is a mirror that takes a part of the sound; a microphone hears the talker and all mirror
+Each wall is a mirror that takes a part of the sound; a microphone gets the talker and all mirror
 images of the talker, each as late and as faint as it is far. Training knows rooms only as a tail of
 noise that fades (noise.py), so that this is another room than any it has heard.
 
@@ -14,7 +14,7 @@ made from its speed alone: the mesh of each pair of gears as a tone whose height
 brushes as a rush that the motor's turning modulates, the load as a growl, all through the shell of
 a head. So the same speed always sounds much the same, as it does with real gears.
 
-Made otherwise than the servos that training hears (training/nonspeech_sounds.py), in motion, gears
+Made otherwise than the servos of the training (training/nonspeech_sounds.py), in motion, gears
 and shell, so that no network was trained on its like.
 """
 
@@ -184,7 +184,7 @@ class ConditionError(UserError):
 class Condition:
     """How speech is changed. db: signal to noise, or for `level` the change of level.
 
-    robot: whose servos are heard. tells_servos: the recogniser is told how they move.
+    robot: whose servos are heard. tells_servos: the recogniser gets their speeds.
     """
 
     kind: str
@@ -215,7 +215,7 @@ class Condition:
         return noise.add_noise(samples, maker[self.kind](rng, len(samples)), self.db)
 
     def servo_positions_deg(self, name: str, n_samples: int) -> Array | None:
-        """What the encoders say, a row (n_servos,) each 10 ms; None: nobody tells."""
+        """Encoder readings, a row (n_servos,) each 10 ms; None: the recogniser gets none."""
         if not self.tells_servos:
             return None
         return encoder_readings_deg(servo_noise(_rng(name), n_samples, self.robot)[1])
@@ -225,7 +225,7 @@ def parse_condition(text: str, *, tells_servos: bool = False) -> Condition:
     """`KIND:DB`, as `white:10`, or `servos:DB:ROBOT`.
 
     tells_servos: as `Condition` has it. Raises ConditionError for another form, and for servos
-    that are told of and not heard.
+    whose speeds are given though they are not heard.
     """
     if tells_servos and not text.startswith("servos:"):
         raise ConditionError("--servo-speeds is for the noise of servos; give --noise servos:10")

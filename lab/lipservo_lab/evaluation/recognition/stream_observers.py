@@ -39,7 +39,7 @@ _UNKNOWN = -1
 
 
 class FrameLabels:
-    """Phoneme numbers (n,) of 10 ms frames as last told, and how often a frame's viseme changed."""
+    """Latest phoneme numbers (n,) of 10 ms frames, and how often a frame's viseme changed."""
 
     def __init__(self, n_frames: int) -> None:
         self.labels: Labels = np.full(n_frames, PHONEME_INDEX[SILENCE])
@@ -94,7 +94,7 @@ _PIECE_WORDS, _PIECE_AHEAD_S = 3, 0.3
 
 @dataclass(frozen=True, slots=True)
 class KnownText:
-    """What a recogniser is told, when: before the sound, so long after it began, or in pieces."""
+    """The words that a recogniser gets, and when: before the sound, later, or in pieces."""
 
     text: str
     late_s: float = 0.0
@@ -127,10 +127,10 @@ def label_frames(
     """Reset and feed samples (n,) at 16 kHz as a live stream, and silence until all is settled.
 
     The blocks are 10 ms long and end where the label of a frame is due: latency_s after the start
-    of the frame. So frame t is judged by what was settled when the sound to 10 t ms + latency was
+    of the frame. So frame t is scored by what was settled when the sound to 10 t ms + latency was
     heard, and nothing later. The costs are those of the blocks. servos_deg: what encoders read of
-    the robot's servos, a row (n_servos,) each 10 ms, which the recogniser is told when it is read.
-    told: what it follows is settled later, and judged by that.
+    the robot's servos, a row (n_servos,) each 10 ms, which the recogniser gets when it is read.
+    text: what follows it is settled later, and scored by that.
     """
     recognizer.reset()
     n_tail = round((recognizer.latency_s + 0.1) * SAMPLE_RATE_HZ)
@@ -153,7 +153,7 @@ def _telling(
     recognizer: TextFollower,
     pieces: Sequence[tuple[float, Sequence[PronouncedWord]]],
 ) -> Iterator[AudioBlock]:
-    """The blocks; before each, the recogniser is told what is due."""
+    """The blocks; before each, the recogniser gets the words that are due."""
     waiting, is_first = deque(pieces), True
     for block in blocks:
         while waiting and waiting[0][0] <= block.start_s:
@@ -165,7 +165,7 @@ def _telling(
 
 @dataclass(frozen=True, slots=True)
 class Leaving:
-    """How long a text that is not said moves the mouth, s; None: to the end of the sound."""
+    """How long a text that is not spoken moves the mouth, s; None: to the end of the sound."""
 
     left_s: float | None
 
@@ -173,7 +173,7 @@ class Leaving:
 def time_to_leave(
     recognizer: LiveRecognizer, speech: Array32, other: Array32, onset_s: float, text: str
 ) -> Leaving:
-    """A sound (n,) with its words, and another (m,) whose words differ from those that are told.
+    """A sound (n,) with its words, and another (m,) whose words differ from the given ones.
 
     onset_s: from the beginning of the other sound to its first phone.
     """
@@ -194,7 +194,7 @@ def time_to_leave(
 def _with_servos(
     blocks: Iterable[AudioBlock], recognizer: ServoListener, servos_deg: Array
 ) -> Iterator[AudioBlock]:
-    """The blocks; before each, the recogniser is told what was read by then."""
+    """The blocks; before each, the recogniser gets the encoder readings until then."""
     speeds, n_passed = ServoSpeeds(), 0
     for block in blocks:
         while n_passed < len(servos_deg) and (n_passed + 1) * BLOCK_S <= block.end_s:

@@ -66,7 +66,7 @@ def adapt(
     plan: AdaptationPlan,
     advance: Callable[[str, int, int], None] = lambda _what, _done, _all: None,
 ) -> NetworkWeights:
-    """Weights for the voice of the recordings. advance: hears what is done, how many of how many.
+    """Weights for the voice of the recordings. advance: called with the work, how many of how many.
 
     With one thread the same seed gives the same weights on one kind of processor.
     """

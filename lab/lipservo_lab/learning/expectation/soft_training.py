@@ -1,8 +1,8 @@
 """Learning what the mouth does by a recogniser's posteriors, of a voice disturbed in many ways.
 
 The recordings are of few talkers; so every sentence is heard as it is and again as other voices in
-other rooms would have said it (times stay), and its face is learned from what the recogniser
-believes each time. Frames are seen as they are live: by the heads that have spoken of them when a
+other rooms would have spoken it (times stay), and its face is learned from the recogniser's
+posteriors each time. Frames are seen as they are live: by the heads that have spoken of them when a
 look-ahead of 100 ms is over, and on every other frame when there is less.
 """
 
@@ -71,7 +71,7 @@ def hear_copies(
     utterances: Sequence[Utterance],
     progress: Callable[[str, Sequence[Utterance]], Iterable[Utterance]],
 ) -> HeardCopies:
-    """What a recogniser believes of every sentence, in each voice; unreadable sounds left out."""
+    """A recogniser's posteriors of every sentence, in each voice; unreadable sounds left out."""
     voices = []
     with threadpool_limits(limits=1):  # several threads add up in changing order
         for number, factor in enumerate(_VOICES):
@@ -111,7 +111,7 @@ def _disturbed(rng: np.random.Generator, samples: Array32, factor: float) -> Arr
 
 
 def looks() -> Array32:
-    """(n_phonemes, k): articulation and viseme class, in which words never met are familiar."""
+    """(n_phonemes, k): articulation and viseme class, in which unknown words are familiar."""
     classes = np.eye(len(VISEME_CLASSES))[[VISEME_OF[phoneme] for phoneme in PHONEMES]]
     return np.concatenate([articulatory_features(), classes], axis=1).astype(np.float32)
 

@@ -1,4 +1,4 @@
-"""Tracks: what a head, its eyes and its lids did while somebody spoke, with the sound.
+"""Tracks: the motion of a talking person's head, eyes and lids, with the sound.
 
 Tracks of a user's own: `NAME.csv` beside `NAME.wav` or any other sound file.
 
@@ -76,9 +76,9 @@ def at_model_rate(times_s: Array, values: dict[str, Array]) -> dict[str, Array]:
 
 
 def hear(tracks: Sequence[ExpressionTrack], progress: Progress = no_progress) -> list[HeardTrack]:
-    """The tracks with their prosody, as the live part hears it; one voice speaks them all.
+    """The tracks with their prosody, as the live part measures it; one voice speaks them all.
 
-    The same tracker hears one after the other, so that the voice is known from the second on.
+    The same tracker gets one after the other, so that the voice is known from the second on.
     Raises SoundError.
     """
     tracker, heard = VoiceTracker(), []

@@ -1,4 +1,4 @@
-"""What was learned of somebody's head, gaze and lids; and its file, one .npz without pickle."""
+"""A learned model of a person's head, gaze and lids; and its file, one .npz without pickle."""
 
 from dataclasses import dataclass
 from pathlib import Path

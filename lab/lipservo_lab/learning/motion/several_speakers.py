@@ -1,4 +1,4 @@
-"""Corpora of several speakers become one corpus, as if one face had said everything.
+"""Corpora of several speakers become one corpus, as if one face had spoken everything.
 
 One speaker's motion on another speaker's face: a rotation, and a scale for each axis.
 
@@ -51,7 +51,7 @@ class FaceMapError(UserError):
 class PhonemeFaces:
     """The closed mouth, and what each phoneme looks like in its middle, on average.
 
-    rest_mm: (n_points, 3); means_mm: (40, n_points, 3), 0 for what is not said; counts: (40,).
+    rest_mm: (n_points, 3); means_mm: (40, n_points, 3), 0 for phonemes not spoken; counts: (40,).
     """
 
     rest_mm: Array

@@ -153,7 +153,7 @@ def train_offline(
     face's components whatever the states were made of.
 
     listening: goes through the sentences while their sound is read. Raises BuildingError for a
-    corpus without labels, too small for the states asked, or without a point of the face's;
+    corpus without labels, too small for the number of states, or without a point of the face's;
     SoundError for a sound that cannot be read.
     """
     recipe = recipe or Recipe()
@@ -212,7 +212,7 @@ def _rows_of_face(corpus: Corpus, face: FaceModel) -> Indices:
 
 
 def _at_points(states: StateModel, rows: Indices) -> StateModel:
-    """The same states, told of some of the points; the components' rows are then not orthonormal.
+    """The states at some of the points; the components' rows are then not orthonormal.
 
     Nothing is made of them but points: mean + motion times basis.
     """

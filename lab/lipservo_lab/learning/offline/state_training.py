@@ -3,9 +3,9 @@
 The speech manifold: frames laid out by how far they are from each other.
 
 Edge, Hilton and Jackson, steps 3: PCA of the matrix of Euclidean distances between all frames. Each
-row of the matrix is one frame, told by its distances to all others; its principal components are
-the coordinates. (Classical scaling squares and centres the distances first; of Euclidean ones that
-gives back the frames themselves, rotated, and nothing would be gained.)
+row of the matrix is one frame, described by its distances to all others; its principal components
+are the coordinates. (Classical scaling squares and centres the distances first; of Euclidean ones
+that gives back the frames themselves, rotated, and nothing would be gained.)
 
 The matrix of 70,000 frames has 4.9e9 entries. Its columns are samples of one smooth function of a
 frame, so that some hundreds of them, taken at landmarks that lie evenly in the recordings, hold

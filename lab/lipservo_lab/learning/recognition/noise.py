@@ -181,7 +181,7 @@ class FoundSoundsError(UserError):
 def read_found_sounds(
     folder: Path, warn: Callable[[str], None] = lambda _line: None
 ) -> list[Array32]:
-    """Every sound file below a folder, (n,) at 16 kHz; what is no sound is told and left out.
+    """Every sound file below a folder, (n,) at 16 kHz; other files are reported and left out.
 
     Raises FoundSoundsError for a folder that holds no sound.
     """

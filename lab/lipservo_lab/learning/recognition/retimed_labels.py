@@ -1,9 +1,9 @@
-"""A teacher's labels: the phones of an alignment, laid anew over what a better network hears.
+"""A teacher's labels: the phones of an alignment, laid anew over a better network's posteriors.
 
 The aligner's boundaries are the ceiling of what learns from them. A network that waits long (it
 knows what comes as well as what was) is trained on them, and its posteriors say where the same
 phones are likelier to lie: Viterbi over the phones in order, each of two frames at least, silences
-of which may be left out. What the network cannot find there was not said.
+of which may be left out. What the network cannot find there was not spoken.
 """
 
 from collections.abc import Callable, Sequence

@@ -113,8 +113,8 @@ def started_from(
 def grown(weights: NetworkWeights, plan: TrainingPlan) -> NetworkWeights:
     """The weights in the plan's shape: their channels and layers kept, new ones beside and behind.
 
-    Nothing old hears a new channel, and new layers add next to nothing (Net2Net: Chen, Goodfellow
-    and Shlens, ICLR 2016, has the idea), so that the network says what it said and has room. Raises
+    No old weight reads a new channel, and new layers add next to nothing (Net2Net: Chen, Goodfellow
+    and Shlens, ICLR 2016, has the idea), so that the network's outputs stay and it has room. Raises
     TrainingError for a plan that is narrower, shorter, or of other dilations or delays.
     """
     dilations = tuple(layer.dilation for layer in weights.residuals)

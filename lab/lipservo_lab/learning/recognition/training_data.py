@@ -119,7 +119,7 @@ def training_arrays(
 ) -> Iterator[TrainingArray]:
     """One lightly augmented copy, `n_heavy` heavily, as they are made; the same for the same seed.
 
-    found_sounds: recordings (n,) in which nobody speaks, beside those that are made. is_taught:
+    found_sounds: recordings (n,) without speech, beside those that are made. is_taught:
     targets are frames of `Taught`, which has those of `clean` in this order.
     """
     jobs = [(copy, seed, scale, tuple(delays)) for copy in range(1 + n_heavy)]

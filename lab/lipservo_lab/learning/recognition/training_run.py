@@ -64,7 +64,7 @@ class TrainingRun:
 
     held_out, validation: speakers; left_out: utterances. limit: only so many of each speaker; None:
     all. voices: synthetic ones, which read texts of the corpora that train, so many each. sounds:
-    folders of files in which nobody speaks. start: weights to go on from; start_share: how much of
+    folders of files without speech. start: weights to go on from; start_share: how much of
     them is in the mean that comes out. teacher: lays the labels of what trains anew, leaves out
     texts that it does not hear, and its posteriors are learned beside them; None: the aligner's.
     resumes: whether the folder may hold a run already, which then goes on.
