@@ -39,7 +39,7 @@ class Closure:
     gaps_mm: Array
     slopes: Array
     bends: Array
-    rotation_deg: Array
+    turns_deg: Array
     press_mm: float
     crossed: Array = field(init=False, repr=False)
 
@@ -78,7 +78,7 @@ class Closure:
             moved = poses_deg[row] - self.at_deg
             open_mm = self.gaps_mm + (self.slopes + self.crossed @ moved) @ moved
             missing_mm = share * (self.wanted_mm(x, apart_mm) - open_mm)
-            turned_deg = poses_deg[row] + self.rotation_deg @ missing_mm
+            turned_deg = poses_deg[row] + self.turns_deg @ missing_mm
             poses_deg[row] = np.minimum(np.maximum(turned_deg, low), high)
         return poses_deg
 

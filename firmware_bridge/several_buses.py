@@ -234,7 +234,18 @@ class SeveralBuses:
         self._remarks: list[str] = []
 
     def write_positions(self, positions_deg: Array) -> None:
-        """Hand every bus its goals; one that has not sent its last ones sends these instead."""
+        """Hand every bus its goals; one that has not sent its last ones sends these instead.
+
+        Parameters
+        ----------
+        positions_deg : Array
+            (n_servos,) joint degrees, of all buses.
+
+        Raises
+        ------
+        ValueError
+            positions_deg has another shape.
+        """
         if positions_deg.shape != (self._n_servos,):
             raise ValueError(
                 f"expected positions of shape {(self._n_servos,)}, got {positions_deg.shape}"
@@ -244,7 +255,13 @@ class SeveralBuses:
             each.hand(_WRITE, partial(each.bus.write_positions, positions_deg[each.at]))
 
     def widen(self, joints: NDArray[np.bool_]) -> None:
-        """Have every bus take goals beyond the limits of those of its servos."""
+        """Have every bus take goals beyond the limits of those of its servos.
+
+        Parameters
+        ----------
+        joints : NDArray[np.bool_]
+            (n_servos,), of all buses.
+        """
         for each in self._threads.values():
             each.hand(_WIDEN, partial(each.bus.widen, joints[each.at]))
 
@@ -355,9 +372,14 @@ class SeveralBuses:
         return bool(each.ask(("disable", n), partial(each.bus.disable_torque, n), wait_s))
 
     def disable_all(self) -> NDArray[np.bool_]:
-        """Every bus lets go of its servos before it does anything else, all at the same time.
+        """Let every bus release its servos before it does anything else, all at the same time.
 
-        Those of a bus that has not done it yet are not counted; it does it as soon as it can.
+        Servos of a bus that has not done it yet are not counted; it does it as soon as it can.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n_servos,): which servos confirmed.
         """
         there = [each for each in self._opened() if each.lost is None]
         for each in there:

@@ -258,7 +258,7 @@ def _parse_closure(file: Place, n_servos: int, n_components: int) -> Closure | N
         gaps_mm=gaps_mm,
         slopes=rows("slopes", n_servos),
         bends=rows("bends", len(pairs(n_servos)[0])),
-        rotation_deg=rows("turns_deg", len(gaps_mm)),
+        turns_deg=rows("turns_deg", len(gaps_mm)),
         press_mm=closure.at("press_mm").number(),
     )
     counts = {

@@ -62,7 +62,7 @@ class RunTimeMap:
         moves[list(still)] = 0.0
         closure = self.closure
         if closure is not None:
-            closure = replace(closure, rotation_deg=closure.rotation_deg * moves[:, None])
+            closure = replace(closure, turns_deg=closure.turns_deg * moves[:, None])
         return replace(
             self,
             rest_deg=self.rest_deg * moves,
@@ -219,7 +219,7 @@ def fit_closure(retargeting: Retargeting, from_rest: Array, poses_deg: Array) ->
     squares = (more + less) / 2 - here
     bends = np.where((first == second)[:, None], squares[first], crossed)
     slopes = (more - less).T / 2
-    rotation_deg = slopes.T @ np.linalg.inv(
+    turns_deg = slopes.T @ np.linalg.inv(
         slopes @ slopes.T + _TURN_MM_PER_DEG**2 * np.eye(len(slopes))
     )
     return Closure(
@@ -230,7 +230,7 @@ def fit_closure(retargeting: Retargeting, from_rest: Array, poses_deg: Array) ->
         gaps_mm=rounded(here[0] - retargeting.closed_mm),
         slopes=rounded(slopes),
         bends=rounded(bends.T),
-        rotation_deg=rounded(rotation_deg),
+        turns_deg=rounded(turns_deg),
         press_mm=retargeting.press_mm,
     )
 

@@ -44,7 +44,7 @@ def touch_plan(calibration: Calibration, model: FaceWithAnimPhos, servos: MouthS
         own = np.tile(pose_deg, (len(_LEVELS_MM), 1))
         for _ in range(_ROUNDS):
             missing_mm = _LEVELS_MM[:, None] - closure.open_mm(own)
-            own = np.clip(own + missing_mm @ closure.rotation_deg.T, *servos.limits_deg)
+            own = np.clip(own + missing_mm @ closure.turns_deg.T, *servos.limits_deg)
         ahead = np.sign(own[-1] - own[0])
         goals.append(own)
         sides.append(np.tile(np.where(ahead == 0.0, 1.0, ahead), (len(own), 1)))

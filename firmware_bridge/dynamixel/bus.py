@@ -157,7 +157,18 @@ class DynamixelBus:
         return self._line
 
     def write_positions(self, positions_deg: Array) -> None:
-        """Every goal inside its servo's range; NaN is not, nor is what the servo would refuse."""
+        """Send every goal inside its servo's range; NaN is not, nor is what the servo would refuse.
+
+        Parameters
+        ----------
+        positions_deg : Array
+            (n_servos,) joint degrees.
+
+        Raises
+        ------
+        ValueError
+            positions_deg has another shape.
+        """
         if positions_deg.shape != self._cache.goals.shape:
             raise ValueError(
                 f"expected positions of shape {self._cache.goals.shape}, got {positions_deg.shape}"
@@ -180,7 +191,13 @@ class DynamixelBus:
         line.tell(codec.sync_write(_GOAL, 4, blocks))
 
     def widen(self, joints: NDArray[np.bool_]) -> None:
-        """These servos keep their limits themselves."""
+        """Do nothing: these servos keep their limits themselves.
+
+        Parameters
+        ----------
+        joints : NDArray[np.bool_]
+            (n_servos,).
+        """
 
     def read(self) -> Readings:
         """Two questions to all: goals and places, then torque."""
@@ -269,7 +286,13 @@ class DynamixelBus:
         return self._torque.disable(self.line, index)
 
     def disable_all(self) -> NDArray[np.bool_]:
-        """Broadcast torque off three times, then read it from each servo until it confirms."""
+        """Broadcast torque off three times, then read it from each servo until it confirms.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n_servos,): which servos confirmed.
+        """
         line = self.line
         self._soft_start.cancel()
         request = codec.sync_write(_TORQUE, 1, [(each, b"\0") for each in self._ids])

@@ -124,7 +124,18 @@ class GoalWrite:
         self._sum = sum(self._head[2:])
 
     def request(self, values: ArrayLike) -> bytes:
-        """The packet that sets these whole numbers from 0 on, in the order of the ids."""
+        """Return the Sync Write packet that sets whole numbers from 0 on.
+
+        Parameters
+        ----------
+        values : ArrayLike
+            (n_servos,), in the order of the ids.
+
+        Returns
+        -------
+        bytes
+            The packet with its checksum, bytes.
+        """
         self._values[:] = values
         blocks = self._blocks.tobytes()
         return self._head + blocks + bytes((~(self._sum + sum(blocks)) & 0xFF,))

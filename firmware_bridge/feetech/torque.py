@@ -141,7 +141,13 @@ class TorqueSwitch:
         self._full_at_s[:] = np.inf
 
     def doubt(self, ages_s: Array) -> None:
-        """Withhold goals from who was silent for long. ages_s: 0 for those who just answered."""
+        """Withhold goals from servos that were silent for long.
+
+        Parameters
+        ----------
+        ages_s : Array
+            (n_servos,) seconds; 0 for servos that just answered.
+        """
         silent = self.driven & (ages_s > _RESTART_S)
         self.doubted |= silent
         self.driven &= ~silent

@@ -75,7 +75,18 @@ class JointPlan:
         self._anywhere_deg = -anywhere_deg, anywhere_deg
 
     def step(self, window: TargetWindow) -> Array:
-        """The goals (n_joints,) for the first time of the window."""
+        """Plan the next goal of every joint from a window of targets.
+
+        Parameters
+        ----------
+        window : TargetWindow
+            Targets from the next goal's time on.
+
+        Returns
+        -------
+        Array
+            (n_joints,) degrees: goals for the first time of the window.
+        """
         poses_deg, step_deg = self._closable(window), self._step_deg
         goal_deg, before_deg = poses_deg[0], self._planned_deg
         if before_deg is None:
@@ -96,7 +107,13 @@ class JointPlan:
 
     @property
     def held_back_share(self) -> Array:
-        """In which share of all steps each joint was kept off what was wanted, (n_joints,)."""
+        """Share of all steps in which each joint was kept off its target.
+
+        Returns
+        -------
+        Array
+            (n_joints,), 0 to 1.
+        """
         return np.asarray(self._n_held_back / max(self._n_steps, 1))
 
     def _closable(self, window: TargetWindow) -> Array:

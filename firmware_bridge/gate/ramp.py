@@ -42,12 +42,38 @@ class Ramp:
         start_s: float,
         speed_deg_s: float,
     ) -> "Ramp":
-        """Steady, so that the joint with the longest way moves at `speed_deg_s`."""
+        """Make a steady ramp on which the joint with the longest way moves at `speed_deg_s`.
+
+        Parameters
+        ----------
+        start_deg,goal_deg : NDArray[np.float64]
+            (n_joints,) degrees.
+        start_s : float
+            Monotonic seconds.
+        speed_deg_s : float
+            Degrees a second.
+
+        Returns
+        -------
+        Ramp
+            The ramp; its duration follows from the speed in degrees a second.
+        """
         longest_deg = float(np.abs(goal_deg - start_deg).max(initial=0.0))
         return cls(start_deg, goal_deg, start_s, longest_deg / speed_deg_s)
 
     def at(self, time_s: float) -> NDArray[np.float64]:
-        """Where the joints should be, (n_joints,) degrees; exactly the goal once it is over."""
+        """Return where the joints should be.
+
+        Parameters
+        ----------
+        time_s : float
+            Monotonic seconds.
+
+        Returns
+        -------
+        NDArray[np.float64]
+            (n_joints,) degrees; exactly the goal once it is over.
+        """
         share = self._share(time_s)
         if self.eased:
             share = ease(share)

@@ -99,7 +99,20 @@ class TrackingMonitor:
         )
 
     def behind(self, sent_deg: Array, feedback: Feedback) -> NDArray[np.bool_]:
-        """Which servos have not followed for too long, (n_servos,)."""
+        """Return which servos have not followed their goals for too long.
+
+        Parameters
+        ----------
+        sent_deg : Array
+            (n_joints,) degrees: goals sent last.
+        feedback : Feedback
+            Places in degrees, with their age.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n_servos,).
+        """
         error_deg = np.abs(sent_deg - feedback.positions_deg)
         heard = None
         if any_set(feedback.age_s):

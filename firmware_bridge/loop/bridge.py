@@ -67,11 +67,35 @@ class EaseToNeutral:
         self.arrived = False
 
     def at(self, time_s: float) -> Array:
-        """Where the joints should be, (n_joints,) degrees."""
+        """Return where the joints should be.
+
+        Parameters
+        ----------
+        time_s : float
+            Monotonic seconds.
+
+        Returns
+        -------
+        Array
+            (n_joints,) degrees.
+        """
         return self._ramp.at(time_s)
 
     def over(self, sent_deg: Array, time_s: float) -> bool:
-        """Whether the joints were sent to neutral, or have been on their way for too long."""
+        """Return whether the joints were sent to neutral, or have been on their way for too long.
+
+        Parameters
+        ----------
+        sent_deg : Array
+            (n_joints,) degrees: goals sent last.
+        time_s : float
+            Monotonic seconds.
+
+        Returns
+        -------
+        bool
+            False while the way goes on.
+        """
         self.arrived = self._ramp.is_over(time_s) and not sent_deg.any()
         return self.arrived or time_s - self._ramp.start_s >= _LONGEST_S
 

@@ -51,7 +51,20 @@ class HeatDerating:
         self._scale = np.ones(n_servos)
 
     def scale(self, feedback: Feedback, health: Health) -> Array:
-        """Of the amplitude, 0.3..1: heat now, and heat to come."""
+        """Return the share of the amplitude that heat now, and heat to come, allow.
+
+        Parameters
+        ----------
+        feedback : Feedback
+            Its time, seconds.
+        health : Health
+            Temperatures in degC.
+
+        Returns
+        -------
+        Array
+            (n_servos,), 0.3 to 1.
+        """
         if self._duty_at_s is not None:
             if 0.0 <= feedback.time_s - self._duty_at_s < _HEAT_EVERY_S:
                 return self._scale
@@ -263,7 +276,13 @@ class ServoGroup:
         return (feedback.age_s == 0.0) & np.isfinite(places_deg), near_deg
 
     def widen(self, low_deg: Array, high_deg: Array) -> None:
-        """The range of each joint from now on, (n_joints,), as `Limiter.widen` has it."""
+        """Set the range of each joint from now on, as `Limiter.widen`.
+
+        Parameters
+        ----------
+        low_deg,high_deg : Array
+            (n_joints,) degrees.
+        """
         wide = self.limiter.widen(low_deg, high_deg)
         if wide.tobytes() != self._wide.tobytes():
             self._wide, self.is_wide = wide, any_set(wide)

@@ -96,7 +96,13 @@ class TorqueGate:
         return self._bus.disable_torque(index)
 
     def disable_all(self) -> NDArray[np.bool_]:
-        """Let everybody go limp; who was. In a dry run nothing is written."""
+        """Switch the torque of all servos off; in a dry run nothing is written.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n_servos,): which servos confirmed.
+        """
         return np.zeros(self._n_servos, dtype=np.bool_) if self.dry_run else self._bus.disable_all()
 
     def reboot(self, index: int) -> None:

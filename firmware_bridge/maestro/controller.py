@@ -125,7 +125,18 @@ class PulseCommands:
         ]
 
     def of(self, pulses_us: Array) -> bytes:
-        """These pulses, (n_servos,) in us."""
+        """Return the command that sends pulses.
+
+        Parameters
+        ----------
+        pulses_us : Array
+            (n_servos,) us.
+
+        Returns
+        -------
+        bytes
+            Set Multiple Targets, or one Set Target a channel; at most one byte a channel changes.
+        """
         quarters = (pulses_us * QUARTERS + 0.5).astype(np.uint16)
         # Seven bits a byte: what is above the lowest seven moves up by one.
         targets = quarters + (quarters & _HIGH_BITS)
@@ -175,7 +186,20 @@ class MaestroController:
             self._maestro = None
 
     def send(self, pulses_us: Array) -> bool:
-        """One write; the first also bounds the speed of each channel."""
+        """Write the pulses of all servos at once.
+
+        The first write also bounds the speed of each channel.
+
+        Parameters
+        ----------
+        pulses_us : Array
+            (n_servos,) us; 0: no pulse.
+
+        Returns
+        -------
+        bool
+            True.
+        """
         maestro = self._reached()
         if self._commands is None:
             together = self._settings.model != WITHOUT_SET_TARGETS

@@ -146,11 +146,16 @@ class SimulatedChain:
 
     @property
     def motion(self) -> Callable[[float, Array], None] | None:
-        """The callback for every step of the motion: its time, and the shafts' positions, (n,).
+        """The callback for every step of the motion, 5 ms; None, the default, costs nothing.
 
-        Steps are 5 ms. Positions are pulses as `Motors` counts them, which is as present_position
-        does for servos that are neither reversed nor given a homing offset. The array is the
-        motors' own: copy what is kept. None, the default, costs nothing.
+        Positions are pulses as `Motors` counts them, which is as present_position does for servos
+        that are neither reversed nor given a homing offset. The array is the motors' own: copy what
+        is kept.
+
+        Returns
+        -------
+        Callable[[float, Array], None] | None
+            Called with the time in s, and the shafts' positions, (n_servos,) pulses.
         """
         return self.motors.motion
 

@@ -319,7 +319,18 @@ class GoalWrite:
         self._head = HEADER + head + parameters
 
     def request(self, values: ArrayLike) -> bytes:
-        """The packet that sets these whole numbers, one a servo, in the order of the ids."""
+        """Return the Sync Write packet that sets whole numbers, one a servo.
+
+        Parameters
+        ----------
+        values : ArrayLike
+            (n_servos,), in the order of the ids.
+
+        Returns
+        -------
+        bytes
+            The packet with its CRC, bytes.
+        """
         self._values[:] = values
         blocks = self._blocks.tobytes()
         if b"\xff\xff\xfd" in blocks:
@@ -354,15 +365,36 @@ class CommonFrame(Sequence[Status]):
         return np.dtype([("error", "u1"), ("id", "u1"), *data.descr, ("crc", "<u2")])
 
     def values(self, block: np.dtype[np.void]) -> NDArray[np.void]:
-        """The fields of all servos, (n_servos,), in the order of the request.
+        """Return the fields of all servos from the frame.
 
-        block: of `block_of`.
+        Parameters
+        ----------
+        block : np.dtype[np.void]
+            Data type of one servo's block, from `block_of`.
+
+        Returns
+        -------
+        NDArray[np.void]
+            (n_servos,), in the order of the request.
         """
         return self.blocks(self.stream, block)
 
     @staticmethod
     def blocks(stream: bytes | bytearray, block: np.dtype[np.void]) -> NDArray[np.void]:
-        """The same of any memory that holds, or will hold, such a frame."""
+        """Return a view of the fields of all servos in memory that holds such a frame, or will.
+
+        Parameters
+        ----------
+        stream : bytes | bytearray
+            The frame, at its full length.
+        block : np.dtype[np.void]
+            Data type of one servo's block, from `block_of`.
+
+        Returns
+        -------
+        NDArray[np.void]
+            (n_servos,), in the order of the request.
+        """
         return np.frombuffer(stream, dtype=block, offset=_BLOCKS_AT)
 
     def __len__(self) -> int:

@@ -10,7 +10,7 @@ from lipservo_lab.bench.calibration.elastic_draws import draw_elastic_robot
 
 from calibration.calibration import CalibrationError
 from calibration.capture.capture import Robot, capture_poses, joined, usual_poses
-from calibration.capture.joint_health import MOST_LOOKS, unseen_alone
+from calibration.capture.joint_health import MOST_FRAMES, unseen_alone
 from calibration.capture.sanity import check_capture
 from calibration.fit.measured import fit_measured
 from calibration.fit.procedure import Procedure, take_grade
@@ -89,7 +89,7 @@ def test_a_dead_joint_is_named_after_the_second_look():
     capture = shortest(servos, 104).capture(
         MARKERS_47.names, move, robot.measure, report=told.append
     )
-    assert ["'cheek_l'" in line for line in told] == [True] * MOST_LOOKS
+    assert ["'cheek_l'" in line for line in told] == [True] * MOST_FRAMES
     with pytest.raises(CalibrationError, match="'cheek_l' moves no marker"):
         check_capture(capture, MODEL, servos.positive)
 

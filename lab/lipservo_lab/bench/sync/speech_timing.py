@@ -146,7 +146,7 @@ _AROUND_S: Final = 2.5
 class SpeechTiming:
     """Of all sentences: how much later lips close and part than the sound says, seconds.
 
-    n_asked, n_unmatched: closings and partings together. n_closures, n_hits: of P B M.
+    n_wanted, n_unmatched: closings and partings together. n_closures, n_hits: of P B M.
     errors_by_closed_mm_s: the same errors where lips count as closed at another gap.
     """
 
