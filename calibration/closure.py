@@ -51,14 +51,38 @@ class Closure:
         object.__setattr__(self, "crossed", crossed)
 
     def open_mm(self, poses_deg: Array) -> Array:
-        """(k, n_servos) -> (k, n_gaps): below 0 lips press each other."""
+        """Return how far the lips are open.
+
+        Parameters
+        ----------
+        poses_deg : Array
+            (k, n_servos).
+
+        Returns
+        -------
+        Array
+            (k, n_gaps) mm: below 0 lips press each other.
+        """
         moved = poses_deg - self.at_deg
         first, second = pairs(moved.shape[1])
         bent = (moved[:, first] * moved[:, second]) @ self.bends.T
         return np.asarray(self.gaps_mm + moved @ self.slopes.T + bent)
 
     def wanted_mm(self, from_rest: Array, apart_mm: float) -> Array:
-        """(n_components,) and how far the speaker's lips are apart -> (n_gaps,)."""
+        """Return the wanted gaps of a face.
+
+        Parameters
+        ----------
+        from_rest : Array
+            (n_components,).
+        apart_mm : float
+            How far the speaker's lips are apart.
+
+        Returns
+        -------
+        Array
+            (n_gaps,) mm.
+        """
         closes = min(max(1.0 - (apart_mm - CLOSED_GAP_MM) / BLEND_MM, 0.0), 1.0)
         opened_mm = np.maximum(self.opens_mm @ from_rest, 0.0)
         return np.asarray((1.0 - closes) * opened_mm - closes * self.press_mm)
@@ -67,6 +91,20 @@ class Closure:
         """Correct poses (k, n_servos) so that the lips are as far apart as planned.
 
         Frame by frame with plain numbers: live there is one, and NumPy takes longer for it.
+
+        Parameters
+        ----------
+        from_rest : Array
+            (k, n_components).
+        poses_deg : Array
+            (k, n_servos).
+        low,high : Array
+            (n_servos,): the range.
+
+        Returns
+        -------
+        Array
+            (k, n_servos) degrees.
         """
         poses_deg = poses_deg.copy()
         for row, x in enumerate(from_rest):

@@ -58,9 +58,21 @@ def measure_hold_out(
     joint_errors_deg: Array,
     clipped: NDArray[np.bool_],
 ) -> HoldOutErrors:
-    """From markers (n, 47, 3) of the human, the calibrated face and the best reachable face.
+    """Return the errors of a calibration on held-out frames.
 
-    joint_errors_deg: (n, n_servos); clipped: (n,).
+    Parameters
+    ----------
+    human_mm,robot_mm,nearest_mm : Array
+        (n, 47, 3) markers of the human, the calibrated face and the best reachable face.
+    joint_errors_deg : Array
+        (n, n_servos).
+    clipped : NDArray[np.bool_]
+        (n,).
+
+    Returns
+    -------
+    HoldOutErrors
+        In mm and degrees.
     """
     human_gap_mm, robot_gap_mm = _gap_mm(human_mm), _gap_mm(robot_mm)
     closed = human_gap_mm <= CLOSED_GAP_MM
@@ -82,7 +94,20 @@ def measure_hold_out(
 
 
 def each_marker_rms_mm(marker_names: Sequence[str], off_mm: Array) -> dict[str, float]:
-    """(n, n_markers, 3), how far each marker is off -> rms over the frames, by name."""
+    """Return how far each marker is off, rms over the frames.
+
+    Parameters
+    ----------
+    marker_names : Sequence[str]
+        n_markers.
+    off_mm : Array
+        (n, n_markers, 3).
+
+    Returns
+    -------
+    dict[str, float]
+        mm by name.
+    """
     rms_mm = np.sqrt(np.mean(np.sum(off_mm**2, axis=2), axis=0))
     return dict(zip(marker_names, rms_mm.tolist(), strict=True))
 
@@ -233,9 +258,21 @@ class GapFigures:
 def gap_figures(
     wanted_mm: Array, made_mm: Array, human_gap_mm: Array, shares: Array | None = None
 ) -> GapFigures:
-    """(n,) each: openings beyond the robot's own closed gap, NaN where not measured; the speaker's.
+    """Compare made openings with wanted ones.
 
-    shares: (n,), of speech that each frame stands for; None: all the same.
+    Parameters
+    ----------
+    wanted_mm,made_mm : Array
+        (n,): openings beyond the robot's own closed gap, NaN where not measured.
+    human_gap_mm : Array
+        (n,): the speaker's.
+    shares : Array | None
+        (n,), of speech that each frame stands for; None: all the same.
+
+    Returns
+    -------
+    GapFigures
+        Slope, and mm.
     """
     known = np.isfinite(made_mm)
     weights = np.ones(len(made_mm)) if shares is None else shares
@@ -252,6 +289,17 @@ def gap_figures(
 
 
 def is_small(human_gap_mm: Array) -> NDArray[np.bool_]:
-    """(n,): whether the speaker's lips are a little open."""
+    """Return whether the speaker's lips are a little open.
+
+    Parameters
+    ----------
+    human_gap_mm : Array
+        (n,).
+
+    Returns
+    -------
+    NDArray[np.bool_]
+        (n,).
+    """
     least_mm, most_mm = SMALL_GAPS_MM
     return np.asarray((human_gap_mm >= least_mm) & (human_gap_mm <= most_mm))

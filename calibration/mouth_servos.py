@@ -59,7 +59,13 @@ class MouthServos:
 
     @property
     def limits_deg(self) -> tuple[Array, Array]:
-        """Least and most degrees, (n_servos,) each."""
+        """Least and most angle of each joint.
+
+        Returns
+        -------
+        tuple[Array, Array]
+            (n_servos,) degrees each.
+        """
         return (
             np.array([joint.min_deg for joint in self.joints]),
             np.array([joint.max_deg for joint in self.joints]),

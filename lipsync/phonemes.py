@@ -176,7 +176,15 @@ class ServoListener(Protocol):
     """A recogniser that discounts the noise of the robot's own servos, given their speeds."""
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """The servos (n_servos,) turned so fast at a sound time; NaN: not known."""
+        """Note the servos' speeds at a sound time.
+
+        Parameters
+        ----------
+        sound_s : float
+            Seconds.
+        speeds_deg_s : Array
+            (n_servos,); NaN: not known.
+        """
 
 
 class LiveRecognizer(Protocol):

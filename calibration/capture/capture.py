@@ -104,9 +104,21 @@ def plan_around(
     rules: Sequence[CouplingRule] = (),
     seed: int | None = 0,
 ) -> PosePlan:
-    """Given poses (n, n_servos), each joint reached from a side drawn by `seed`.
+    """Plan given poses, each joint reached from a side drawn by `seed`.
 
-    seed: None for all from below.
+    Parameters
+    ----------
+    goals_deg : Array
+        (n, n_servos).
+    joints,rules : Sequence[JointRange]
+        Limits that the plan keeps.
+    seed : int | None
+        None: all from below.
+
+    Returns
+    -------
+    PosePlan
+        A plan of n poses, in degrees.
     """
     side = np.ones_like(goals_deg)
     if seed is not None:
@@ -115,7 +127,20 @@ def plan_around(
 
 
 def ends_alone(joints: Sequence[JointRange], joint: int) -> Array:
-    """(2, n_servos): one joint at either end of its range, with room for the last step."""
+    """Return the poses with one joint at either end of its range, with room for the last step.
+
+    Parameters
+    ----------
+    joints : Sequence[JointRange]
+        Ranges.
+    joint : int
+        Its number.
+
+    Returns
+    -------
+    Array
+        (2, n_servos) degrees.
+    """
     ends_deg = np.zeros((2, len(joints)))
     ends_deg[:, joint] = [end[joint] for end in _inside(joints)]
     return ends_deg
@@ -147,7 +172,22 @@ def joined(first: PosePlan, second: PosePlan) -> PosePlan:
 def reached_from(
     joints: Sequence[JointRange], goals_deg: Array, side: Array, rules: Sequence[CouplingRule]
 ) -> PosePlan:
-    """Within limits and rules, each with the beginning of its last step."""
+    """Plan poses within limits and rules, each with the beginning of its last step.
+
+    Parameters
+    ----------
+    joints,rules : Sequence[JointRange]
+        Limits that the plan keeps.
+    goals_deg : Array
+        (n, n_servos).
+    side : Array
+        (n, n_servos): 1 from below, -1 from above.
+
+    Returns
+    -------
+    PosePlan
+        A plan of n poses, in degrees.
+    """
     limits = np.array([[j.min_deg for j in joints], [j.max_deg for j in joints]])
     goals_deg = np.array([keep_rules(rules, goal) for goal in np.clip(goals_deg, *limits)])
     start_deg = np.clip(goals_deg - LEAD_IN_DEG * side, *limits)

@@ -195,11 +195,25 @@ def _two_dots(pixels: Array) -> Array:
 def name_dots(
     dots_px: Array, expected_px: Mapping[str, Array], *, furthest_px: float, sure_px: float
 ) -> dict[str, Array]:
-    """Each expected dot's place (2,), by the assignment with the least sum of squared ways.
+    """Assign dots of a picture to expected dots, with the least sum of squared ways.
 
     Dots in a row keep their order so. NaN for one that nothing is near enough to, within
-    `furthest_px`; and for all, when one is hidden while others moved farther than `sure_px`: a
-    row with a gap may have moved up by one place, and a wrong name is worse than none.
+    `furthest_px`; and for all, when one is hidden while others moved farther than `sure_px`: a row
+    with a gap may have moved up by one place, and a wrong name is worse than none.
+
+    Parameters
+    ----------
+    dots_px : Array
+        (n, 2).
+    expected_px : Mapping[str, Array]
+        (2,) by name.
+    furthest_px,sure_px : float
+        Pixels.
+
+    Returns
+    -------
+    dict[str, Array]
+        (2,) pixels by name.
     """
     names = list(expected_px)
     places = {name: np.full(2, np.nan) for name in names}
@@ -220,7 +234,22 @@ def name_dots(
 
 
 def dots_mm(places_px: Mapping[str, Array], origin_px: Array, mm_per_px: float) -> dict[str, Array]:
-    """(3,) each: across to the robot's left, which is right in its picture, up, and 0 forward."""
+    """Return places in mm: across to the robot's left (right in its picture), up, and 0 forward.
+
+    Parameters
+    ----------
+    places_px : Mapping[str, Array]
+        (2,) by name.
+    origin_px : Array
+        (2,).
+    mm_per_px : float
+        Scale.
+
+    Returns
+    -------
+    dict[str, Array]
+        (3,) mm by name.
+    """
     return {
         name: np.array([place[0] - origin_px[0], origin_px[1] - place[1], 0.0 * place[0]])
         * mm_per_px

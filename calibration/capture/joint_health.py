@@ -100,7 +100,20 @@ def is_dead(capture: Capture, lines: StraightLines, joint: int) -> bool:
 
 
 def moved_alone_mm(capture: Capture, joint: int) -> Array:
-    """(n_markers, 3): from its lower to its upper end with all others at 0; NaN where not seen."""
+    """Return the motion of the markers from a joint's lower to its upper end, with all others at 0.
+
+    Parameters
+    ----------
+    capture : Capture
+        Has such poses.
+    joint : int
+        Its number.
+
+    Returns
+    -------
+    Array
+        (n_markers, 3) mm; NaN where not seen.
+    """
     upper, lower = (capture.markers_mm[rows] for rows in _ends_alone(capture, joint))
     return _apart_mm(np.ma.masked_invalid(upper), np.ma.masked_invalid(lower))
 

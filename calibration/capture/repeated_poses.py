@@ -121,12 +121,24 @@ class ChangedPoses:
 
     @property
     def lost(self) -> Array:
-        """The share of what each joint did that it does no more."""
+        """The share of each joint's early motion that it lacks late.
+
+        Returns
+        -------
+        Array
+            (n_joints,), 0 to 1.
+        """
         return np.asarray(1.0 - self.does_mm / self.did_mm)
 
     @property
     def slipped_deg(self) -> Array:
-        """How far each horn would have slipped, were it alone to blame."""
+        """How far each horn would have slipped, were it alone to blame.
+
+        Returns
+        -------
+        Array
+            (n_joints,) degrees.
+        """
         return np.asarray(self.slid_mm / self.did_mm * self.turned_deg)
 
     @property

@@ -64,7 +64,22 @@ _NAMES: dict[tuple[int, ...], str] = {
 def frame_faults(
     marker_names: tuple[str, ...], usual_mm: Array, model: FaceModel
 ) -> tuple[str | None, str | None]:
-    """usual_mm: (n_markers, 3) -> what is wrong with the axes, and with the size; or None."""
+    """Return what is wrong with the axes, and with the size, of a capture's usual markers.
+
+    Parameters
+    ----------
+    marker_names : tuple[str, ...]
+        n_markers.
+    usual_mm : Array
+        (n_markers, 3).
+    model : FaceModel
+        A person's face in mm.
+
+    Returns
+    -------
+    tuple[str | None, str | None]
+        A line each, or None.
+    """
     known = [i for i, name in enumerate(marker_names) if name in MARKERS_47.names]
     known = [i for i in known if np.isfinite(usual_mm[i]).all()]
     if len(known) < _LEAST_MARKERS:
@@ -116,7 +131,29 @@ def is_flat(capture: Capture) -> bool:
 def check_frame(
     marker_names: tuple[str, ...], usual_mm: Array, model: FaceModel, *, accept: bool
 ) -> tuple[str, ...]:
-    """Warnings; raises CalibrationError for axes that are wrong, and for a size unless accepted."""
+    """Check axes and size of a capture's usual markers.
+
+    Parameters
+    ----------
+    marker_names : tuple[str, ...]
+        n_markers.
+    usual_mm : Array
+        (n_markers, 3).
+    model : FaceModel
+        A person's face in mm.
+    accept : bool
+        Whether an odd size is only a warning.
+
+    Returns
+    -------
+    tuple[str, ...]
+        Warnings.
+
+    Raises
+    ------
+    CalibrationError
+        Wrong axes, or an odd size that is not accepted.
+    """
     axes, size = frame_faults(marker_names, usual_mm, model)
     if axes is not None:
         raise CalibrationError(f"{axes}; correct the tracker's axes and capture again")

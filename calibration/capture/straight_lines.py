@@ -140,11 +140,24 @@ def in_head_frame(capture: Capture, lines: StraightLines) -> tuple[Capture, tupl
 def on_head(
     markers_mm: Array, usual_mm: Array, marker_names: tuple[str, ...]
 ) -> tuple[Array, bool]:
-    """(n, n_markers, 3) laid on the head as it was: where the nose is elsewhere than in usual_mm.
+    """Lay markers on the head as it was, where the nose is elsewhere than in `usual_mm`.
 
-    usual_mm: (n, n_markers, 3), where rigid markers were. First as one piece, as a tripod that
-    stands elsewhere wants it, then pose by pose where the nose still moves. The second part:
-    whether it was needed.
+    First as one piece, as a tripod that was moved needs it, then pose by pose where the nose still
+    moves.
+
+    Parameters
+    ----------
+    markers_mm : Array
+        (n, n_markers, 3).
+    usual_mm : Array
+        (n, n_markers, 3), where rigid markers were.
+    marker_names : tuple[str, ...]
+        n_markers.
+
+    Returns
+    -------
+    tuple[Array, bool]
+        (n, n_markers, 3), and whether it was needed.
     """
     nose = [i for i, name in enumerate(marker_names) if name.startswith("nose")]
     rigid = [i for i, name in enumerate(marker_names) if name.startswith(_RIGID)]

@@ -75,7 +75,20 @@ def refuse_swaps(swaps: Sequence[Swap]) -> None:
 
 
 def exchanged(capture: Capture, swaps: Sequence[Swap]) -> Array:
-    """(n, n_markers, 3): the markers with the names of these poses put right."""
+    """Return the markers of a capture with the names of these swaps corrected.
+
+    Parameters
+    ----------
+    capture : Capture
+        n poses.
+    swaps : Sequence[Swap]
+        Pose and two names each.
+
+    Returns
+    -------
+    Array
+        (n, n_markers, 3) mm.
+    """
     markers_mm, names = capture.markers_mm.copy(), capture.marker_names
     for swap in swaps:
         pair = [names.index(swap.one), names.index(swap.other)]
@@ -123,7 +136,20 @@ def _swapped_lips(capture: Capture) -> list[Swap]:
 
 
 def swapped_in_poses(capture: Capture, expected_mm: Array | None = None) -> list[Swap]:
-    """expected_mm: as captured; None: by joint, in lines."""
+    """Find poses in which the names of two markers were exchanged.
+
+    Parameters
+    ----------
+    capture : Capture
+        n poses.
+    expected_mm : Array | None
+        (n, n_markers, 3) as captured; None: by joint, in lines.
+
+    Returns
+    -------
+    list[Swap]
+        One a pose at most.
+    """
     if expected_mm is None:
         expected_mm = straight_lines(capture).expected_mm
     names, found = capture.marker_names, []
@@ -183,6 +209,26 @@ def put_right(
 
     Where all of three readings agree, the names are exchanged. expected_mm: (n, n_markers, 3), of
     the plan; None: by what the other poses say.
+
+    Where all of three readings agree, the names are exchanged.
+
+    Parameters
+    ----------
+    plan,marker_names,on : PosePlan
+        As of the capture.
+    poses : list[CapturedPose]
+        All that were captured.
+    keep : Path | None
+        File of the poses.
+    report : Callable[[str], None]
+        Called with a line for each such pose.
+    expected_mm : Array | None
+        (n, n_markers, 3), of the plan; None: by the other poses.
+
+    Returns
+    -------
+    list[CapturedPose]
+        As many poses.
     """
     seen = gather(plan, marker_names, poses)
     rows = seen.rows

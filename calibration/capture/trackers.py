@@ -44,10 +44,24 @@ class Tracker(Protocol):
         """In the order of `measure`."""
 
     def arrived(self, pose: int, reached_deg: Array, /) -> None:
-        """A pose stands, counted from 0; where the encoders are."""
+        """Note that the robot holds a pose.
+
+        Parameters
+        ----------
+        pose : int
+            Counted from 0.
+        reached_deg : Array
+            (n_servos,), by the encoders.
+        """
 
     def measure(self) -> Array:
-        """(n_markers, 3) millimetres, NaN for lost points."""
+        """Return the markers of the pose.
+
+        Returns
+        -------
+        Array
+            (n_markers, 3) mm, NaN for lost points.
+        """
 
 
 class FileTracker:
@@ -97,7 +111,14 @@ class FileTracker:
 
         Raises CalibrationError where the pose was recorded before.
 
-        A pose that stands a second time shows what was recorded at the first.
+        A pose that the robot holds a second time keeps its first recording.
+
+        Parameters
+        ----------
+        pose : int
+            Counted from 0.
+        reached_deg : Array
+            (n_servos,), by the encoders.
         """
         if pose + 1 in self._requested:
             self._pose = pose + 1
@@ -111,7 +132,13 @@ class FileTracker:
         self._announce(pose + 1, reached_deg)
 
     def measure(self) -> Array:
-        """Wait until the pose was recorded."""
+        """Wait until the pose was recorded.
+
+        Returns
+        -------
+        Array
+            (n_markers, 3) mm, NaN for lost points.
+        """
         found = self._wait_for(self._pose)
         return np.array([found.get(name, np.full(3, np.nan)) for name in self._names])
 
@@ -188,11 +215,25 @@ class TypedTracker:
         return self._names
 
     def arrived(self, pose: int, _reached_deg: Array) -> None:
-        """Remember which pose to ask for."""
+        """Store the number of the pose.
+
+        Parameters
+        ----------
+        pose : int
+            Counted from 0.
+        _reached_deg : Array
+            (n_servos,), not used.
+        """
         self._pose = pose + 1
 
     def measure(self) -> Array:
-        """Ask until every answer is three numbers or empty."""
+        """Ask the user until every answer is three numbers or empty.
+
+        Returns
+        -------
+        Array
+            (n_markers, 3) mm, NaN for an empty answer.
+        """
         return np.array([self._typed(name) for name in self._names])
 
     def _typed(self, name: str) -> Array:
@@ -223,9 +264,23 @@ class SeenByComputation:
         return self._names
 
     def arrived(self, _pose: int, reached_deg: Array) -> None:
-        """Remember where the encoders are."""
+        """Store where the encoders are.
+
+        Parameters
+        ----------
+        _pose : int
+            Not used.
+        reached_deg : Array
+            (n_servos,).
+        """
         self._reached_deg = reached_deg
 
     def measure(self) -> Array:
-        """One look."""
+        """Compute the markers of the last pose.
+
+        Returns
+        -------
+        Array
+            (n_markers, 3) mm.
+        """
         return self._look(self._reached_deg)

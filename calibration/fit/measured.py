@@ -68,12 +68,34 @@ class ShapeErrors:
     stay_apart_mm: float = 0.0
 
     def reached(self, from_rest: Array) -> NDArray[np.bool_]:
-        """(n, n_components) -> (n,): whether the best pose has opening and width within 1 mm."""
+        """Return whether the best pose has opening and width within 1 mm.
+
+        Parameters
+        ----------
+        from_rest : Array
+            (n, n_components).
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n,).
+        """
         wanted_mm, best_mm = self.openings_and_widths_mm(from_rest)
         return np.asarray((np.abs(best_mm - wanted_mm) <= REACHABLE_MM).all(axis=1))
 
     def openings_and_widths_mm(self, from_rest: Array) -> tuple[Array, Array]:
-        """(n, 2) wanted opening and width, mm, and (n, 2) those of the best poses."""
+        """Return wanted openings and widths, and those of the best poses.
+
+        Parameters
+        ----------
+        from_rest : Array
+            (n, n_components).
+
+        Returns
+        -------
+        tuple[Array, Array]
+            (n, 2) mm each.
+        """
         right, left = self.mouth.names.corners
         poses_deg = self.retargeting.poses_deg(from_rest)
         copies_mm, gaps_mm = self.retargeting.copies_mm(from_rest)
@@ -84,13 +106,39 @@ class ShapeErrors:
         return np.stack(wanted, axis=1), np.stack(best, axis=1)
 
     def apart_mm(self, poses_deg: Array, targets_mm: Array) -> Array:
-        """(n,): distance of the face's lips from the targets, rms over the lip markers."""
+        """Return the distance of the face's lips from targets, rms over the lip markers.
+
+        Parameters
+        ----------
+        poses_deg : Array
+            (n, n_servos).
+        targets_mm : Array
+            (n, n_markers, 3).
+
+        Returns
+        -------
+        Array
+            (n,) mm.
+        """
         lips = list(self.mouth.names.shape_features.lips)
         return lips_apart_mm(self.mouth.seen_mm(poses_deg), targets_mm, lips)
 
 
 def lips_apart_mm(markers_mm: Array, targets_mm: Array, lips: list[int]) -> Array:
-    """(n, n_markers, 3) twice -> (n,): rms over the lip markers of their distance in space."""
+    """Return the distance of lip markers in space, rms over them.
+
+    Parameters
+    ----------
+    markers_mm,targets_mm : Array
+        (n, n_markers, 3).
+    lips : list[int]
+        Marker numbers.
+
+    Returns
+    -------
+    Array
+        (n,) mm.
+    """
     squares = np.sum((markers_mm - targets_mm)[:, lips] ** 2, axis=2)
     return np.asarray(np.sqrt(squares.mean(axis=1)))
 
@@ -98,7 +146,22 @@ def lips_apart_mm(markers_mm: Array, targets_mm: Array, lips: list[int]) -> Arra
 def measure_shapes(
     on: ShapeErrors, run: RunTimeMap, held_out: Array
 ) -> tuple[HoldOutErrors, Mapping[str, VisemeReach]]:
-    """Errors on held-out frames (n, n_components), and the coverage of every viseme class."""
+    """Return errors on held-out frames, and the coverage of every viseme class.
+
+    Parameters
+    ----------
+    on : ShapeErrors
+        Measures shapes.
+    run : RunTimeMap
+        The map.
+    held_out : Array
+        (n, n_components).
+
+    Returns
+    -------
+    tuple[HoldOutErrors, Mapping[str, VisemeReach]]
+        In mm, and shares 0 to 1 by viseme.
+    """
     return _errors(on, run, held_out), _coverage(on, run)
 
 
@@ -193,10 +256,22 @@ _LOOSE_DEG, _LOOSE_TIMES, _AHEAD, _FEWEST_JOINTS = 2.0, 1.8, 1.25, 3
 
 
 def loose_joint(servo_names: tuple[str, ...], backlash_deg: Array) -> tuple[str, ...]:
-    """A line where one joint, and no other, has far more play than is usual for its face.
+    """Return a warning where one joint, and no other, has far more play than is usual for its face.
 
     Play beyond the last step of a pose (3 degrees) is not seen whole, and joints that hardly move
     the skin are not distinguished from their neighbours: they are left out.
+
+    Parameters
+    ----------
+    servo_names : tuple[str, ...]
+        n_servos.
+    backlash_deg : Array
+        (n_servos,).
+
+    Returns
+    -------
+    tuple[str, ...]
+        One line, or none.
     """
     if len(backlash_deg) < _FEWEST_JOINTS:
         return ()
@@ -339,7 +414,20 @@ def _doubt_mm_per_deg(capture: Capture, names: Correspondence) -> Array:
 
 
 def split_frames(model: FaceWithAnimPhos, seed: int) -> tuple[Array, Array]:
-    """Frames (n, n_components) to fit and to hold out, of different AnimPhos drawn by `seed`."""
+    """Return frames to fit and to hold out, of different AnimPhos drawn by `seed`.
+
+    Parameters
+    ----------
+    model : FaceWithAnimPhos
+        Has the AnimPhos.
+    seed : int
+        Of the draw.
+
+    Returns
+    -------
+    tuple[Array, Array]
+        (n, n_components) each.
+    """
     order = np.random.default_rng(seed).permutation(len(model.animphos))
     if len(order) < 2:
         raise CalibrationError("a calibration needs a model with at least 2 AnimPhos")
@@ -350,7 +438,18 @@ def split_frames(model: FaceWithAnimPhos, seed: int) -> tuple[Array, Array]:
 
 
 def backlash_only(backlash_deg: Array) -> Following:
-    """Nothing known of lags and speeds yet: no lag, no limit."""
+    """Return a response with backlash alone: lags and speeds are not known yet.
+
+    Parameters
+    ----------
+    backlash_deg : Array
+        (n_servos,).
+
+    Returns
+    -------
+    Following
+        No lag, no limit; backlash in degrees.
+    """
     unknown = np.full(len(backlash_deg), np.inf)
     return Following(np.zeros(len(backlash_deg)), backlash_deg, unknown, unknown)
 
@@ -384,7 +483,20 @@ def retargeting_of(
 
 
 def nearest_gaps(face: RobotFace, capture: Capture) -> tuple[Array, Array]:
-    """The pose (n_servos,) in which a ladder brought the lips nearest, and the gaps (n_gaps,)."""
+    """Return the pose in which a ladder brought the lips nearest, and the gaps there.
+
+    Parameters
+    ----------
+    face : RobotFace
+        Has the ladders.
+    capture : Capture
+        Its poses.
+
+    Returns
+    -------
+    tuple[Array, Array]
+        (n_servos,) degrees and (n_gaps,) mm.
+    """
     assert face.ladders is not None
     rows = [own[-1] for own in face.ladders.rows]
     ends_deg = capture.goals_deg[rows]

@@ -104,9 +104,28 @@ def graded_poses(fit: MeasuredFit, servos: MouthServos, seed: int = 0) -> Graded
 def graded(
     calibration: Calibration, poses: GradedPoses, seen: Capture, rows: NDArray[np.int64]
 ) -> tuple[Calibration, tuple[str, ...]]:
-    """The same with the grade that `seen` gives it, and what there is to say about it.
+    """Return the calibration with the grade of a capture, and lines about it.
 
-    rows: which of the poses `seen` shows. Raises CalibrationError for fewer than half of them.
+    Parameters
+    ----------
+    calibration : Calibration
+        To be graded.
+    poses : GradedPoses
+        Planned ones.
+    seen : Capture
+        The capture.
+    rows : NDArray[np.int64]
+        (n,): which of the poses `seen` shows.
+
+    Returns
+    -------
+    tuple[Calibration, tuple[str, ...]]
+        Errors in mm.
+
+    Raises
+    ------
+    CalibrationError
+        `seen` has fewer than half of the poses.
     """
     if len(seen) < len(poses) // 2 or len(rows) != len(seen):
         raise CalibrationError(

@@ -119,7 +119,20 @@ class PublishedSynthesizer:
         return Frame(time_s, self._units.rest)
 
     def faces_after(self, frame: Frame, times_s: Array) -> Array:
-        """The frame's face for each later time (k,): the published method plans no further."""
+        """Return the frame's face for each later time: the published method plans no further.
+
+        Parameters
+        ----------
+        frame : Frame
+            The newest.
+        times_s : Array
+            (k,).
+
+        Returns
+        -------
+        Array
+            (k, n_components).
+        """
         return np.tile(frame.coefficients, (len(times_s), 1))
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:

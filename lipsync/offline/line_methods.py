@@ -76,7 +76,20 @@ class PlannedMotion:
         return Frame(time_s, np.asarray(face))
 
     def faces_after(self, frame: Frame, times_s: Array) -> Array:  # noqa: ARG002 - a contract
-        """The faces (k, n_components) at later times (k,)."""
+        """Return the faces at later times.
+
+        Parameters
+        ----------
+        frame : Frame
+            The newest; not used.
+        times_s : Array
+            (k,) sound times.
+
+        Returns
+        -------
+        Array
+            (k, n_components).
+        """
         return np.array([self.frame_at(time_s).coefficients for time_s in times_s.tolist()])
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
@@ -85,7 +98,20 @@ class PlannedMotion:
 
 
 def shown_faces(line: FinishedSynthesizer, times_s: Sequence[float] | Array) -> Array:
-    """Faces (n, n_components) at ascending times, decided tick by tick as a robot would."""
+    """Return the faces at given times, decided tick by tick as a robot would.
+
+    Parameters
+    ----------
+    line : FinishedSynthesizer
+        The synthesiser of the line.
+    times_s : Sequence[float] | Array
+        (n,), ascending.
+
+    Returns
+    -------
+    Array
+        (n, n_components).
+    """
     found, n_ticks = [], 0
     for time_s in times_s:
         while n_ticks * TICK_S < time_s - 1e-6:

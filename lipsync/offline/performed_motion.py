@@ -36,7 +36,20 @@ class StoredMotion:
         self._last_s = performance.duration_s
 
     def face_at(self, at_s: float, otherwise: Array) -> Array:
-        """The face (n_components,); beyond its ends eased to what the mouth does otherwise."""
+        """Return the stored face; beyond its ends eased to the face of the inner synthesiser.
+
+        Parameters
+        ----------
+        at_s : float
+            Seconds from its beginning.
+        otherwise : Array
+            (n_components,), the inner face.
+
+        Returns
+        -------
+        Array
+            (n_components,).
+        """
         outside_s = max(-at_s, at_s - self._last_s)
         if outside_s <= 0.0:
             return self._between(self._faces, at_s)

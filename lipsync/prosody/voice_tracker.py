@@ -237,11 +237,27 @@ class VoiceTracker:
         self._arousal = ArousalTracker()
 
     def feed(self, samples: Array32, end_s: float | None = None) -> VoiceFrame:
-        """The frame that samples (160,) float32 at 16 kHz complete.
+        """Return the frame that samples complete.
 
         The last block of a stream may be shorter. What is no number counts as silence, what is
-        beyond full scale as full scale. end_s: sound time of their end; None: they follow the last
-        block without a gap. Raises ValueError for more than 160.
+        beyond full scale as full scale.
+
+        Parameters
+        ----------
+        samples : Array32
+            (160,) float32 at 16 kHz.
+        end_s : float | None
+            Sound time of their end; None: they follow the last block without a gap.
+
+        Returns
+        -------
+        VoiceFrame
+            10 ms of prosody.
+
+        Raises
+        ------
+        ValueError
+            More than 160 samples.
         """
         n_samples = len(samples)
         if n_samples > BLOCK_SAMPLES:

@@ -148,7 +148,7 @@ class LadderLevel:
         self.is_pause = True
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """The robot's servos turned so fast; nothing for one that cannot use it."""
+        """Pass the servos' speeds on; ignored by a recogniser that cannot use them."""
         if isinstance(self._recognizer, ServoListener):
             self._recognizer.note_servo_speeds(sound_s - self._offset_s, speeds_deg_s)
 
@@ -388,7 +388,7 @@ class FallbackRecognizer:
             self._fall_back(_in_words(error))
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """Pass it to the level in use, and to the one that is tried; never raises for them."""
+        """Pass servo speeds to the level in use and the one on trial; never raises for them."""
         try:
             self._level.note_servo_speeds(sound_s, speeds_deg_s)
         except Exception as error:  # as in feed

@@ -71,7 +71,18 @@ class StreamingNetwork:
         self._residuals = [_StreamingLayer(layer) for layer in weights.residuals]
 
     def push(self, features: Array32) -> Array32:
-        """Posteriors (n, n_heads, n_phonemes) of features (n, n_bands)."""
+        """Return the posteriors of new frames.
+
+        Parameters
+        ----------
+        features : Array32
+            (n, n_bands).
+
+        Returns
+        -------
+        Array32
+            (n, n_heads, n_phonemes).
+        """
         weights = self._weights
         if len(features) == 1:
             hidden = self._entry.step(features[0])

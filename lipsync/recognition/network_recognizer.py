@@ -139,9 +139,16 @@ class NetworkRecognizer:
         self._followed: list[int] = []  # of the same newest frames, as the text has them
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """The robot's servos (n_servos,) turned so fast at a sound time: their noise is no voice.
+        """Note the speeds of the robot's servos, whose noise is not taken for a voice.
 
-        What they sound like is learned on the way, and kept through `reset`.
+        The noise is learned on the way, and kept through `reset`.
+
+        Parameters
+        ----------
+        sound_s : float
+            Seconds.
+        speeds_deg_s : Array
+            (n_servos,).
         """
         if self._own_noise is None:
             self._own_noise = OwnNoise(self._weights.delays[-1] + round(_AHEAD_S * FRAMES_PER_S))

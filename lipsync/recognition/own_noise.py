@@ -40,10 +40,19 @@ class ServoSpeeds:
         self._read: deque[tuple[float, Array]] = deque(maxlen=8)
 
     def take(self, time_s: float, positions_deg: Array) -> tuple[float, Array] | None:
-        """A reading (n_servos,), NaN for a servo that did not answer.
+        """Add an encoder reading; return the newest speeds.
 
-        The newest time and the speeds (n_servos,) in deg/s then; None until two readings tell.
-        A time that was taken before tells nothing new.
+        Parameters
+        ----------
+        time_s : float
+            Of the reading; one that is not newer than the last is ignored.
+        positions_deg : Array
+            (n_servos,), NaN for a servo that did not answer.
+
+        Returns
+        -------
+        tuple[float, Array] | None
+            The newest time, and (n_servos,) in deg/s then; None until two readings are there.
         """
         if self._read and time_s <= self._read[-1][0]:
             return None
@@ -101,7 +110,15 @@ class OwnNoise:
         self._louder, self._n_explained = None, 0
 
     def note_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """The servos (n_servos,) turned so fast at a sound time; NaN: not known, taken for 0."""
+        """Note the servos' speeds at a sound time.
+
+        Parameters
+        ----------
+        sound_s : float
+            Seconds.
+        speeds_deg_s : Array
+            (n_servos,); NaN: not known, taken for 0.
+        """
         n = len(speeds_deg_s) * len(_KNOTS_DEG_S)
         if n != len(self._power):
             self._power, self._n_learned = np.full((n, N_BANDS), _NOTHING), np.zeros(n)
@@ -109,9 +126,21 @@ class OwnNoise:
         self._speeds.append((sound_s, knot_shares(speeds_deg_s)))
 
     def explains(self, frame: Array32, sound_s: float, *, is_awake: bool) -> bool:
-        """Whether the servos explain a log-mel frame (40,) whose middle is at a sound time.
+        """Return whether the servos explain a frame of sound.
 
-        is_awake: speech was believed a moment ago; then it takes more to be explained.
+        Parameters
+        ----------
+        frame : Array32
+            (40,) log-mel.
+        sound_s : float
+            Of its middle.
+        is_awake : bool
+            Whether there was speech a moment ago; then it takes more to be explained.
+
+        Returns
+        -------
+        bool
+            True: the frame is the robot's own noise.
         """
         shares = self._shares_at(sound_s)
         self._heard.append((frame, shares))
@@ -152,7 +181,18 @@ class OwnNoise:
 
 
 def knot_shares(speeds_deg_s: Array) -> Array:
-    """(n_servos n_knots,): how much each knot counts at speeds (n_servos,), 0 to 1; NaN: 0."""
+    """Return how much each knot of speed counts at these speeds.
+
+    Parameters
+    ----------
+    speeds_deg_s : Array
+        (n_servos,); NaN: 0.
+
+    Returns
+    -------
+    Array
+        (n_servos n_knots,), 0 to 1.
+    """
     knots = np.concatenate(([0.0], _KNOTS_DEG_S))
     speeds = np.nan_to_num(np.abs(speeds_deg_s), posinf=knots[-1])
     place = np.interp(speeds, knots, np.arange(len(knots)))
@@ -182,7 +222,18 @@ class SteadySoundDetector:
         self._floor: Array32 = self._minima[0].copy()
 
     def push(self, frame: Array32) -> bool:
-        """Whether the sound has been steady for `STEADY_S`; frame (40,): natural log of power."""
+        """Return whether the sound has been steady for `STEADY_S`.
+
+        Parameters
+        ----------
+        frame : Array32
+            (40,): natural log of power.
+
+        Returns
+        -------
+        bool
+            True once it has been, for as long as it is.
+        """
         self._level = self._level + _STEADY_SMOOTHING * (frame - self._level)
         step, within = divmod(self._n_frames, _STEP_FRAMES)
         minimum = self._minima[step % len(self._minima)]

@@ -62,13 +62,24 @@ class PosteriorStream:
         self._own_noise = own_noise
 
     def push(self, samples: Array32, until_s: float = 0.0, *, is_awake: bool = False) -> Array32:
-        """(n, n_heads, n_phonemes) of the frames that samples (m,) at 16 kHz complete.
-
-        until_s: the sound time at which they end; is_awake: speech was believed a moment ago. Only
-        the robot's own noise needs them.
+        """Return the posteriors of the frames that new samples complete.
 
         The head that waits d frames gives, at frame k, the posteriors of frame k - d. Where that
-        frame holds no sound, or one that stands still, it is silence, whatever the network says.
+        frame holds no sound, or a constant one, it is silence, whatever the network says.
+
+        Parameters
+        ----------
+        samples : Array32
+            (m,) at 16 kHz.
+        until_s : float
+            Sound time at which they end; used for the robot's own noise only.
+        is_awake : bool
+            Whether there was speech a moment ago; used for the robot's own noise only.
+
+        Returns
+        -------
+        Array32
+            (n, n_heads, n_phonemes).
         """
         frames = self._log_mel.push(samples)
         n = len(frames)
@@ -113,6 +124,19 @@ class PosteriorStream:
 
 
 def whole_posteriors(weights: NetworkWeights, samples: Array32) -> FramePosteriors:
-    """What is believed of a recording (n,) at 16 kHz, from its beginning to its end."""
+    """Return the posteriors of a recording, from its beginning to its end.
+
+    Parameters
+    ----------
+    weights : NetworkWeights
+        Of the network.
+    samples : Array32
+        (n,) at 16 kHz.
+
+    Returns
+    -------
+    FramePosteriors
+        Its values are (n_frames, n_heads, n_phonemes).
+    """
     values = PosteriorStream(weights).push(samples)
     return FramePosteriors(FRAMES_PER_S, 0, weights.delays, values)

@@ -142,9 +142,19 @@ class SoundAhead:
 def blocks_of(
     samples: NDArray[np.float32], n_first: int = BLOCK_SAMPLES, n_block: int = BLOCK_SAMPLES
 ) -> Iterator[AudioBlock]:
-    """Samples (n,) at 16 kHz as blocks of `n_block` from sound time 0; the first of `n_first`.
+    """Cut samples into blocks from sound time 0; the last block may be shorter.
 
-    What is left at the end is the last, shorter block.
+    Parameters
+    ----------
+    samples : NDArray[np.float32]
+        (n,) at 16 kHz.
+    n_first,n_block : int
+        Samples of the first block, and of each later one.
+
+    Returns
+    -------
+    Iterator[AudioBlock]
+        Blocks of 16 kHz.
     """
     edges = [0, *range(n_first, len(samples), n_block), len(samples)]
     for start, end in pairwise(edges):
@@ -168,10 +178,23 @@ class AudioInput:
         self._resampler: soxr.ResampleStream | None = None
 
     def take(self, block: AudioBlock) -> tuple[Array32, float, Array32]:
-        """Silence that comes first, seconds to jump over after it, and the block's own samples.
+        """Bring a block to 16 kHz, and fill what is missing before it.
 
-        The seconds are a multiple of 10 ms. Raises ValueError for a block that starts before the
-        last one's end, and for another rate than the stream began with.
+        Parameters
+        ----------
+        block : AudioBlock
+            Of any rate; the same rate for a whole stream.
+
+        Returns
+        -------
+        tuple[Array32, float, Array32]
+            Silence that comes first, (n,) samples; seconds to jump over after it, a multiple of 10
+            ms; the block's own samples, (m,) at 16 kHz.
+
+        Raises
+        ------
+        ValueError
+            The block starts before the last one's end, or has another rate.
         """
         if self._rate_hz is None:
             self._begin(block.sample_rate_hz)

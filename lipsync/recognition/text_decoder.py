@@ -209,9 +209,17 @@ class TextDecoder:
         self._first_frame += n_frames
 
     def push(self, scores: Array32) -> list[int]:
-        """Take the scores (n_heads, n_phonemes) of one frame; logarithms.
+        """Decode one frame.
 
-        The phonemes of the last frames, the newest that a head has spoken about last, or `HEARD`.
+        Parameters
+        ----------
+        scores : Array32
+            (n_heads, n_phonemes), logarithms.
+
+        Returns
+        -------
+        list[int]
+            The phonemes of the last frames, the newest that a head has scored last, or `HEARD`.
         """
         n, length = self._n_heard, len(self._recent)
         self._n_heard += 1

@@ -136,7 +136,20 @@ def _rotated(part: Part, moves: Array, amount: float) -> Array:
 
 
 def vertex_normals(places: Array, triangles: Indices) -> Array:
-    """(n, 3), of length 1: the mean of the triangles round each vertex, by their area."""
+    """Return normals of length 1: the mean of the triangles round each vertex, by their area.
+
+    Parameters
+    ----------
+    places : Array
+        (n, 3).
+    triangles : Indices
+        (n_triangles, 3).
+
+    Returns
+    -------
+    Array
+        (n, 3).
+    """
     corner = places[triangles]
     faces = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     summed = np.column_stack(
