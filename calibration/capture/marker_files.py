@@ -179,7 +179,7 @@ def read_capture(
     Raises
     ------
     CalibrationError
-        With file and line, for anything that is not as described above.
+        With file and line, for anything that is not as the module describes.
     """
     return read_recorded(plan_path, markers_path, servo_names, axes=axes, read=read)[1]
 

@@ -94,7 +94,7 @@ def poses_in_contact(free_gaps_mm: Array, closed_mm: Array) -> NDArray[np.bool_]
 
 
 def first_closed_mm(seen_gaps_mm: Array, contact: NDArray[np.bool_]) -> Array:
-    """Return the usual gap of poses in contact; the least one seen where those hide a dot.
+    """Return the usual gap of poses in contact, (n_gaps,) mm; the least where those hide a dot.
 
     Parameters
     ----------
@@ -102,11 +102,6 @@ def first_closed_mm(seen_gaps_mm: Array, contact: NDArray[np.bool_]) -> Array:
         (n, n_gaps).
     contact : NDArray[np.bool_]
         (n,).
-
-    Returns
-    -------
-    Array
-        (n_gaps,) mm.
     """
     is_seen = np.isfinite(seen_gaps_mm[contact]).any(axis=0)
     closing_mm = np.where(is_seen, seen_gaps_mm[contact], np.nanmin(seen_gaps_mm, axis=0))
@@ -305,7 +300,7 @@ class RobotFace:
     ladders: SeenLadders | None = None
 
     def free_mm(self, output_deg: Array) -> Array:
-        """Return markers as if lips did not stop each other; their overlap tells how hard they press.
+        """Return markers as if lips did not stop each other, (n, n_markers, 3) mm.
 
         Parameters
         ----------

@@ -103,7 +103,7 @@ class Hyperparameters:
         Returns
         -------
         Array
-            (n_servos + 4,).
+            (n_inputs + 4,).
         """
         others = [self.curvature, self.noise_mm2, self.width_mm, self.own]
         return np.asarray(np.log(np.maximum(np.concatenate([self.reach_mm2, others]), 1e-8)))

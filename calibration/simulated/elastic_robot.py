@@ -138,7 +138,7 @@ class ElasticSkin:
         place_mm : Array
             (3,).
         below_slit : bool | None
-            The lip that the rod leaves alone: True the lower, False the upper; None: neither.
+            True: the lower lip alone is moved; False: the upper alone; None: both.
 
         Returns
         -------

@@ -135,7 +135,7 @@ class PulseCommands:
         Returns
         -------
         bytes
-            Set Multiple Targets, or one Set Target a channel; at most one byte a channel changes.
+            Set Multiple Targets for rows of channels, else one Set Target each.
         """
         quarters = (pulses_us * QUARTERS + 0.5).astype(np.uint16)
         # Seven bits a byte: what is above the lowest seven moves up by one.

@@ -74,7 +74,15 @@ class AgentStream:
         self.speech.mark(name)
 
     def push(self, samples: NDArray[np.float32], now_s: float) -> None:
-        """More of it, at monotonic `now_s`. What comes after it was cut off is dropped."""
+        """Append audio to the stream; audio after it was cut off is dropped.
+
+        Parameters
+        ----------
+        samples : NDArray[np.float32]
+            (n,) at the stream's rate.
+        now_s : float
+            Monotonic seconds.
+        """
         self.fed_s = now_s
         if not self.speech.ended:
             try:

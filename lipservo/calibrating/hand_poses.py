@@ -56,7 +56,20 @@ HAND_POSES: Final = (
 
 
 def beyond_limits(servos: MouthServos, positions_deg: Array) -> dict[str, str]:
-    """Why a pose cannot be kept, by the name of the joint that is outside the face's limits."""
+    """Return why a pose cannot be kept, for each joint that is outside the face's limits.
+
+    Parameters
+    ----------
+    servos : MouthServos
+        Of the mouth.
+    positions_deg : Array
+        (n_servos,).
+
+    Returns
+    -------
+    dict[str, str]
+        A line by the joint's name.
+    """
     low_deg, high_deg = servos.limits_deg
     off_deg = np.maximum(low_deg - positions_deg, positions_deg - high_deg)
     return {
@@ -72,10 +85,28 @@ def beyond_limits(servos: MouthServos, positions_deg: Array) -> dict[str, str]:
 def with_hand_poses(
     calibration: Calibration, servos: MouthServos, made_deg: Mapping[str, Array], cap_ma: float
 ) -> Calibration:
-    """The same map with these poses (n_servos,), by name, beside those that were kept before.
+    """Return the calibration with these poses beside those that were kept before.
 
-    cap_ma: proposed with a touch pose where the calibration proposes none. Raises CalibrationError
-    where no pose was made, or a joint was nowhere.
+    Parameters
+    ----------
+    calibration : Calibration
+        The old one.
+    servos : MouthServos
+        Of the mouth.
+    made_deg : Mapping[str, Array]
+        (n_servos,) by the name of the pose.
+    cap_ma : float
+        Proposed with a touch pose where the calibration proposes none.
+
+    Returns
+    -------
+    Calibration
+        With limits in degrees from the poses.
+
+    Raises
+    ------
+    CalibrationError
+        No pose was made, or a joint was nowhere.
     """
     if not made_deg:
         raise CalibrationError("no pose was kept; the calibration stays as it is")
@@ -176,9 +207,23 @@ class Posing:
 def pose_by_hand(
     servos: LimpServos, mouth: MouthServos, posing: Posing, keys: Keys, console: Console
 ) -> Mapping[str, Array]:
-    """Let a person make the poses; what was made, once all are or the person stops.
+    """Let a person make the poses, until all are made or the person stops. Raises PortGone.
 
-    The servos are limp already. Raises PortGone.
+    Parameters
+    ----------
+    servos : LimpServos
+        Limp already.
+    mouth : MouthServos
+        Its servos.
+    posing : Posing
+        The poses to make.
+    keys,console : Keys
+        Of the terminal.
+
+    Returns
+    -------
+    Mapping[str, Array]
+        (n_servos,) degrees by the name of the pose.
     """
     with Live(console=console, transient=True, auto_refresh=False) as live:
         while posing.current < len(posing.poses):

@@ -68,10 +68,22 @@ def within_speeds(
 
 
 def spoken_frames(model: FaceWithAnimPhos, rng: np.random.Generator) -> Array:
-    """(n, n_components) at 100 Hz: walks without pauses through AnimPhos that may follow.
+    """Return random speech: walks without pauses through AnimPhos that may follow.
 
     Each walk is short, as some AnimPhos lead round in a circle, and of a motion that repeats itself
     there is no lag to measure.
+
+    Parameters
+    ----------
+    model : FaceWithAnimPhos
+        Has the AnimPhos.
+    rng : np.random.Generator
+        Chooses the way.
+
+    Returns
+    -------
+    Array
+        (n, n_components) at 100 Hz.
     """
     speaking = np.setdiff1d(np.arange(len(model.animphos)), model.animphos.of_phoneme(SILENCE))
     animpho = int(rng.choice(speaking))

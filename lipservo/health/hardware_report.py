@@ -179,7 +179,20 @@ def spread(values: Sequence[float]) -> dict[str, float] | None:
 
 
 def step_goals(min_deg: float, max_deg: float, rate_hz: float) -> Array:
-    """(n, 1) goals of a joint: steps to one side of 0 and back, within its limits."""
+    """Return goals of a joint: steps to one side of 0 and back, within its limits.
+
+    Parameters
+    ----------
+    min_deg,max_deg : float
+        Its limits.
+    rate_hz : float
+        Goals a second.
+
+    Returns
+    -------
+    Array
+        (n, 1) degrees.
+    """
     size_deg = min(STEP_DEG, max_deg) if max_deg >= -min_deg else max(-STEP_DEG, min_deg)
     held = round(STEP_S * rate_hz)
     there_and_back = np.repeat([size_deg, 0.0], held)
@@ -189,10 +202,22 @@ def step_goals(min_deg: float, max_deg: float, rate_hz: float) -> Array:
 def step_answers(
     goals_deg: Array, seen_deg: Array, rate_hz: float
 ) -> list[dict[str, float | None]]:
-    """How a shaft answered each step; goals and places (n,), one a tick.
+    """Return how a shaft answered each step.
 
     late_ms: until it has gone a tenth of the way; settled_ms: until it stays near its goal, None:
     it does not; beyond_deg: how far past it; off_deg: where it comes to rest.
+
+    Parameters
+    ----------
+    goals_deg,seen_deg : Array
+        (n,), one a tick.
+    rate_hz : float
+        Ticks a second.
+
+    Returns
+    -------
+    list[dict[str, float | None]]
+        One mapping a step.
     """
     edges = [0, *(np.flatnonzero(np.diff(goals_deg)) + 1).tolist(), len(goals_deg)]
     answers: list[dict[str, float | None]] = []

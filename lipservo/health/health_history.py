@@ -241,7 +241,20 @@ def findings(servos: Mapping[str, Sequence[ServoDay]]) -> list[str]:
 
 
 def theil_sen_slope(times: NDArray[np.float64], values: NDArray[np.float64]) -> float:
-    """The median of the slopes of all pairs: Sen, J. Am. Stat. Assoc. 63 (1968) 1379."""
+    """Return the median of the slopes of all pairs: Sen, J. Am. Stat. Assoc. 63 (1968) 1379.
+
+    Parameters
+    ----------
+    times : NDArray[np.float64]
+        (n,), different.
+    values : NDArray[np.float64]
+        (n,).
+
+    Returns
+    -------
+    float
+        Values a unit of time.
+    """
     slopes = [
         (values[j] - values[i]) / (times[j] - times[i])
         for i, j in combinations(range(len(times)), 2)

@@ -33,10 +33,28 @@ _PAUSE_S: Final = 0.3
 
 
 def line_expression(face: str, line: Line, n_frames: int) -> dict[str, NDArray[np.float32]]:
-    """Of every name of `EXPRESSION_NAMES` the values (n_frames,) at i / 100 s of sound time.
+    """Return the expression of a line; the same line always moves the same, another one otherwise.
 
-    face: whose expression, by the name of a shipped face or its YAML. The same line always moves
-    the same, another one otherwise. Raises SettingsError, ExpressionModelError.
+    Parameters
+    ----------
+    face : str
+        Whose expression, by the name of a shipped face or its YAML.
+    line : Line
+        The line.
+    n_frames : int
+        100 a second.
+
+    Returns
+    -------
+    dict[str, NDArray[np.float32]]
+        (n_frames,) at i / 100 s of sound time, by names of `EXPRESSION_NAMES`.
+
+    Raises
+    ------
+    SettingsError
+        The face cannot be read.
+    ExpressionModelError
+        Its expression model cannot be read.
     """
     settings, folder = load_settings(face)
     seed = settings.expression.seed ^ int.from_bytes(sha256(line.samples.tobytes()).digest()[:4])
@@ -62,7 +80,18 @@ def line_expression(face: str, line: Line, n_frames: int) -> dict[str, NDArray[n
 
 
 def voice_frames(samples: NDArray[np.float32]) -> list[VoiceFrame]:
-    """One for each 10 ms of 16 kHz samples, against the baselines of all of them."""
+    """Return the prosody of a sound, against the baselines of all of it.
+
+    Parameters
+    ----------
+    samples : NDArray[np.float32]
+        (n,) at 16 kHz.
+
+    Returns
+    -------
+    list[VoiceFrame]
+        One for each 10 ms.
+    """
     tracker = VoiceTracker()
     for _ in range(2):  # once to learn what is usual in this line
         frames = [tracker.feed(block) for block in _blocks(samples)]

@@ -81,7 +81,24 @@ def rendered_line(sound: Path, script: Script, how: Rendering) -> tuple[Performa
 def rendered_faces(
     speaker: Speaker, line: Line, method: LineMethod, strength: float = 1.0
 ) -> tuple[Array, tuple[str, ...]]:
-    """Faces (n, n_components), 100 a second from 0 to the end of the sound, and notes."""
+    """Render a line.
+
+    Parameters
+    ----------
+    speaker : Speaker
+        Models.
+    line : Line
+        Sound and phones.
+    method : LineMethod
+        Of the motion.
+    strength : float
+        0 to 1 and beyond.
+
+    Returns
+    -------
+    tuple[Array, tuple[str, ...]]
+        (n, n_components), 100 a second from 0 to the end of the sound, and notes.
+    """
     synthesizer, notes = line_synthesizer(speaker, line, method, strength)
     n_frames = int(np.ceil(len(line.samples) / SAMPLE_RATE_HZ * RATE_HZ)) + 1
     return shown_faces(synthesizer, np.arange(n_frames) / RATE_HZ), tuple(notes)

@@ -63,7 +63,18 @@ class SpokenSound:
         return recognizer
 
     def frames(self, times_s: Sequence[float] | Array) -> list[Frame]:
-        """The faces of ascending sound times, as the robot shows them."""
+        """Return the faces of a sound, as the robot shows them.
+
+        Parameters
+        ----------
+        times_s : Sequence[float] | Array
+            (n,) sound times, ascending.
+
+        Returns
+        -------
+        list[Frame]
+            n frames.
+        """
         face = assemble_face(self.config, self.model)
         synthesizer = make_synthesizer(face.model, self.motion, self.model)
         script = None if self.script is None else ScriptedPhonemes(read_phonemes(self.script))

@@ -124,7 +124,22 @@ class Spoken:
 def spoken_chunks(
     chunks: Iterator[NDArray[np.float32]], stream: PlayoutStream, duration_s: float
 ) -> Spoken:
-    """Chunks of sound, mono (n,), of the rate of an empty stream."""
+    """Queue chunks of sound in an empty stream of their rate.
+
+    Parameters
+    ----------
+    chunks : Iterator[NDArray[np.float32]]
+        (n,) mono each.
+    stream : PlayoutStream
+        Empty.
+    duration_s : float
+        Of all chunks.
+
+    Returns
+    -------
+    Spoken
+        Its pieces push one chunk each.
+    """
 
     def pieces() -> Generator[PlayoutStream, None, None]:
         for chunk in chunks:

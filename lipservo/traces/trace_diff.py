@@ -192,10 +192,21 @@ def excesses(servos: tuple[str, ...], found: Difference, tolerance: Tolerance) -
 
 
 def motion_lag_s(times_s: Array, first: Array, second_s: Array, second: Array) -> float | None:
-    """How much later the second curve moves: where their cross-correlation is largest.
+    """Return how much later the second curve moves: where their cross-correlation is largest.
 
-    times_s, first: (n,); second_s, second: (m,), at times of its own. A quarter of a second at
-    most, refined by a parabola; None where either stands still or they hardly overlap.
+    A quarter of a second at most, refined by a parabola.
+
+    Parameters
+    ----------
+    times_s,first : Array
+        (n,).
+    second_s,second : Array
+        (m,), at times of its own.
+
+    Returns
+    -------
+    float | None
+        Seconds; None where either stands still or they hardly overlap.
     """
     if min(first.std(), second.std()) < _STILL_MM:
         return None

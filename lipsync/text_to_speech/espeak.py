@@ -62,7 +62,7 @@ _SHARE_OF_JOINED = 1 / 3
 def refined(
     phonemes: list[TimedPhones], samples: NDArray[np.float32], sample_rate_hz: int
 ) -> list[TimedPhones]:
-    """Return the phonemes with corrected times, in order and without gaps, as described above.
+    """Return the phonemes with times corrected as the module describes, in order and without gaps.
 
     Parameters
     ----------

@@ -19,9 +19,14 @@ from lipsync.phonemes import PHONEMES, VISEME_CLASSES
 
 @cache
 def visible_distances_mm() -> Array:
-    """(n_visemes, n_visemes): distance of the lips' shapes of two classes; 0 on the diagonal.
+    """Return the distance of the lips' shapes of two classes.
 
     Classes that the face's sentences lack look like what stands in for them there.
+
+    Returns
+    -------
+    Array
+        (n_visemes, n_visemes); 0 on the diagonal.
     """
     with open_model() as file:
         face = read_face(file)
@@ -39,15 +44,36 @@ def visible_distances_mm() -> Array:
 
 
 def visible_error_mm(confusion: NDArray[np.int64]) -> float:
-    """Mean over all frames, mm; confusion (n_visemes, n_visemes), rows are spoken classes."""
+    """Return the mean error over all frames.
+
+    Parameters
+    ----------
+    confusion : NDArray[np.int64]
+        (n_visemes, n_visemes), rows are spoken classes.
+
+    Returns
+    -------
+    float
+        mm.
+    """
     n_frames = int(confusion.sum())
     return float((confusion * visible_distances_mm()).sum()) / n_frames if n_frames else 0.0
 
 
 def visible_error_table(confusion: NDArray[np.int64]) -> Mapping[str, Mapping[str, object]]:
-    """For each spoken class its frames, their mean error in mm, and what they were recognised as.
+    """Return for each spoken class its frames, its mean error, and what it was recognised as.
 
     heard_as: share of the class's frames and mm that it adds to the class's mean, the worst first.
+
+    Parameters
+    ----------
+    confusion : NDArray[np.int64]
+        (n_visemes, n_visemes), rows are spoken classes.
+
+    Returns
+    -------
+    Mapping[str, Mapping[str, object]]
+        By class; errors in mm.
     """
     table: dict[str, Mapping[str, object]] = {}
     for phoneme, counts in enumerate(confusion):

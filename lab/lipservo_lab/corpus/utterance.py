@@ -112,7 +112,20 @@ def at_frame_rate(utterance: Utterance, frame_rate_hz: float) -> Utterance:
 
 
 def speech_frames(utterance: Utterance, words: frozenset[str] | None = None) -> NDArray[np.bool_]:
-    """(n_frames,): inside a phone that is not silence, and inside one of `words` if given."""
+    """Return which frames lie in a phone that is not silence, and in one of `words` if given.
+
+    Parameters
+    ----------
+    utterance : Utterance
+        Labelled.
+    words : frozenset[str] | None
+        None: all.
+
+    Returns
+    -------
+    NDArray[np.bool_]
+        (n_frames,).
+    """
     times_s = np.arange(len(utterance.markers_mm)) / utterance.frame_rate_hz
     spoken = np.zeros(len(times_s), dtype=bool)
     for phone in utterance.phones:

@@ -82,10 +82,19 @@ def _quotient(sums: Array) -> Array:
 
 
 def strengths(wins: Array) -> Array:
-    """(..., n, n), how often row was chosen over column -> (..., n), log odds with mean 0.
+    """Return the most likely log odds of methods (Bradley and Terry, 1952), by Newton's steps.
 
-    The most likely ones (Bradley and Terry, 1952), by Newton's steps; each pair is taken to have
-    been won 0.1 times more each way.
+    Each pair is taken to have been won 0.1 times more each way.
+
+    Parameters
+    ----------
+    wins : Array
+        (..., n, n), how often row was chosen over column.
+
+    Returns
+    -------
+    Array
+        (..., n), with mean 0.
     """
     n = wins.shape[-1]
     added = wins + _ADDED_WINS * (1.0 - np.eye(n))

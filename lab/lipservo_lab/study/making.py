@@ -68,7 +68,20 @@ class Material:
     _made: dict[tuple[str, str], Array] = field(default_factory=dict)
 
     def faces(self, method: str, utterance: Utterance) -> Array:
-        """(n_frames, n_components)."""
+        """Return a method's motion of an utterance, made once.
+
+        Parameters
+        ----------
+        method : str
+            Its name.
+        utterance : Utterance
+            The sentence.
+
+        Returns
+        -------
+        Array
+            (n_frames, n_components).
+        """
         key = method, utterance.name
         if key not in self._made:
             self._made[key] = self.faces_of(method, utterance)

@@ -68,7 +68,18 @@ class RhubarbMethod:
     looks_ahead: bool = False
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees all
-        """Faces from the whole sentence, one shape after the other."""
+        """Return faces from the whole sentence, one shape after the other; see `Method`.
+
+        Parameters
+        ----------
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         end_s = float(times_s[-1]) + CENTISECOND_S
         cues = rule_cues(heard.events, end_s)
         knots_s: list[float] = []
@@ -101,7 +112,18 @@ class StillMethod:
     looks_ahead: bool = False
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees nothing
-        """The same face at all times."""
+        """Return the same face at all times.
+
+        Parameters
+        ----------
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         return np.repeat(model.rest[None], len(times_s), axis=0)
 
 

@@ -115,26 +115,66 @@ class HeldFace:
 
     @property
     def stands_deg(self) -> Array:
-        """Where the posed joints stand, (n_joints,). Raises PortGone."""
+        """Where the posed joints stand. Raises PortGone.
+
+        Returns
+        -------
+        Array
+            (n_joints,) degrees.
+        """
         return self._stands_deg()[self._posed]
 
     @property
     def goal_deg(self) -> Array:
-        """Where the posed joints are held, (n_joints,); known where their places are not."""
+        """Where the posed joints are held; known where their places are not.
+
+        Returns
+        -------
+        Array
+            (n_joints,) degrees.
+        """
         return self._goal_deg[self._posed]
 
     @property
     def effort(self) -> Array:
-        """How hard the posed joints pull, (n_joints,), in stall torques. Raises PortGone."""
+        """How hard the posed joints pull. Raises PortGone.
+
+        Returns
+        -------
+        Array
+            (n_joints,), in stall torques.
+        """
         return self._feedback().effort[self._posed]
 
     def move(self, goal_deg: Array) -> Array:
-        """Lead the mouth there, wait until it stands, and say where it does."""
+        """Move the posed joints to a goal, and wait until they stand.
+
+        Parameters
+        ----------
+        goal_deg : Array
+            (n_joints,) degrees.
+
+        Returns
+        -------
+        Array
+            (n_joints,) degrees: where they stand.
+        """
         self.lead(goal_deg)
         return self._settle()
 
     def lead(self, goal_deg: Array) -> Array:
-        """The same without waiting; where it stands on the way."""
+        """Send the posed joints a goal without waiting.
+
+        Parameters
+        ----------
+        goal_deg : Array
+            (n_joints,) degrees.
+
+        Returns
+        -------
+        Array
+            (n_joints,) degrees: where they stand on the way.
+        """
         whole_deg = self._goal_deg.copy()
         whole_deg[self._posed] = goal_deg
         self._move_all(whole_deg)
@@ -217,11 +257,27 @@ class HeldFace:
         return answers[0]
 
     def drive(self, goals_deg: Array, rate_hz: float) -> Array:
-        """Goals (n, n_mouth_servos), one a tick, through the gate -> encoders of the same instants.
+        """Send goals, one a tick, through the gate.
 
         An encoder is read half a tick after its goal was sent: a goal that is held for a tick is on
-        average half a tick old. Ticks that the computer missed are filled in between. Raises
-        ValueError for another rate than `rate_hz` of this face.
+        average half a tick old. Ticks that the computer missed are filled in between.
+
+        Parameters
+        ----------
+        goals_deg : Array
+            (n, n_mouth_servos).
+        rate_hz : float
+            Of this face.
+
+        Returns
+        -------
+        Array
+            (n, n_mouth_servos) degrees: encoders of the same instants.
+
+        Raises
+        ------
+        ValueError
+            Another rate than this face's.
         """
         if rate_hz != self.rate_hz:
             raise ValueError(f"this face is driven at {self.rate_hz:g} Hz, not {rate_hz:g}")

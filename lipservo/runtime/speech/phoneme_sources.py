@@ -95,7 +95,15 @@ class RecognizedPhonemes:
         return ((), 0) if self._follower is None else self._follower.saying
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """The robot's servos turned so fast; only a device can hear them, a file cannot."""
+        """Pass servo speeds to the recogniser; a device can hear the servos, a file cannot.
+
+        Parameters
+        ----------
+        sound_s : float
+            Seconds.
+        speeds_deg_s : Array
+            (n_servos,).
+        """
         if self._source.is_live and isinstance(self._recognizer, ServoListener):
             self._recognizer.note_servo_speeds(sound_s, speeds_deg_s)
 

@@ -94,7 +94,15 @@ class CutOff:
         self.is_closing = False
 
     def begin(self, shown_deg: Array, rest_deg: Array, until_s: float) -> None:
-        """The mouth is at `shown_deg` and is to rest until sound time `until_s`."""
+        """Begin to close the mouth.
+
+        Parameters
+        ----------
+        shown_deg,rest_deg : Array
+            (n_servos,) degrees: where it is, and where it rests.
+        until_s : float
+            Sound time until which it rests.
+        """
         self.until_s = max(self.until_s, until_s) if self.is_closing else until_s
         if self.is_closing:
             return
@@ -103,12 +111,29 @@ class CutOff:
         self._closed = 0.0
 
     def close(self) -> Array:
-        """The next pose on the way to rest."""
+        """Return the next pose on the way to rest.
+
+        Returns
+        -------
+        Array
+            (n_servos,) degrees.
+        """
         self._closed = min(1.0, self._closed + self._period_s / CLOSING_S)
         return self._between(self._start_deg, self._rest_deg, self._closed)
 
     def join(self, live_deg: Array) -> Array:
-        """The next pose on the way back to what speech wants."""
+        """Return the next pose on the way back to the live one.
+
+        Parameters
+        ----------
+        live_deg : Array
+            (n_servos,) degrees.
+
+        Returns
+        -------
+        Array
+            (n_servos,) degrees.
+        """
         if self.is_closing:
             self.is_closing = False
             self._start_deg = self._between(self._start_deg, self._rest_deg, self._closed)
@@ -145,7 +170,18 @@ class LipGapOffset:
         self.wanted_mm = settings.get(LIP_GAP_OFFSET, self.wanted_mm)
 
     def feed(self, face: Array) -> Array:
-        """Faces (..., n_components) of the next period."""
+        """Advance one period, and return its faces.
+
+        Parameters
+        ----------
+        face : Array
+            (..., n_components).
+
+        Returns
+        -------
+        Array
+            (..., n_components).
+        """
         if self._shown_mm != self.wanted_mm:
             self._halfway_mm += self._share * (self.wanted_mm - self._halfway_mm)
             self._shown_mm += self._share * (self._halfway_mm - self._shown_mm)
@@ -156,7 +192,18 @@ class LipGapOffset:
         return self.shifted(face)
 
     def shifted(self, face: Array) -> Array:
-        """Faces (..., n_components) as they would be shown now."""
+        """Return faces as they would be shown now.
+
+        Parameters
+        ----------
+        face : Array
+            (..., n_components).
+
+        Returns
+        -------
+        Array
+            (..., n_components).
+        """
         if self._shown_mm == 0.0:
             return face
         return np.asarray(face + self._shown_mm * self._per_mm)
@@ -250,7 +297,13 @@ class Speech:
 
     @property
     def held_back_share(self) -> Array:
-        """In which share of the time each joint of the mouth gave way to its limits, (n,)."""
+        """In which share of the time each joint of the mouth gave way to its limits.
+
+        Returns
+        -------
+        Array
+            (n_joints,), 0 to 1.
+        """
         return np.zeros(len(self.mouth)) if self._plan is None else self._plan.held_back_share
 
     @property
@@ -274,7 +327,15 @@ class Speech:
         return self._calibration
 
     def note_servo_speeds(self, now_s: float, speeds_deg_s: Array) -> None:
-        """All servos of the face (n_servos,) turned so fast at monotonic `now_s`."""
+        """Note the speeds of all servos of the face.
+
+        Parameters
+        ----------
+        now_s : float
+            Monotonic seconds.
+        speeds_deg_s : Array
+            (n_servos,).
+        """
         if isinstance(self._phonemes, ServoListener):
             self._phonemes.note_servo_speeds(self._clock.sound_s(now_s), speeds_deg_s)
 
@@ -312,8 +373,14 @@ class Speech:
     def cut_off(self, now_s: float, rest: Array, until_s: float | None = None) -> None:
         """Close the mouth now, whatever was planned; speech from `until_s` on is shown again.
 
-        rest: the face (n_components,) of a mouth at rest. until_s: in sound time; None: until the
-        sound, which stands still, goes on.
+        Parameters
+        ----------
+        now_s : float
+            Monotonic seconds.
+        rest : Array
+            (n_components,), the face of a mouth at rest.
+        until_s : float | None
+            Sound time; None: until the sound, which stands still, goes on.
         """
         if until_s is None:
             until_s = self._clock.sound_s(now_s) - self.delay.synthesis_s + _GOES_ON_S

@@ -290,7 +290,15 @@ class SpeechSide:
         return sound_s, *self.speech.shown_at(max(0.0, sound_s))
 
     def note_servos(self, time_s: float, positions_deg: Array) -> None:
-        """All servos of the face (n_servos,) stood there at monotonic `time_s`, by encoders."""
+        """Note where all servos of the face are, by encoders.
+
+        Parameters
+        ----------
+        time_s : float
+            Monotonic seconds.
+        positions_deg : Array
+            (n_servos,).
+        """
         found = self._servo_speeds.take(time_s, positions_deg)
         if found is not None:
             self.speech.note_servo_speeds(*found)

@@ -30,7 +30,13 @@ class StreetTick:
 
     @property
     def coefficients(self) -> Array:
-        """The mouth (n_components,) that was shown."""
+        """The mouth that was shown.
+
+        Returns
+        -------
+        Array
+            (n_components,).
+        """
         return self.frame.coefficients
 
 

@@ -50,7 +50,20 @@ class OpenMouth:
 
 
 def open_mouth(rest_mm: Array, seed: int) -> OpenMouth:
-    """The robot of a seed, of 1 to 8 servos."""
+    """Return the robot of a seed, of 1 to 8 servos, whose mouth cannot close.
+
+    Parameters
+    ----------
+    rest_mm : Array
+        (47, 3), a closed mouth.
+    seed : int
+        Of the draw.
+
+    Returns
+    -------
+    OpenMouth
+        With the least gap in mm.
+    """
     rng = np.random.default_rng([seed, 53])
     kinds = _KINDS[seed % len(_KINDS)]
     draw, limits_deg = robot_of_kinds(rest_mm, kinds, kinds, rng)

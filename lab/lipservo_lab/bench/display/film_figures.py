@@ -96,7 +96,26 @@ def tracked_film(
     tracker: FaceTracker,
     advance: Advance,
 ) -> dict[str, Array]:
-    """Points (n, 478, 3) of every sentence, and of `rest`, tracked in one film of them all."""
+    """Return the points of every sentence, and of `rest`, tracked in one film of them all.
+
+    Parameters
+    ----------
+    display : Display
+        Draws frames.
+    face : FaceModel
+        The model.
+    motions : Mapping[str, Array]
+        (n, n_components) by sentence.
+    tracker : FaceTracker
+        Finds points.
+    advance : Advance
+        Called with the progress.
+
+    Returns
+    -------
+    dict[str, Array]
+        (n, 478, 3) by sentence.
+    """
     frames = [Frame(0.0, face.rest)] * _STILL
     frames += [Frame(0.0, each) for shown in motions.values() for each in shown]
     points: list[Array] = []
@@ -111,7 +130,20 @@ def tracked_film(
 
 
 def cut_track(points: Array, motions: Mapping[str, Array]) -> dict[str, Array]:
-    """The points of a film sentence by sentence, and of the still pictures before them."""
+    """Return the points of a film sentence by sentence, and of the still pictures before them.
+
+    Parameters
+    ----------
+    points : Array
+        (n_pictures, 478, 3).
+    motions : Mapping[str, Array]
+        (n, n_components) by sentence.
+
+    Returns
+    -------
+    dict[str, Array]
+        (n, 478, 3) by sentence.
+    """
     found, at = {"rest": points[:_STILL]}, _STILL
     for name, shown in motions.items():
         found[name] = points[at : at + len(shown)]
@@ -129,6 +161,24 @@ def seen_figures(
 
     tracks: of `tracked_film`. sentences: of the corpus, those of `motions` held out; the reader
     learns from the others as they were recorded.
+
+    The reader of words learns from the other sentences as they were recorded.
+
+    Parameters
+    ----------
+    face : FaceModel
+        The model.
+    tracks : Mapping[str, Array]
+        (n, 478, 3) by sentence, of `tracked_film`.
+    motions : Mapping[str, Array]
+        (n, n_components) by sentence, held out.
+    sentences : Sequence[Utterance]
+        Of the corpus.
+
+    Returns
+    -------
+    dict[str, object]
+        Correlation of gaps, and shares 0 to 1.
     """
     markers = _markers_mm(face, tracks)
     wanted_gaps = {

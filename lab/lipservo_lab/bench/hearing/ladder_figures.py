@@ -118,7 +118,22 @@ def read_ticks(trace: Path, first_s: float) -> Ticks:
 def figures_of(
     ticks: Ticks, loads: Sequence[Load], is_speech: NDArray[np.bool_]
 ) -> dict[str, object]:
-    """What the ticks amount to. is_speech: for each 10 ms of the sound, over and over."""
+    """Return the figures of a run's ticks.
+
+    Parameters
+    ----------
+    ticks : Ticks
+        Of the trace.
+    loads : Sequence[Load]
+        Times in s at which other programs ran.
+    is_speech : NDArray[np.bool_]
+        (n,), each 10 ms of the sound, which repeats.
+
+    Returns
+    -------
+    dict[str, object]
+        Shares 0 to 1 and times in s.
+    """
     weights = 1 + ticks.late
     frame = np.floor(np.maximum(ticks.heard_s, 0.0) / BLOCK_S).astype(np.int64)
     speaks = is_speech[frame % len(is_speech)] & (ticks.heard_s >= 0.0)

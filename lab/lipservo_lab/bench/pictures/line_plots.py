@@ -145,9 +145,22 @@ def draw_states(
 def laid_out(
     model: StateModel, training: Sequence[Utterance], unseen: Utterance
 ) -> tuple[Array, Indices, Array]:
-    """Manifold places (n, 2) and states (n,) of some training sentences, and places of another.
+    """Lay training frames out anew: a model keeps the state of each frame, not its place.
 
-    They are laid out anew: a model keeps the state of each frame, not its place.
+    Parameters
+    ----------
+    model : StateModel
+        Its states.
+    training : Sequence[Utterance]
+        Sentences.
+    unseen : Utterance
+        Another sentence.
+
+    Returns
+    -------
+    tuple[Array, Indices, Array]
+        Manifold places (n, 2) and states (n,) of some training sentences, and places of the other,
+        (m, 2).
     """
     step = -(-len(training) // _LAID_OUT)
     motion, states = [], []

@@ -123,10 +123,23 @@ class _Programme:
 def shown_markers_mm(
     robot: Face, faces: Motions, rate_hz: float, seen_at_hz: float, progress: Progress
 ) -> dict[str, Array]:
-    """Markers (n_frames, 47, 3), seen_at_hz, that the robot shows of each sentence's motion.
+    """Return the markers that the robot shows of each sentence's motion; all are played in one go.
 
-    faces: (n, n_components) at rate_hz, two at least. All are played in one go. progress: seconds
-    played, of how many.
+    Parameters
+    ----------
+    robot : Face
+        With its map.
+    faces : Motions
+        (n, n_components) at rate_hz, two at least, by sentence.
+    rate_hz,seen_at_hz : float
+        Of the faces, and of the markers.
+    progress : Progress
+        Called with seconds played, of how many.
+
+    Returns
+    -------
+    dict[str, Array]
+        (n_frames, 47, 3) by sentence.
     """
     programme = _programme(robot, faces, rate_hz)
     sound_s, encoders_deg = _played(robot, programme, progress)

@@ -88,7 +88,13 @@ class RobotAtPort:
 
     @property
     def torque(self) -> NDArray[np.bool_]:
-        """Who holds now, (n,)."""
+        """Which servos hold now.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n_servos,).
+        """
         return self.chain.motors.torque_on.copy()
 
     @property
@@ -132,7 +138,18 @@ class RobotAtPort:
         )
 
     def moved_deg(self, since_s: float) -> NDArray[np.float64]:
-        """How far each shaft travelled between its extremes since then, (n,)."""
+        """Return how far each shaft travelled between its extremes.
+
+        Parameters
+        ----------
+        since_s : float
+            Monotonic seconds.
+
+        Returns
+        -------
+        NDArray[np.float64]
+            (n_servos,) degrees.
+        """
         places = np.array([each.position for each in self.seen if each.time_s >= since_s])
         return np.asarray(np.ptp(places, axis=0) / PULSES_PER_TURN * 360.0)
 

@@ -124,10 +124,27 @@ def shafts_of(
     speeds_deg_s: Array,
     play_deg: Array,
 ) -> Shafts:
-    """What the joints of a mouth do while a synthesiser follows a sentence's phonemes.
+    """Return the motion of a mouth's joints while a synthesiser follows a sentence's phonemes.
 
-    speeds_deg_s: of the shafts, (n_servos,), infinite for those without limits; play_deg: of their
-    gears, (n_servos,).
+    Parameters
+    ----------
+    face : Face
+        The robot.
+    sentence : Sentence
+        Its phonemes.
+    synthesizer : Synthesizer
+        The motion.
+    plan : JointPlan | None
+        Of the joints; None: the gate alone.
+    speeds_deg_s : Array
+        (n_servos,), of the shafts, infinite for those without limits.
+    play_deg : Array
+        (n_servos,), of their gears.
+
+    Returns
+    -------
+    Shafts
+        Goals and horns, (n, n_servos) degrees.
     """
     names = face.calibration.servo_names
     channel = MemoryTargetChannel(4096)
@@ -183,7 +200,18 @@ def in_time(face: Face) -> Face:
 
 
 def plan_at(speeds_deg_s: Array) -> JointPlan:
-    """The plan of joints whose acceleration is not limited."""
+    """Return the plan of joints whose acceleration is not limited.
+
+    Parameters
+    ----------
+    speeds_deg_s : Array
+        (n_joints,) degrees per second.
+
+    Returns
+    -------
+    JointPlan
+        The plan.
+    """
     return JointPlan(speeds_deg_s, np.full(len(speeds_deg_s), math.inf), PUBLISH_PERIOD_S)
 
 
@@ -192,7 +220,18 @@ def _grid_s(n: int) -> Array:
 
 
 def no_plan(_: Array) -> None:
-    """The gate alone."""
+    """Return no plan: the gate alone limits speeds.
+
+    Parameters
+    ----------
+    _ : Array
+        (n_joints,), not used.
+
+    Returns
+    -------
+    None
+        None.
+    """
 
 
 def recorded_motion(sentence: Sentence, model: FaceWithAnimPhos) -> PlayedMotion:
@@ -221,7 +260,20 @@ METHODS: Final[dict[str, Motion]] = {"live": live_motion, "scripted": scripted_m
 
 
 def over_speed_share(shafts: Sequence[Shafts], speeds_deg_s: Array) -> float:
-    """Share of ticks at which a joint should go faster than its speed."""
+    """Share of ticks at which a joint should go faster than its speed.
+
+    Parameters
+    ----------
+    shafts : Sequence[Shafts]
+        Of sentences.
+    speeds_deg_s : Array
+        (n_servos,) per second.
+
+    Returns
+    -------
+    float
+        0 to 1.
+    """
     over = [
         (np.abs(np.diff(each.goals_deg, axis=0)) > speeds_deg_s * PUBLISH_PERIOD_S + _SAME_DEG)
         for each in shafts
@@ -245,21 +297,56 @@ class RobotLips:
         self._markers_mm = markers_of_face(neutral_mm, self.servos)
 
     def touch(self, shafts: Shafts) -> NDArray[np.bool_]:
-        """Whether the lips touch in their middle, (n,)."""
+        """Return whether the lips touch in their middle.
+
+        Parameters
+        ----------
+        shafts : Shafts
+            n ticks.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n,).
+        """
         if self._elastic is None:
             return self.gap_mm(shafts) <= CLOSED_GAP_MM
         return self.gap_mm(shafts) <= _TOUCH_MM
 
     def gap_mm(self, shafts: Shafts) -> Array:
-        """Between the edges of the lips in their middle, (n,)."""
+        """Return the gap between the edges of the lips in their middle.
+
+        Parameters
+        ----------
+        shafts : Shafts
+            n ticks.
+
+        Returns
+        -------
+        Array
+            (n,) mm.
+        """
         if self._elastic is None:
             return self._model.lip_gaps_mm(self._markers_mm(shafts.horn_deg))
         return self._elastic.state(shafts.horn_deg).gaps_mm[:, N_PAIRS // 2]
 
     def wanted_mm(self, sentence: Sentence) -> Array:
-        """Shapes (n, 47, 3) of the nearest poses to every `_SPARSE`th recorded face.
+        """Return the shapes of the nearest poses to every `_SPARSE`th recorded face.
 
-        Raises ValueError for a robot that is not elastic.
+        Parameters
+        ----------
+        sentence : Sentence
+            Its faces.
+
+        Returns
+        -------
+        Array
+            (n, 47, 3) mm.
+
+        Raises
+        ------
+        ValueError
+            The robot is not elastic.
         """
         if self._elastic is None:
             raise ValueError("what an elastic robot should show is defined, and of no other")
@@ -267,14 +354,40 @@ class RobotLips:
         return wanted_shapes(self._model, self._elastic, self.servos, frames).shapes_mm
 
     def error_mm(self, wanted_mm: Array, shafts: Shafts) -> Array:
-        """Distance of the lips' markers from shapes that are wanted, (n, n_lips)."""
+        """Return the distance of the lips' markers from wanted shapes.
+
+        Parameters
+        ----------
+        wanted_mm : Array
+            (n, 47, 3).
+        shafts : Shafts
+            Of the same sentence.
+
+        Returns
+        -------
+        Array
+            (n, n_lips) mm.
+        """
         shown_mm = self._markers_mm(shafts.horn_deg[::_SPARSE][: len(wanted_mm)])
         off_mm = (shown_mm - wanted_mm)[:, list(MARKERS_47.lips)]
         return np.asarray(np.linalg.norm(off_mm, axis=2))
 
 
 def reached_closures(sentence: Sentence, touch: NDArray[np.bool_]) -> list[bool]:
-    """For each P B M whether lips touch around it."""
+    """Return for each P B M whether lips touch around it.
+
+    Parameters
+    ----------
+    sentence : Sentence
+        Its phones.
+    touch : NDArray[np.bool_]
+        (n,), one a tick.
+
+    Returns
+    -------
+    list[bool]
+        One a closure.
+    """
     times_s = np.arange(len(touch)) * PUBLISH_PERIOD_S
     found = []
     for phone in sentence.phones:
@@ -285,7 +398,18 @@ def reached_closures(sentence: Sentence, touch: NDArray[np.bool_]) -> list[bool]
 
 
 def shift_s(gap_mm: Array, free_mm: Array) -> float:
-    """How much later one motion of the lips is than another, by their correlation."""
+    """Return how much later one motion of the lips is than another, by their correlation.
+
+    Parameters
+    ----------
+    gap_mm,free_mm : Array
+        (n,), one a tick.
+
+    Returns
+    -------
+    float
+        Seconds.
+    """
     n_most = round(_MOST_SHIFT_S / _FINEST_S)
     times_s = np.arange(len(gap_mm)) * PUBLISH_PERIOD_S
     fine_s = np.arange(_MOST_SHIFT_S, times_s[-1] - _MOST_SHIFT_S, _FINEST_S)

@@ -81,9 +81,19 @@ def _release_s(text: SynthesizedSpeech, start_s: float, end_s: float) -> float:
 
 
 def seen_closures(times_s: Array, gap_mm: Array, closed_mm: float = CLOSED_GAP_MM) -> Crossings:
-    """What lips did: crossings of closed_mm, between samples by a straight line.
+    """Return when the lips crossed closed_mm, between samples by a straight line.
 
-    times_s, gap_mm: (n,).
+    Parameters
+    ----------
+    times_s,gap_mm : Array
+        (n,).
+    closed_mm : float
+        The limit.
+
+    Returns
+    -------
+    Crossings
+        Closings and partings in s.
     """
     closed = gap_mm < closed_mm
     changed = np.flatnonzero(closed[1:] != closed[:-1])
@@ -93,7 +103,20 @@ def seen_closures(times_s: Array, gap_mm: Array, closed_mm: float = CLOSED_GAP_M
 
 
 def matched_errors_s(wanted_s: Array, seen_s: Array) -> tuple[Array, int]:
-    """How much later each wanted event was seen, (n_matched,) s, and how many were not at all."""
+    """Return how much later each wanted event was seen, and how many were not.
+
+    Parameters
+    ----------
+    wanted_s : Array
+        (n,).
+    seen_s : Array
+        (m,).
+
+    Returns
+    -------
+    tuple[Array, int]
+        (n_matched,) s, and the number of the others.
+    """
     if len(seen_s) == 0 or len(wanted_s) == 0:
         return np.zeros(0), len(wanted_s)
     late_s = seen_s[None] - wanted_s[:, None]

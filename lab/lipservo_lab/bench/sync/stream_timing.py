@@ -181,5 +181,18 @@ def _from_first_sound(text: SynthesizedSpeech) -> NDArray[np.float32]:
 
 
 def percentile_ms(values_s: Array, percent: float) -> float:
-    """In milliseconds, to a tenth."""
+    """Return a percentile in milliseconds, to a tenth.
+
+    Parameters
+    ----------
+    values_s : Array
+        (n,).
+    percent : float
+        0 to 100.
+
+    Returns
+    -------
+    float
+        ms.
+    """
     return round(float(np.percentile(values_s, percent)) * 1e3, 1)

@@ -28,13 +28,35 @@ _SHUT = 0.66
 
 
 def blink_cues(lid: Array) -> Indices:
-    """The cues at which a lid (n,) passes two thirds on its way to shut."""
+    """Return the cues at which a lid passes two thirds on its way to shut.
+
+    Parameters
+    ----------
+    lid : Array
+        (n,).
+
+    Returns
+    -------
+    Indices
+        (n_blinks,) numbers.
+    """
     is_shut = lid > _SHUT
     return np.flatnonzero(is_shut[1:] & ~is_shut[:-1]) + 1
 
 
 def blinks_per_min(lid: Array, counts: NDArray[np.bool_]) -> float:
-    """Blinks a minute among the cues that count (n,); NaN where none does."""
+    """Return blinks a minute among the cues that count.
+
+    Parameters
+    ----------
+    lid,counts : Array
+        (n,).
+
+    Returns
+    -------
+    float
+        NaN where no cue counts.
+    """
     if not counts.any():
         return float("nan")
     minutes = float(counts.sum()) * CUE_PERIOD_S / 60.0
@@ -42,7 +64,18 @@ def blinks_per_min(lid: Array, counts: NDArray[np.bool_]) -> float:
 
 
 def blink_intervals_s(lid: Array) -> Array:
-    """From the beginning of each blink to that of the next, seconds."""
+    """Return the times from the beginning of each blink to that of the next.
+
+    Parameters
+    ----------
+    lid : Array
+        (n,).
+
+    Returns
+    -------
+    Array
+        (n_blinks - 1,) s.
+    """
     return np.diff(blink_cues(lid)) * CUE_PERIOD_S
 
 
@@ -65,7 +98,18 @@ class GazeShifts:
 
 
 def gaze_shifts(gaze_deg: Array) -> GazeShifts:
-    """gaze_deg: (n, 2), in the robot's frame, of a source whose gaze holds between saccades."""
+    """Find the saccades of a source whose gaze holds between them.
+
+    Parameters
+    ----------
+    gaze_deg : Array
+        (n, 2), in the robot's frame.
+
+    Returns
+    -------
+    GazeShifts
+        Starts and durations in s, sizes in degrees.
+    """
     moves = np.hypot(*np.diff(gaze_deg, axis=0).T) > _HOLDS_DEG
     edges = np.diff(np.concatenate([[False], moves, [False]]).astype(int))
     starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
@@ -96,12 +140,29 @@ class ShownExpression:
     step_ms: Array
 
     def column(self, name: str) -> Array:
-        """One degree of freedom by its name in `Expression`."""
+        """Return one degree of freedom by its name in `Expression`.
+
+        Parameters
+        ----------
+        name : str
+            Of it.
+
+        Returns
+        -------
+        Array
+            (n,).
+        """
         return self.values[:, NAMES.index(name)]
 
     @property
     def gaze_deg(self) -> Array:
-        """(n, 2): yaw and pitch in the robot's frame, head and eyes together."""
+        """Yaw and pitch in the robot's frame, head and eyes together.
+
+        Returns
+        -------
+        Array
+            (n, 2) degrees.
+        """
         yaw_deg = self.column("neck_yaw_deg") + self.column("eye_yaw_deg")
         return np.column_stack(
             [yaw_deg, self.column("neck_pitch_deg") + self.column("eye_pitch_deg")]

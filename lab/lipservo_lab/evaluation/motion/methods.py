@@ -58,7 +58,22 @@ class Method(Protocol):
         """Whether the look-ahead makes a difference; if not, the method sees the whole sentence."""
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
-        """(n, n_components) at the given times, which ascend."""
+        """Return the faces at given times.
+
+        Parameters
+        ----------
+        model,heard : TrainedModel
+            Trained model, and the phonemes of the sentence.
+        times_s : Array
+            (n,), ascending.
+        lookahead_s : float
+            How much of the sound beyond each time is known.
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +85,18 @@ class DominanceMethod:
     looks_ahead: bool = False
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees all
-        """Faces from the whole sentence."""
+        """Return faces from the whole sentence; see `Method`.
+
+        Parameters
+        ----------
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         dominance: Dominance = model.baselines.dominance if self.tuned else fixed_reference()
         return dominance.face_at(heard.events, model.baselines.centres, times_s)
 
@@ -83,7 +109,18 @@ class SplineMethod:
     looks_ahead: bool = False
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees all
-        """Faces from the whole sentence."""
+        """Return faces from the whole sentence; see `Method`.
+
+        Parameters
+        ----------
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         baselines = model.baselines
         targets = viseme_centres(baselines.centres, baselines.counts)
         return spline_faces(heard.events, targets, times_s)
@@ -97,7 +134,18 @@ class MeanFaceMethod:
     looks_ahead: bool = False
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees nothing
-        """The phones' centres, weighted by how often they were heard in training."""
+        """Return the phones' centres, weighted by how often they were heard in training.
+
+        Parameters
+        ----------
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         spoken = model.baselines.counts.copy()
         spoken[PHONEMES.index(SILENCE)] = 0.0
         mean = np.average(model.baselines.centres, axis=0, weights=spoken if spoken.any() else None)
@@ -121,7 +169,18 @@ class PublishedMethod:
         return self.strategy.name
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees phones whole
-        """Faces with every phone known when it begins."""
+        """Return faces with every phone known when it begins; see `Method`.
+
+        Parameters
+        ----------
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         synthesizer = self.synthesizer(model)
         synthesizer.push(PhonemeUpdate(0.0, np.inf, np.inf, heard.events))
         return np.array([synthesizer.frame_at(float(t)).coefficients for t in times_s])
@@ -141,7 +200,18 @@ class RegressionMethod:
     looks_ahead: bool = True
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
-        """Faces from the contexts known at t + L."""
+        """Return faces from the contexts known at t + L; see `Method`.
+
+        Parameters
+        ----------
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         phonemes, since_s = contexts(track_of(heard.events), times_s, lookahead_s)
         known_s = np.full(len(times_s), lookahead_s)
         return model.baselines.regression.faces(phonemes, since_s, known_s)
@@ -161,7 +231,18 @@ class LiveMethod:
     unit_share: float | None = None
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
-        """Faces decided at t from what is known of the sound up to t + L."""
+        """Return faces decided at t by the sound up to t + L; see `Method`.
+
+        Parameters
+        ----------
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         synthesizer = self.synthesizer(model, lookahead_s)
         source = script_of(heard, lookahead_s)
         faces, n_ticks = [], 0

@@ -152,7 +152,22 @@ def _persistence(motions: Sequence[Array], pairs: Pairs, seed: int) -> Persisten
 
 
 def persistence_of(shares: Array, samples: Sequence[Array], counted: int) -> Persistence | None:
-    """With the intervals of bootstrap samples; None where nothing was seen to move (NaN)."""
+    """Return shares with the intervals of bootstrap samples.
+
+    Parameters
+    ----------
+    shares : Array
+        (k,).
+    samples : Sequence[Array]
+        (k,) each.
+    counted : int
+        Pairs.
+
+    Returns
+    -------
+    Persistence | None
+        None where nothing was seen to move (NaN).
+    """
     finite = np.array([sample for sample in samples if np.isfinite(sample).all()])
     if not len(finite) or not np.isfinite(shares).all():
         return None

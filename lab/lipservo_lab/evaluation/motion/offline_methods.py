@@ -82,7 +82,18 @@ class ContextVisemeMethod:
     looks_ahead: bool = False
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees all
-        """Faces from the whole sentence."""
+        """Return faces from the whole sentence; see `Method`.
+
+        Parameters
+        ----------
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         targets = self.visemes.of(model).targets(heard.events)
         return joined_faces(heard.events, targets, times_s)
 
@@ -99,7 +110,20 @@ class OfflineMethod:
     looks_ahead: bool = False
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - hears all
-        """Faces from the whole line; of `model-based` they are linear between recorded frames."""
+        """Return faces from the whole line.
+
+        Of `model-based` they are linear between recorded frames.
+
+        Parameters
+        ----------
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         if heard.sound_path is None:
             raise ValueError(f"{self.name} needs the sound of a sentence")
         offline = self.models.of(model)

@@ -55,7 +55,22 @@ def slotted(utterances: Sequence[Utterance]) -> list[Utterance]:
 
 
 def word_motion(values: Array, frame_rate_hz: float, word: Word) -> Array:
-    """(n_frames, k) of a sentence -> (N_POINTS * k,): the word and a margin, resampled linearly."""
+    """Return the motion of a word and a margin, resampled linearly.
+
+    Parameters
+    ----------
+    values : Array
+        (n_frames, k) of a sentence.
+    frame_rate_hz : float
+        Of it.
+    word : Word
+        With its times.
+
+    Returns
+    -------
+    Array
+        (N_POINTS * k,).
+    """
     frames_s = np.arange(len(values)) / frame_rate_hz
     points_s = np.linspace(word.start_s - MARGIN_S, word.end_s + MARGIN_S, N_POINTS)
     columns = [np.interp(points_s, frames_s, column) for column in values.T]
@@ -70,10 +85,34 @@ class Classifier(Protocol):
     """As scikit-learn has it."""
 
     def fit(self, x: Array, y: Sequence[str]) -> object:
-        """Learn words y (n,) from features x (n, d)."""
+        """Learn words from features.
+
+        Parameters
+        ----------
+        x : Array
+            (n, d).
+        y : Sequence[str]
+            n words.
+
+        Returns
+        -------
+        object
+            The classifier.
+        """
 
     def predict(self, x: Array) -> NDArray[np.str_]:
-        """(n, d) -> (n,)."""
+        """Predict words.
+
+        Parameters
+        ----------
+        x : Array
+            (n, d).
+
+        Returns
+        -------
+        NDArray[np.str_]
+            (n,).
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +188,22 @@ def fit_reader(
 
 
 def words_of_slot(sentences: Sequence[Utterance], motions: Motions, slot: int) -> Array:
-    """(n_sentences, d): the motion of the word that each has in the slot."""
+    """Return the motion of the word that each sentence has in a slot.
+
+    Parameters
+    ----------
+    sentences : Sequence[Utterance]
+        n_sentences.
+    motions : Motions
+        (n_frames, k) by name.
+    slot : int
+        Its number.
+
+    Returns
+    -------
+    Array
+        (n_sentences, d).
+    """
     return np.array(
         [word_motion(motions[u.name], u.frame_rate_hz, spoken_words(u)[slot]) for u in sentences]
     )

@@ -96,7 +96,18 @@ class ClosingBench:
         return Mouth(np.array(watch.openings_mm[first:]), np.array(watch.resting[first:]))
 
     def opening_mm(self, face: Array) -> float:
-        """Lip gap of a face (n_components,) beyond the one at rest."""
+        """Return the lip gap of a face beyond the one at rest.
+
+        Parameters
+        ----------
+        face : Array
+            (n_components,).
+
+        Returns
+        -------
+        float
+            mm.
+        """
         return self._width_mm(face) - self._rest_mm
 
     def _width_mm(self, face: Array) -> float:
@@ -225,10 +236,20 @@ def with_gap(samples: Samples, at_s: float, gap_s: float) -> tuple[Samples, floa
 
 
 def closing_times(opening_mm: Array) -> tuple[float, float] | None:
-    """When closing begins and when it is complete, s after the cut at index 0.
+    """Return when closing begins and when it is complete, s after the cut.
 
     Begun: a tenth of the greatest opening since the cut is gone; complete: nine tenths are, and
-    stay away. None for a mouth that was not open at the cut.
+    stay away.
+
+    Parameters
+    ----------
+    opening_mm : Array
+        (n,), every 10 ms from the cut on.
+
+    Returns
+    -------
+    tuple[float, float] | None
+        Seconds; None for a mouth that was not open at the cut.
     """
     if opening_mm[0] < _LEAST_OPENING_MM:
         return None

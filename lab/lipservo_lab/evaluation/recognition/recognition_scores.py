@@ -41,7 +41,13 @@ class HeardClosures:
     onset_errors_ms: list[float] = field(default_factory=list)
 
     def add(self, found: NDArray[np.bool_], spoken: NDArray[np.bool_]) -> None:
-        """Count one utterance: whether each frame (n,) was heard, and was spoken, as a closure."""
+        """Count one utterance.
+
+        Parameters
+        ----------
+        found,spoken : NDArray[np.bool_]
+            (n,): whether each frame was recognised, and was spoken, as a closure.
+        """
         found_runs, spoken_runs = _runs(found), _runs(spoken)
         self.n_spoken += len(spoken_runs)
         self.n_reported += len(found_runs)

@@ -124,13 +124,28 @@ def label_frames(
     servos_deg: Array | None = None,
     text: KnownText = NO_TEXT,
 ) -> tuple[FrameLabels, StepCosts]:
-    """Reset and feed samples (n,) at 16 kHz as a live stream, and silence until all is settled.
+    """Feed samples as a live stream, and silence until all is settled.
 
     The blocks are 10 ms long and end where the label of a frame is due: latency_s after the start
     of the frame. So frame t is scored by what was settled when the sound to 10 t ms + latency was
-    heard, and nothing later. The costs are those of the blocks. servos_deg: what encoders read of
-    the robot's servos, a row (n_servos,) each 10 ms, which the recogniser gets when it is read.
-    text: what follows it is settled later, and scored by that.
+    heard, and nothing later. The costs are those of the blocks.
+
+    Parameters
+    ----------
+    recognizer : LiveRecognizer
+        Reset first.
+    samples : Array32
+        (n,) at 16 kHz.
+    servos_deg : Array | None
+        (n_frames, n_servos), encoder readings each 10 ms, which the recogniser gets when they are
+        read.
+    text : KnownText
+        The words that it gets; what follows them is settled later, and scored by that.
+
+    Returns
+    -------
+    tuple[FrameLabels, StepCosts]
+        Labels and costs in s.
     """
     recognizer.reset()
     n_tail = round((recognizer.latency_s + 0.1) * SAMPLE_RATE_HZ)
@@ -173,9 +188,25 @@ class Leaving:
 def time_to_leave(
     recognizer: LiveRecognizer, speech: Array32, other: Array32, onset_s: float, text: str
 ) -> Leaving:
-    """A sound (n,) with its words, and another (m,) whose words differ from the given ones.
+    """Play a sound with its words, and then another whose words differ from the given ones.
 
-    onset_s: from the beginning of the other sound to its first phone.
+    Parameters
+    ----------
+    recognizer : LiveRecognizer
+        Reset first.
+    speech : Array32
+        (n,).
+    other : Array32
+        (m,).
+    onset_s : float
+        From the beginning of the other sound to its first phone.
+    text : str
+        The given words.
+
+    Returns
+    -------
+    Leaving
+        Seconds until the given text no longer moves the mouth.
     """
     recognizer.reset()
     assert isinstance(recognizer, TextFollower)

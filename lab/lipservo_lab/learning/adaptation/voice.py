@@ -136,7 +136,20 @@ def check_length(duration_s: float) -> None:
 
 
 def why_left_out(aligned: AlignedUtterance, samples: Array32) -> str:
-    """Why an utterance is not learned from, or nothing."""
+    """Return why an utterance is not learned from, or "".
+
+    Parameters
+    ----------
+    aligned : AlignedUtterance
+        Its alignment.
+    samples : Array32
+        (n,) at 16 kHz.
+
+    Returns
+    -------
+    str
+        One line.
+    """
     if aligned.error:
         return aligned.error
     score = aligned.score

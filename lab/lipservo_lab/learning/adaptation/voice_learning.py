@@ -91,7 +91,24 @@ def learn_voice(
     plan: AdaptationPlan,
     progress: Callable[[int], None] = lambda _step: None,
 ) -> NetworkWeights:
-    """What `start` becomes by learning from arrays (the first one is the light copy)."""
+    """Adapt weights to arrays (the first one is the light copy).
+
+    Parameters
+    ----------
+    start : NetworkWeights
+        Weights.
+    arrays : Sequence[TrainingArray]
+        Features of shape (n_frames, 40) and targets.
+    plan : AdaptationPlan
+        Of the learning.
+    progress : Callable[[int], None]
+        Called with the steps done.
+
+    Returns
+    -------
+    NetworkWeights
+        The adapted weights.
+    """
     schedule = plan.for_network(start)
     torch.manual_seed(plan.seed)
     torch.set_num_threads(plan.n_threads)

@@ -111,16 +111,37 @@ def _disturbed(rng: np.random.Generator, samples: Array32, factor: float) -> Arr
 
 
 def looks() -> Array32:
-    """(n_phonemes, k): articulation and viseme class, in which unknown words are familiar."""
+    """Return articulation and viseme class, in which unknown words are familiar.
+
+    Returns
+    -------
+    Array32
+        (n_phonemes, k).
+    """
     classes = np.eye(len(VISEME_CLASSES))[[VISEME_OF[phoneme] for phoneme in PHONEMES]]
     return np.concatenate([articulatory_features(), classes], axis=1).astype(np.float32)
 
 
 def believed_means(values: Array32, delays: Sequence[int], frames: Array, ahead: int) -> Array32:
-    """(n, n_windows, n_phonemes) around frames (n,), as they are live `ahead` frames later.
+    """Return mean posteriors around frames, as they are live `ahead` frames later.
 
-    values: (n_frames, n_heads, n_phonemes). Before the first frame there was silence; what no head
-    has spoken of is 0.
+    Before the first frame there was silence; where no head has spoken it is 0.
+
+    Parameters
+    ----------
+    values : Array32
+        (n_frames, n_heads, n_phonemes).
+    delays : Sequence[int]
+        Of the heads, in frames.
+    frames : Array
+        (n,).
+    ahead : int
+        Frames.
+
+    Returns
+    -------
+    Array32
+        (n, n_windows, n_phonemes).
     """
     wanted = frames.astype(np.int64)[:, None] + OFFSETS
     rows = np.zeros((*wanted.shape, values.shape[2]), np.float32)

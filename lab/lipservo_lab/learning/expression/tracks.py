@@ -57,7 +57,18 @@ class ExpressionTrack:
         return len(next(iter(self.values.values())))
 
     def stacked(self, names: Sequence[str]) -> Array:
-        """The values of some names, (n_frames, n)."""
+        """Return the values of some names.
+
+        Parameters
+        ----------
+        names : Sequence[str]
+            n of them.
+
+        Returns
+        -------
+        Array
+            (n_frames, n).
+        """
         return np.stack([self.values[name] for name in names], axis=1)
 
 
@@ -70,7 +81,20 @@ class HeardTrack:
 
 
 def at_model_rate(times_s: Array, values: dict[str, Array]) -> dict[str, Array]:
-    """Values at 25 Hz from 0 s to the last time, interpolated; before the first, held."""
+    """Return values at 25 Hz from 0 s to the last time, interpolated; before the first, held.
+
+    Parameters
+    ----------
+    times_s : Array
+        (n,).
+    values : dict[str, Array]
+        (n,) by name.
+
+    Returns
+    -------
+    dict[str, Array]
+        (n_frames,) by name.
+    """
     frames_s = np.arange(int(times_s[-1] * RATE_HZ + 1e-6) + 1) / RATE_HZ
     return {name: np.interp(frames_s, times_s, each) for name, each in values.items()}
 
@@ -90,9 +114,23 @@ def hear(tracks: Sequence[ExpressionTrack], progress: Progress = no_progress) ->
 
 
 def prosody_frames(samples: np.ndarray, n_frames: int, tracker: VoiceTracker) -> Array:
-    """(n_frames, 2): pitch and loudness z, means over the 40 ms before each frame.
+    """Return pitch and loudness z, means over the 40 ms before each frame.
 
     Sound that ends before the track is silence. Frame 0 has heard nothing yet.
+
+    Parameters
+    ----------
+    samples : np.ndarray
+        (n,) at 16 kHz.
+    n_frames : int
+        At 25 Hz.
+    tracker : VoiceTracker
+        Knows the voice.
+
+    Returns
+    -------
+    Array
+        (n_frames, 2).
     """
     n_blocks = (n_frames - 1) * _BLOCKS_PER_FRAME
     whole = np.zeros(n_blocks * _BLOCK, np.float32)

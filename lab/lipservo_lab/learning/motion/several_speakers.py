@@ -74,13 +74,37 @@ class FaceMap:
         return float(np.degrees(np.arccos(np.clip((np.trace(self.rotation) - 1.0) / 2.0, -1, 1))))
 
     def on_target(self, markers_mm: NDArray[np.floating]) -> Array:
-        """(n_frames, n_points, 3) of the speaker, as the target's face would do it."""
+        """Return a speaker's markers as the target's face would move.
+
+        Parameters
+        ----------
+        markers_mm : NDArray[np.floating]
+            (n_frames, n_points, 3).
+
+        Returns
+        -------
+        Array
+            (n_frames, n_points, 3) mm.
+        """
         moved = (markers_mm - self.rest_mm) @ self.rotation.T
         return np.asarray(self.target_rest_mm + moved * self.scale)
 
 
 def phoneme_faces(utterances: Sequence[Utterance], rest_mm: Array) -> PhonemeFaces:
-    """Every phone's middle, interpolated between frames. rest_mm: (n_points, 3)."""
+    """Return the mean of every phone's middle, interpolated between frames.
+
+    Parameters
+    ----------
+    utterances : Sequence[Utterance]
+        Labelled.
+    rest_mm : Array
+        (n_points, 3).
+
+    Returns
+    -------
+    PhonemeFaces
+        Means of shape (40, n_points, 3).
+    """
     counts, sums = np.zeros(len(PHONEMES)), np.zeros((len(PHONEMES), *rest_mm.shape))
     for utterance in utterances:
         last = len(utterance.markers_mm) - 1

@@ -68,10 +68,21 @@ def taught_by(
 
 
 def retimed(phones: Sequence[int], logs: Array32) -> NDArray[np.int64] | None:
-    """The likeliest labels (n,) that say the phones in order; None where they do not fit in.
+    """Return the likeliest labels that have the phones in order.
 
-    phones: numbers as in PHONEMES. logs: (n, n_phonemes), log posteriors. Silence may stand before
-    and after everything.
+    Silence may stand before and after everything.
+
+    Parameters
+    ----------
+    phones : Sequence[int]
+        Numbers as in PHONEMES.
+    logs : Array32
+        (n, n_phonemes), log posteriors.
+
+    Returns
+    -------
+    NDArray[np.int64] | None
+        (n,); None where they do not fit in.
     """
     # Silences in a row are one.
     order = [_SILENCE_INDEX]

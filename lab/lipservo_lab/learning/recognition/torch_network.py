@@ -80,10 +80,26 @@ def exported(network: nn.Module, scale: FeatureScale, plan: TrainingPlan) -> Net
 def started_from(
     weights: NetworkWeights, arrays: Sequence[TrainingArray], plan: TrainingPlan
 ) -> TorchNetwork:
-    """A network that says what `weights` say, ready to go on learning; smaller ones have grown.
+    """Return a network with the outputs of `weights`, ready to go on learning.
+
+    Smaller ones have grown.
 
     The weights hold no norms, these are folded into them; they are set here from what the layers
     give on windows of the arrays, so that the first step finds the network as it was left.
+
+    Parameters
+    ----------
+    weights : NetworkWeights
+        To start from.
+    arrays : Sequence[TrainingArray]
+        Features of shape (n_frames, 40), and targets.
+    plan : TrainingPlan
+        Of the training.
+
+    Returns
+    -------
+    TorchNetwork
+        The network.
     """
     weights = grown(weights, plan)
     network = TorchNetwork(plan)

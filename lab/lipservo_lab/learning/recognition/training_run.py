@@ -157,9 +157,23 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
 def checked(
     weights: NetworkWeights, conditions: Mapping[str, TrainingArray], plan: TrainingPlan
 ) -> dict[str, float]:
-    """The figures, and the score by which weights are kept: the mean over corpora.
+    """Return the figures, and the score by which weights are kept: the mean over corpora.
 
     Each corpus counts alike: visemes of its speech at the head that counts most in the loss.
+
+    Parameters
+    ----------
+    weights : NetworkWeights
+        To score.
+    conditions : Mapping[str, TrainingArray]
+        Features of shape (n, 40) and targets, by name.
+    plan : TrainingPlan
+        Of the training.
+
+    Returns
+    -------
+    dict[str, float]
+        By name, 0 to 1.
     """
     found = figures(weights, conditions)
     delay = plan.delays[int(np.argmax(plan.head_weights))]
@@ -168,7 +182,20 @@ def checked(
 
 
 def figures(weights: NetworkWeights, conditions: Mapping[str, TrainingArray]) -> dict[str, float]:
-    """Frame accuracies without a decoder: phones and viseme classes, condition by condition."""
+    """Return frame accuracies without a decoder: phones and viseme classes, condition by condition.
+
+    Parameters
+    ----------
+    weights : NetworkWeights
+        To score.
+    conditions : Mapping[str, TrainingArray]
+        Features of shape (n, 40) and targets, by name.
+
+    Returns
+    -------
+    dict[str, float]
+        By name, 0 to 1.
+    """
     found: dict[str, float] = {}
     silence = PHONEMES.index(SILENCE)
     for name, array in conditions.items():
