@@ -130,7 +130,7 @@ class ServoState(IntEnum):
 
     @property
     def word(self) -> str:
-        """For people and programs."""
+        """The state as a word, for people and programs."""
         return STATE_WORDS[self]
 
 

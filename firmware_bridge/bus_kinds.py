@@ -99,7 +99,7 @@ class PortRelease(Protocol):
         """Let go of everybody, at whatever rate they are spoken to; who there is, and these."""
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
 
 
 class BusKind:

@@ -88,7 +88,7 @@ class BusServo(Strict):
 
     @property
     def pulse(self) -> JointPulse | None:
-        """Of a hobby servo; None: it is none."""
+        """Pulse and range of a hobby servo; None: it is none."""
         return None
 
     @property

@@ -277,7 +277,7 @@ class PulseBus:
         return Feedback(now_s, unknown, unknown, self._errors, self._nothing, ready, sent_deg)
 
     def remarks(self) -> Sequence[str]:
-        """Those of the controller."""
+        """Remarks of the controller."""
         return self._controller.remarks()
 
     def look_after(self) -> Health:

@@ -294,14 +294,14 @@ class DotsFolder:
         self._warned: set[str] = set()
 
     def readings(self, pose: int) -> list[Reading]:
-        """What is seen of one pose. Raises CalibrationError."""
+        """Return the readings of one pose. Raises CalibrationError."""
         pictures = pose_pictures(self._folder)
         return [
             each for number, path in pictures if number == pose for each in self._look(number, path)
         ]
 
     def all_readings(self) -> list[Reading]:
-        """Of every picture. Raises CalibrationError."""
+        """Return the readings of every picture. Raises CalibrationError."""
         pictures = pose_pictures(self._folder)
         if not pictures:
             raise CalibrationError(f"{self._folder}: no picture in it; expected pose_1.png, ...")

@@ -407,5 +407,5 @@ def _usual_word(name: str, word: str) -> str:
 
 
 def _bare(word: str) -> str:
-    """`opens` -> `open`."""
+    """Return a verb without its s: `opens` -> `open`."""
     return word[:-1] if word.endswith("s") else word

@@ -70,20 +70,20 @@ class Place:
         return tuple(self._value)
 
     def at(self, key: str) -> "Place":
-        """What lies under a key."""
+        """Return the place under a key. Raises CalibrationError naming this place."""
         path = f"{self.path}.{key}" if self.path else key
         if key not in self.names or not isinstance(self._value, dict):
             raise CalibrationError(f"{path} is missing")
         return Place(self._value[key], path)
 
     def text(self) -> str:
-        """Some text."""
+        """The value here as text. Raises CalibrationError naming its place otherwise."""
         if not isinstance(self._value, str):
             raise CalibrationError(f"{self.path} is {shown(self._value)}, expected text in quotes")
         return self._value
 
     def number(self) -> float:
-        """A finite number."""
+        """The value here as a finite number. Raises CalibrationError naming its place otherwise."""
         value = self._value
         if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _MAX:
             return float(value)
@@ -102,7 +102,7 @@ class Place:
         return self._value
 
     def flag(self) -> bool:
-        """True or false."""
+        """The value here as a flag. Raises CalibrationError naming its place otherwise."""
         if not isinstance(self._value, bool):
             raise CalibrationError(f"{self.path} is {shown(self._value)}, expected true or false")
         return self._value
@@ -114,7 +114,7 @@ class Place:
         return self._value
 
     def places(self) -> list["Place"]:
-        """What a list holds, one at least."""
+        """The places in a list, one at least. Raises CalibrationError otherwise."""
         values = self._value
         if not isinstance(values, list) or not values:
             raise CalibrationError(f"{self.path} should be a list")
@@ -411,7 +411,7 @@ def _parse_each_marker(hold_out: Place) -> dict[str, float]:
 
 
 def parse_learnt_lips(file: Place) -> LearntLips | None:
-    """Raises CalibrationError."""
+    """Parse how the lips were learnt. Raises CalibrationError."""
     if not file.has("learnt_lips"):
         return None
     lips = file.at("learnt_lips")
@@ -425,7 +425,7 @@ def parse_learnt_lips(file: Place) -> LearntLips | None:
 
 
 def parse_grade(file: Place) -> Grade | None:
-    """Raises CalibrationError."""
+    """Parse the grade. Raises CalibrationError."""
     if not file.has("grade"):
         return None
     grade = file.at("grade")
@@ -440,7 +440,7 @@ def parse_grade(file: Place) -> Grade | None:
 
 
 def parse_coverage(file: Place) -> dict[str, VisemeReach]:
-    """Raises CalibrationError."""
+    """Parse the coverage of viseme classes. Raises CalibrationError."""
     if not file.has("coverage"):
         return {}
     coverage = file.at("coverage")

@@ -120,7 +120,7 @@ def graded(
     Returns
     -------
     tuple[Calibration, tuple[str, ...]]
-        Errors in mm.
+        With the lips' errors in mm, and warnings for the user.
 
     Raises
     ------
@@ -264,7 +264,7 @@ _VISEME, _MAP, _FIRST = "viseme", "map", "_x_mm"
 
 
 def write_check_plan(poses: GradedPoses, calibration: Calibration, path: Path) -> None:
-    """Write it whole or not at all; poses are counted from 1. Raises OutputError."""
+    """Write the poses to grade by as CSV, whole or not at all. Raises OutputError."""
     plan = poses.plan
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

@@ -439,7 +439,7 @@ class _Learning:
         return filled
 
     def by_axis(self, filled: Array) -> tuple[Hyperparameters, ...]:
-        """For each axis, the backlash of all of them."""
+        """Fit hyperparameters to each axis alone, with the backlash fitted to all three."""
         return tuple(
             fit_hyperparameters(
                 self._free,

@@ -78,7 +78,7 @@ class AsyncSpeech:
 
     @property
     def was_heard(self) -> bool:
-        """It was heard to its end."""
+        """Whether it was heard to its end."""
         has_result = self.is_over and self._heard.exception() is None
         return has_result and self._heard.result().finished
 
@@ -169,7 +169,7 @@ class AsyncSpeech:
                 await self._wire.send("interrupt")
 
     def hear(self, event: Event) -> None:
-        """What the face tells of this stream."""
+        """Handle an event of this stream."""
         if event.get("n_played", 0) > self.n_played:
             self.n_played = int(event["n_played"])
             self._moved_s = asyncio.get_running_loop().time()
@@ -194,7 +194,7 @@ class AsyncSpeech:
             self._error = self._error or error
 
     def lose(self, error: FaceError) -> None:
-        """The connection is gone."""
+        """End the stream with an error: the connection is lost."""
         self.fail(error)
         if not self.is_over:
             self._heard.set_exception(error)
@@ -252,12 +252,12 @@ class Events:
         self._is_over = False
 
     def put(self, event: Event) -> None:
-        """One more."""
+        """Append an event."""
         self._waiting.append(event)
         self._filled.set()
 
     def end(self) -> None:
-        """No more come."""
+        """End the iteration: no more events come."""
         self._is_over = True
         self._filled.set()
 

@@ -77,10 +77,10 @@ class SampleArray(Protocol):
 
     @property
     def dtype(self) -> object:
-        """Its numbers' type."""
+        """The type of its numbers."""
 
     def tobytes(self) -> bytes:
-        """Its numbers."""
+        """Return its numbers as bytes."""
 
 
 #: s16le bytes, or an array (n,) or (n, 1): int16, or float in [-1, 1].

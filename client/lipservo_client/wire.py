@@ -97,7 +97,7 @@ class _UnauthorizedError(FaceError):
 
 
 async def _opened(url: str, token: str | None, patience_s: float) -> ClientConnection:
-    """Raises FaceError."""
+    """Open a WebSocket. Raises FaceError."""
     headers = None if token is None else {"Authorization": f"Bearer {token}"}
     try:
         return await connect(

@@ -123,12 +123,12 @@ class SoftStart:
         return all(write_verified(line, servo_id, *each) for each in wanted)
 
     def note_torque_on(self, index: int, now_s: float) -> None:
-        """Torque came on now."""
+        """Begin the soft start of a servo whose torque was switched on."""
         self._due_s[index] = now_s + SOFT_START_S
         self._n_left[index] = _REPEATS
 
     def cancel(self) -> None:
-        """Torque is off everywhere."""
+        """End all soft starts: torque is off everywhere."""
         self._due_s[:] = np.inf
         self._n_left[:] = 0
 
@@ -328,5 +328,5 @@ class LineRelease:
         return sorted(found)
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         self._line.transport.close()

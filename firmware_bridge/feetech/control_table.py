@@ -66,7 +66,7 @@ class Dialect:
 
     @property
     def positions_per_deg(self) -> float:
-        """Of the position registers."""
+        """Steps of the position registers a degree."""
         return self.n_positions / self.reach_deg
 
     def encode(self, name: str, value: int) -> bytes:
@@ -114,12 +114,12 @@ class ServoModel:
 
     @property
     def pulses_per_deg(self) -> float:
-        """Of the position registers."""
+        """Steps of the position registers a degree."""
         return self.dialect.positions_per_deg
 
     @property
     def current_unit_ma(self) -> float | None:
-        """Of present_current; None: it counts load alone."""
+        """mA a step of present_current; None: the register counts load alone."""
         return self.dialect.current_unit_ma
 
 

@@ -264,5 +264,5 @@ class LineRelease:
         return sorted(found)
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         self._line.transport.close()

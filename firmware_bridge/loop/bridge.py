@@ -33,19 +33,19 @@ class PortRetry:
         self._wait_s = self.due_s = 0.0
 
     def note_lost(self, time_s: float) -> None:
-        """It went now."""
+        """Note that the port was lost now."""
         self.is_open = False
         self.n_lost += 1
         self._wait_s = _FIRST_WAIT_S
         self.due_s = time_s + _FIRST_WAIT_S
 
     def note_failed(self, time_s: float) -> None:
-        """It was tried in vain."""
+        """Note that opening the port failed."""
         self._wait_s = min(2.0 * self._wait_s, _LONGEST_WAIT_S)
         self.due_s = time_s + self._wait_s
 
     def note_open(self) -> None:
-        """It is back."""
+        """Note that the port is open again."""
         self.is_open = True
 
 
@@ -141,7 +141,7 @@ class Bridge:
 
     @property
     def capabilities(self) -> BusCapabilities:
-        """What its servos can do."""
+        """The capabilities of its servos."""
         return self._servos.gate.capabilities
 
     @property

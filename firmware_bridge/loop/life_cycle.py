@@ -51,7 +51,7 @@ class Heartbeat(Protocol):
     """The sender of reports to a supervisor: `Lifeline`."""
 
     def beat(self) -> None:
-        """The loop is alive."""
+        """Report that the loop is alive."""
 
     def stopped(self, level: StopLevel, *, ends: bool = False, requested_by: str = "") -> None:
         """A person stopped the face."""

@@ -289,7 +289,7 @@ class ServoGroup:
             self._bus.widen(wide)
 
     def send(self, limited: Limited, time_s: float) -> None:
-        """Goals to those that are driven; then hear how all are, and help one of them."""
+        """Send goals to driven servos, read all, and let supervision act on one of them."""
         goals_deg = limited.positions_deg
         limp = None if self.supervision.all_driven else ~self.supervision.driven
         if limp is None:

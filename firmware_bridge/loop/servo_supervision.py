@@ -64,10 +64,10 @@ class TorquePort(Protocol):
         """Let it go limp; whether it confirmed."""
 
     def reboot(self, index: int) -> None:
-        """Restart it."""
+        """Restart one servo, which comes back limp."""
 
     def give_up(self, index: int, because: str) -> None:
-        """Never again."""
+        """Leave a servo limp for good. because: the reason, for people."""
 
 
 class ServoSupervision:

@@ -179,7 +179,7 @@ class MaestroController:
             raise
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         if self._maestro is not None:
             self._seen |= self._maestro.errors
             self._maestro.transport.close()

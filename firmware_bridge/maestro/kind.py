@@ -78,7 +78,7 @@ class MaestroKind(BusKind):
         KeptPulses(wiring.kept).allow_neutral(wiring.servos)
 
     def is_at(self, port: str) -> bool:
-        """By the numbers of its plug."""
+        """Whether the port's USB numbers are a Maestro's."""
         return usb_product(port) in _USB_PRODUCTS
 
     def port_release(self, port: str, wiring: Wiring | None) -> Callable[[], PortRelease]:

@@ -81,5 +81,5 @@ def split(value: int) -> tuple[int, int]:
 
 
 def describe_errors(bits: int) -> list[str]:
-    """What the bits of GET_ERRORS mean."""
+    """Return the bits of GET_ERRORS in words."""
     return [words for n, words in enumerate(ERRORS) if bits >> n & 1]

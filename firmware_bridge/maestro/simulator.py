@@ -112,7 +112,7 @@ class _Channel:
             self.position = self.target
 
     def move(self, seconds: float) -> None:
-        """Let time pass."""
+        """Move the channel on by some time."""
         if self.position != self.target:
             reach = self.speed * seconds / SPEED_UNIT_S if self.speed else float("inf")
             self.position += min(max(self.target - self.position, -reach), reach)
@@ -202,7 +202,7 @@ class SimulatedMaestro:
                 self._obey(message, now_s)
 
     def deliver(self, now_s: float) -> bytes:
-        """What it has answered by now."""
+        """Return the bytes that it has answered by `now_s`."""
         answers = b""
         while self._answers and self._answers[0][0] <= now_s:
             answers += self._answers.popleft()[1]

@@ -113,7 +113,7 @@ class Pca9685:
         return counts * self._timing.count_us
 
     def remarks(self) -> Sequence[str]:
-        """What a person must know who starts the face."""
+        """Remarks for the person who starts the face."""
         return [] if self._guard is not None else [NO_GUARD]
 
     @property

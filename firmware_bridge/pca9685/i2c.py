@@ -51,7 +51,7 @@ class Transfers(Protocol):
         """Messages with one STOP after the last; what was read, one after the other."""
 
     def close(self) -> None:
-        """Give it back."""
+        """Close the bus."""
 
 
 class I2cChip:
@@ -71,12 +71,12 @@ class I2cChip:
         return self._transfer([*written, (address, 0, bytes((register,))), (address, READ, 1)])
 
     def read(self, register: int, n_bytes: int = 1) -> bytes:
-        """From one register on."""
+        """Read bytes from one register on."""
         address = self._address
         return self._transfer([(address, 0, bytes([register])), (address, READ, n_bytes)])
 
     def close(self) -> None:
-        """Give the bus back."""
+        """Close the bus."""
         with contextlib.suppress(OSError):
             self._transfers.close()
 
@@ -101,7 +101,7 @@ class DeviceTransfers:
         self._bus, self._message = bus, message
 
     def fileno(self) -> int:
-        """Of the bus; -1: it is closed."""
+        """File descriptor of the bus; -1: it is closed."""
         return -1 if self._bus.fd is None else self._bus.fd
 
     def transfer(self, messages: Sequence[Message]) -> bytes:

@@ -53,7 +53,7 @@ class Pca9685Kind(BusKind):
         )
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":  # noqa: ARG002 - no servo can be asked whether it is there
-        """By smbus2; without a port in memory."""
+        """Open the bus by smbus2; without a port in memory."""
         from firmware_bridge.pca9685.i2c import is_terminal
         from firmware_bridge.pca9685.oe_guard import OeGuard
         from firmware_bridge.pulse_bus import KeptPulses, PulseBus
@@ -116,7 +116,7 @@ class BoardRelease:
             raise
 
     def tell_all(self, addresses: Sequence[int]) -> None:  # noqa: ARG002 - one byte is for all
-        """Pulses off."""
+        """Switch all pulses off."""
         from firmware_bridge.pca9685.registers import ALL_OFF
 
         self._chip.write([ALL_OFF])
@@ -131,12 +131,12 @@ class BoardRelease:
         return addresses or range(N_CHANNELS)
 
     def close(self) -> None:
-        """Give the bus back."""
+        """Close the bus."""
         self._chip.close()
 
 
 def opener_of(wiring: Wiring) -> Callable[[], "I2cChip"]:
-    """What opens the chip of a face."""
+    """Return the function that opens the chip of a face."""
     from firmware_bridge.pca9685.i2c import open_chip
 
     return partial(open_chip, wiring.settings.port, wiring.settings.address)

@@ -154,7 +154,7 @@ class Pin(Protocol):
     """One output of the computer."""
 
     def set(self, *, high: bool) -> None:
-        """Drive it."""
+        """Drive the pin high or low."""
 
 
 class _GpioPin:

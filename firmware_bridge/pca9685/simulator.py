@@ -110,7 +110,7 @@ class HobbyServo:
             self.goal_deg = (pulse.width_us - self.neutral_us) / self.us_per_deg
 
     def advance(self, time_s: float) -> float:
-        """Where it stands."""
+        """Move on to `now_s`, and return where it stands."""
         reach_deg = max(0.0, time_s - self._at_s) * self.top_speed_deg_s
         self._at_s = max(self._at_s, time_s)
         if self.goal_deg is not None:
@@ -361,7 +361,7 @@ class MemoryTransfers:
         return found
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: memory is never open."""
 
 
 class TerminalChip:
@@ -383,7 +383,7 @@ class TerminalChip:
         return 0.0 if self._answers else float("inf")
 
     def advance(self, time_s: float) -> None:
-        """Let time pass."""
+        """Move the servos on to `now_s`."""
         self.chip.advance(time_s)
 
     def receive(self, data: bytes, time_s: float, _baud_rate: int) -> None:
@@ -398,7 +398,7 @@ class TerminalChip:
             self._answers += ANSWER.pack(number, len(found)) + found
 
     def deliver(self, _time_s: float) -> bytes:
-        """The answers by now."""
+        """Return the answers by `now_s`."""
         answers, self._answers = self._answers, b""
         return answers
 
@@ -441,7 +441,7 @@ class PinFifo:
         self._is_high = True
 
     def is_high(self) -> bool:
-        """Just now."""
+        """Whether the pin is high now."""
         with contextlib.suppress(BlockingIOError):
             self._is_high = os.read(self._fd, 4096)[-1:] != b"0"
         return self._is_high

@@ -32,7 +32,7 @@ class HeartbeatMonitor:
         self._since_s = self._looked_s = 0.0
 
     def begin(self, now_s: float) -> None:
-        """A new process starts."""
+        """Start counting for a new process."""
         self._since_s = self._looked_s = now_s
 
     def look(self, now_s: float, beat_s: float | None) -> float:
@@ -79,7 +79,7 @@ class Child:
         return self._watch is not None and self._watch.beat_s is not None
 
     def filenos(self) -> list[int]:
-        """What becomes readable when it says something or ends."""
+        """Descriptors that are readable when it sends something or ends."""
         if self._process is None or self._watch is None:
             return []
         return [self._pidfd] if self._watch.closed else [self._pidfd, self._watch.fileno()]

@@ -71,7 +71,7 @@ class CommandQueue:
 
     @property
     def values(self) -> dict[str, float]:
-        """What every setting was last set to."""
+        """The last value of every setting."""
         return {name: setting.value for name, setting in self._settings.items()}
 
     def stop(self, level: StopLevel, requested_by: str = "", *, ends: bool = False) -> None:

@@ -75,7 +75,7 @@ class ServiceNotice:
         self._alive_s = float("-inf")
 
     def ready(self) -> None:
-        """The servos are driven."""
+        """Notify systemd that the servos are driven."""
         if not self._ready:
             self._ready = True
             self._notify("READY=1")
@@ -88,7 +88,7 @@ class ServiceNotice:
             self._notify("WATCHDOG=1")
 
     def _notify(self, state: str) -> None:
-        """See sd_notify(3)."""
+        """Send one notification; see sd_notify(3)."""
         if not self._address:
             return
         address = self._address

@@ -137,7 +137,7 @@ class SimulatedBus:
         return Feedback(now_s, places_deg, self._effort, errors, self._nothing)
 
     def remarks(self) -> Sequence[str]:
-        """Nothing is unusual here."""
+        """No remarks: nothing is unusual here."""
         return ()
 
     def look_after(self) -> Health:
@@ -204,11 +204,11 @@ class SimulatedBus:
         return np.ones(self._goals_deg.shape, dtype=np.bool_)
 
     def reboot(self, index: int) -> None:
-        """Restart: limp."""
+        """Restart a servo, which comes back limp."""
         self.disable_torque(index)
 
     def reopen(self) -> None:
-        """Memory is never unplugged."""
+        """Do nothing: memory is never unplugged."""
 
     @property
     def _places_deg(self) -> Array:

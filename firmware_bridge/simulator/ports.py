@@ -32,7 +32,7 @@ class SimulatedDevice(Protocol):
         """When it has something to say; infinity: nothing."""
 
     def advance(self, now_s: float) -> None:
-        """Let time pass."""
+        """Move the device on to `now_s`."""
 
     def receive(self, data: bytes, now_s: float, baud_rate: int) -> None:
         """Hear bytes at a rate."""
@@ -96,7 +96,7 @@ class MemoryTransport:
         return data
 
     def discard_input(self) -> bytes:
-        """What has been delivered by now."""
+        """Return and remove the bytes that have been delivered."""
         self._check()
         return self._chain.deliver(self._clock.now())
 

@@ -58,7 +58,7 @@ class AgentStream:
 
     @property
     def rate_hz(self) -> int:
-        """Of what the client sends."""
+        """The sample rate of the client's audio, in Hz."""
         return self.speech.sample_rate_hz
 
     @property
@@ -155,7 +155,7 @@ class OwnSpeech:
         return self.is_dropped or (whole and self.n_ended >= n_streams)
 
     def take(self, event: PlayoutEvent) -> None:
-        """What the playout says of one of its streams."""
+        """Note an event of the playout on one of its streams."""
         if event.kind == "started" and self.began_s is None:
             self.began_s = event.position_s
             self.tell("started")
@@ -192,7 +192,7 @@ class OpenStreams:
 
     @property
     def playing(self) -> list[AgentStream]:
-        """What the playout has, in order."""
+        """The streams that the playout has, in order."""
         return list(self._playing.values())
 
     def open(self, owner: Outbox, start: Start, now_s: float) -> AgentStream:
@@ -270,7 +270,7 @@ class OpenStreams:
             self._paused = owner, now_s
 
     def resume(self, owner: Outbox) -> None:
-        """What this client paused goes on. Raises MessageError."""
+        """Go on with what this client paused. Raises MessageError."""
         if self._paused is not None and self._paused[0] is owner:
             self._check_requests()
             self._playout.requests.append(PlayoutRequest("resume"))
@@ -287,7 +287,7 @@ class OpenStreams:
         return own
 
     def forget(self, own: OwnSpeech) -> None:
-        """It was refused."""
+        """Remove speech of this face that was refused."""
         self._own.pop(own.stream_id, None)
 
     def leave(self, owner: Outbox) -> None:
@@ -299,7 +299,7 @@ class OpenStreams:
             self.interrupt(owner)
 
     def end_all(self) -> None:
-        """The server ends: silence."""
+        """End all streams: the server ends."""
         for owner in {each.owner for each in self._all()}:
             self.interrupt(owner)
 

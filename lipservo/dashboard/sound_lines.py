@@ -92,7 +92,7 @@ class SoundLines:
         return path
 
     def remove(self, name: str) -> None:
-        """Delete it."""
+        """Delete a line."""
         try:
             self.path_of(name).unlink()
         except OSError as error:

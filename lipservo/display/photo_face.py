@@ -198,7 +198,7 @@ def _with_depth(points: list[Array]) -> Array | None:
 
 
 def _check_size_and_pose(face_px: float, rotation: Array) -> None:
-    """Raises PhotoError."""
+    """Refuse a face that is too small or turned too far. Raises PhotoError."""
     if face_px < LEAST_FACE_PX:
         raise PhotoError(
             f"the face is {face_px:.0f} pixels wide, {LEAST_FACE_PX:.0f} are needed; take a larger "

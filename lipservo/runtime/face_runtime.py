@@ -171,11 +171,11 @@ class _Run:
         self._listens_on = url
 
     def status(self, bridge: Bridge) -> Status:
-        """The whole face, now."""
+        """The status of the whole face now."""
         return self._whole({**face_status(bridge), **self._requested.about})
 
     def describe(self, bridge: Mapping[str, object]) -> Mapping[str, object]:
-        """The same for JSON, of what the bridge knows."""
+        """Return the status for JSON, given the bridge's part."""
         return self._whole(bridge).as_dict()
 
     def _whole(self, bridge: Mapping[str, object]) -> Status:

@@ -100,7 +100,7 @@ class MotionOptions:
         return {name: round(named[name], 6) for name in STYLES_OF[self.strategy]}
 
     def live_settings(self) -> dict[str, Setting]:
-        """What may change while a face runs."""
+        """The settings that may change while a face runs."""
         values = self.style_settings
         return {
             name: Setting(values[name], 0.0, most)

@@ -76,7 +76,7 @@ def edited(path: Path, values: Mapping[Place, float | str]) -> EditedYaml:
 
 
 def lines_by_hand(place: Place, value: float | str) -> str:
-    """What a person would write."""
+    """Return the lines that a person should add to the YAML."""
     return _block(list(place), value if isinstance(value, str) else f"{value:g}", 0, "\n")
 
 

@@ -49,7 +49,7 @@ class IndexLists:
         return self.indices[self.starts[row] : self.starts[row + 1]]
 
     def transposed(self, n_rows: int) -> "IndexLists":
-        """The same table read by columns; n_rows is the number of columns here."""
+        """Return the table read by columns; n_rows is the number of columns here."""
         return IndexLists.from_pairs(self.indices, self.rows(), n_rows)
 
     def rows(self) -> Indices:

@@ -60,7 +60,7 @@ class OpenStream(Protocol):
         """The clock of its time stamps, in seconds."""
 
     def start(self) -> None:
-        """Begin to call back."""
+        """Start the stream's callbacks."""
 
     def abort(self) -> None:
         """End at once, whatever waits to be played; errors are ignored."""

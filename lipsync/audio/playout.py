@@ -152,7 +152,7 @@ class Playout:
 
     @property
     def name(self) -> str:
-        """What is heard while the robot is silent."""
+        """The name of the sound that is heard while the robot is silent."""
         return "own voice" if self._microphone is None else self._microphone.name
 
     @property

@@ -546,7 +546,7 @@ class KnownPhonemes:
         self._going_on = None
 
     def after(self, from_s: float) -> list[KnownStretch]:
-        """Those that end after `from_s`, in order, not overlapping."""
+        """Return the stretches that end after `from_s`, in order, not overlapping."""
         return [stretch for stretch in self._stretches if stretch[1] > from_s]
 
     def forget(self, committed_s: float) -> None:

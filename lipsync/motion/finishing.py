@@ -362,7 +362,7 @@ class FinishedSynthesizer:
 
     @property
     def strength(self) -> float:
-        """As it was set last."""
+        """The strength that was set last."""
         return self._strength.goal
 
     @property

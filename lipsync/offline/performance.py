@@ -84,7 +84,7 @@ class Performance:
 
     @property
     def duration_s(self) -> float:
-        """From the first face to the last."""
+        """Seconds from the first face to the last."""
         return (len(self.coefficients) - 1) / RATE_HZ
 
     def check_face(self, face: FaceModel, name: str) -> None:

@@ -55,11 +55,11 @@ class Flite:
         self._command = found
 
     def languages(self) -> tuple[str, ...]:
-        """American English alone."""
+        """The languages it speaks: American English alone."""
         return (_LANGUAGE,)
 
     def voices(self) -> tuple[str, ...]:
-        """What `flite -lv` lists, as `kal`, `rms` and `slt`."""
+        """The voices that `flite -lv` lists, such as `kal`, `rms` and `slt`."""
         listed = self._run("-lv").partition(":")[2].split()
         return tuple(sorted(set(listed) - {_TALKING_CLOCK}))
 

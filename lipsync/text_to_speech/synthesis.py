@@ -69,7 +69,7 @@ class SynthesizedSpeech:
 
     @property
     def duration_s(self) -> float:
-        """How long it sounds."""
+        """Seconds of sound."""
         return len(self.samples) / self.sample_rate_hz
 
 

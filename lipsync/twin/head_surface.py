@@ -341,7 +341,7 @@ class HeadSurface:
 
     @cached_property
     def stiffness(self) -> sparse.csr_array:
-        """Of its shell."""
+        """The stiffness matrix of its shell."""
         return shell_stiffness(self.places_mm, self.triangles)
 
     @cached_property

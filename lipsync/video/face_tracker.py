@@ -44,7 +44,7 @@ class FaceTracker(Protocol):
 
     @property
     def name(self) -> str:
-        """What it is, for reports."""
+        """The tracker's name, for reports."""
 
     def faces(self, picture: Picture) -> tuple[Array, ...]:
         """Return the points of each face, the largest face first; none where there is none.

@@ -87,7 +87,7 @@ def stuff(body: bytes) -> bytes:
 
 
 def unstuff(body: bytes) -> bytes:
-    """Undo `stuff`."""
+    """Remove the bytes that `stuff` inserted."""
     return body.replace(_STUFFED, _PATTERN)
 
 

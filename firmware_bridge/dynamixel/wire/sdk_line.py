@@ -81,7 +81,7 @@ class SdkTransport:
         return b""
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         if self.handler.is_open:
             release(self.handler.ser.fileno())
             self.handler.closePort()
@@ -103,7 +103,7 @@ class SdkLine(Line):
         return Status(servo_id, error, struct.pack("<HB", number, 0)) if not result else None
 
     def ping_all(self) -> list[Status]:
-        """Everybody there is."""
+        """Return a status of every servo that answers a broadcast ping."""
         found, _ = self._sdk.call(lambda: self._packets.broadcastPing(self._sdk.handler))
         return [
             Status(each, 0, struct.pack("<HB", *model_and_firmware))

@@ -105,7 +105,7 @@ class FaceCollector(Collector):
 
 
 def metrics_text(collector: Collector) -> bytes:
-    """In the text format."""
+    """Return the metrics in Prometheus' text format."""
     registry = CollectorRegistry(auto_describe=False)
     registry.register(collector)
     return generate_latest(registry)

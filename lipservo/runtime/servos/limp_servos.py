@@ -127,7 +127,7 @@ class TurnedRange:
         self.begin()
 
     def begin(self) -> None:
-        """Forget what was seen."""
+        """Forget the range so far."""
         nothing = np.full(len(self._names), np.nan)
         self._here_deg, self._least_deg, self._most_deg = nothing, nothing, nothing
         self._obstacles: Mapping[str, str] = {}
@@ -157,7 +157,7 @@ class TurnedRange:
         ]
 
     def table(self) -> "Table":
-        """The same while it goes on."""
+        """Return a table of the range so far."""
         from rich.table import Table
 
         table = Table("joint", "now", "least", "most", "", box=None)

@@ -228,7 +228,7 @@ def with_known(update: PhonemeUpdate, stretches: Iterable[KnownStretch]) -> Phon
 
 
 def _cut(events: Iterable[PhonemeEvent], from_s: float, until_s: float) -> list[PhonemeEvent]:
-    """What of the events lies between."""
+    """Return the events between two times, cut at both."""
     found = []
     for event in events:
         start_s, end_s = max(event.start_s, from_s), min(_end_s(event), until_s)

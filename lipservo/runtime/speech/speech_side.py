@@ -178,7 +178,7 @@ class SpeechBoard:
         self._shown_until_s = 0.0
 
     def tell(self, now_s: float, speech: Speech) -> None:
-        """What is shown at monotonic `now_s`."""
+        """Write what is shown at monotonic `now_s`."""
         sound_s = speech.sound_time_s(now_s)
         phoneme, frame = speech.shown_at(max(0.0, sound_s))
         expression = speech.expression

@@ -151,7 +151,7 @@ class LiveBoard:
 
     @classmethod
     def create(cls, layout: BoardLayout) -> Self:
-        """A new one, empty."""
+        """Create an empty board."""
         text = json.dumps(asdict(layout)).encode()
         if len(text) > _ABOUT_BYTES - _ABOUT_HEAD.size:
             raise ValueError("names of servos are too long for a live board")
@@ -194,7 +194,7 @@ class LiveBoard:
         return self._servos.newer_than(number)
 
     def speech_since(self, number: int) -> list[tuple[int, Record]]:
-        """The same of the speech side."""
+        """Return the records of the speech side since a number."""
         return self._speech.newer_than(number)
 
     def __enter__(self) -> Self:
@@ -238,7 +238,7 @@ class ServoBoard:
         self.tell(tick.report)
 
     def tell(self, report: TickReport) -> None:
-        """One tick."""
+        """Write the record of one tick."""
         feedback = self._bridge.feedback
         n_ticks, n_late, n_stale = self._bridge.tick_counts
         self._board.write_servos(
