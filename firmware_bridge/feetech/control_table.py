@@ -119,7 +119,7 @@ class ServoModel:
 
     @property
     def current_unit_ma(self) -> float | None:
-        """mA a step of present_current; None: the register counts load alone."""
+        """Milliamperes a step of present_current; None: the register counts load alone."""
         return self.dialect.current_unit_ma
 
 

@@ -64,7 +64,7 @@ class ClipLabels:
         return replace(self, phones=phones, words=words)
 
     def tiers(self) -> dict[str, tuple[Interval, ...]]:
-        """As `write_tiers` wants them."""
+        """Return the tiers for `write_tiers`."""
         phones = tuple((p.phoneme, p.start_s, p.end_s or p.start_s) for p in self.phones)
         return {"words": self.words, "phones": phones}
 
