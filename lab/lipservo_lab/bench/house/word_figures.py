@@ -1,16 +1,16 @@
-"""Words of the source and the pages: the project's former dialect, docstrings, lengths, dead links.
+"""Words of source and pages: the project's former dialect, docstrings, lengths, dead links.
 
-`dialect_names` and `dialect_docstrings` list `file:line word` for every word of `DIALECT`: as a part
-of a name that is defined (`n_told`, `SentOn`), or as a word of a docstring. Tests are left out:
-their names are sentences.
+`dialect_names` and `dialect_docstrings` list `file:line word` for every word of `DIALECT`: as a
+part of a name that is defined (`n_told`, `SentOn`), or as a word of a docstring. Tests are left
+out: their names are sentences.
 
 `array_docstrings`: of the public functions and methods that take or return an array, those whose
 docstring has a NumPy section (Parameters, Returns, Yields) and names a shape or a unit;
 `array_shapes`: those that name one in any form.
 
 `pages`: words of README.md and of its first sentence, words of docs/ without decisions (code blocks
-count, they are read too), links and paths that lead nowhere, and figures of README.md, a number with
-its unit outside code, that docs/benchmarks.md does not have.
+count, they are read too), links and paths that lead nowhere, and figures of README.md, a number
+with its unit outside code, that docs/benchmarks.md does not have.
 """
 
 import ast
@@ -23,9 +23,9 @@ from typing import Any, Final
 
 FOLDERS: Final = ("calibration", "firmware_bridge", "lipservo", "lipsync", "client", "lab")
 #: `take` and `look` are left out: a take of a recording and a look-ahead are terms of the field.
-DIALECT: Final = frozenset(
-    "told said asked hears took believes nobody whoever somebody door judged wish wishes moments "
-    "standing met".split()
+DIALECT: Final = re.compile(
+    r"\b(?:told|said|asked|hears|took|believes|nobody|whoever|somebody|door|judged|wish|wishes"
+    r"|moments|standing|met)\b"
 )
 #: As a whole name only: in sentences these are English.
 DIALECT_NAMES: Final = frozenset({"Turns", "SentOn", "sent_on"})
@@ -155,7 +155,7 @@ def _sources(root: Path) -> Iterator[Path]:
 
 
 def _dialect_names(tree: ast.Module) -> Iterator[tuple[int, str]]:
-    """Yield line and name of each definition of a name that has a word of the dialect; once each."""
+    """Yield the first definition, line and name, of each name that has a word of the dialect."""
     seen = set()
     for node in ast.walk(tree):
         match node:
@@ -167,8 +167,8 @@ def _dialect_names(tree: ast.Module) -> Iterator[tuple[int, str]]:
                 pass
             case _:
                 continue
-        words = {word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+", name)}
-        is_dialect = words & DIALECT or name.lstrip("_") in DIALECT_NAMES
+        words = " ".join(re.findall(r"[A-Z]?[a-z]+|[A-Z]+", name)).lower()
+        is_dialect = DIALECT.search(words) or name.lstrip("_") in DIALECT_NAMES
         if is_dialect and name not in seen:
             seen.add(name)
             yield node.lineno, name
@@ -179,9 +179,8 @@ def _dialect_words(tree: ast.Module) -> Iterator[tuple[int, str]]:
         if isinstance(node, _DOCUMENTED) and ast.get_docstring(node, clean=False) is not None:
             literal = node.body[0].value  # type: ignore[attr-defined]
             for n, line in enumerate(literal.value.splitlines()):
-                for word in re.findall(r"[a-z]+", line.lower()):
-                    if word in DIALECT:
-                        yield literal.lineno + n, word
+                for word in DIALECT.findall(line.lower()):
+                    yield literal.lineno + n, word
 
 
 def _array_functions(tree: ast.Module) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
