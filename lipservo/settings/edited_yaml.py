@@ -3,7 +3,6 @@
 The text is changed in place, read back, and written only when it then says what was meant.
 """
 
-import fcntl
 import json
 import os
 import re
@@ -156,6 +155,8 @@ def _key(name: str) -> str:
 @contextmanager
 def _alone(path: Path) -> Iterator[None]:
     """No other program of ours writes a face YAML in this folder meanwhile."""
+    import fcntl
+
     try:
         folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     except OSError as error:

@@ -174,9 +174,9 @@ def test_words_links_and_figures_that_a_page_should_not_have_are_found(tmp_path)
     assert (found["array_functions"], found["array_docstrings"]) == (2, 0.5)
     assert found["array_docstrings_missing"] == ["lipsync/a.py:8 bare"]
     assert found["pages"] == {
-        "readme_words": 11,
+        "readme_words": 12,
         "readme_first_sentence_words": 2,
-        "docs_words": 13,
+        "docs_words": 12,
         "dead_links": ["README.md: c.png", "README.md: docs/e.md#f", "docs/benchmarks.md: #g"],
         "dead_paths": ["docs/benchmarks.md: docs/gone.md"],
         "readme_figures_unmeasured": ["12 %"],
