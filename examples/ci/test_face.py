@@ -6,6 +6,7 @@ import soundfile
 
 
 def test_what_my_agent_says_opens_the_mouth(simulated_face):
+    """The jaw moves, and every servo says where it is."""
     clip = resources.files("lipservo.clips") / "welcome.flac"
     with resources.as_file(clip) as file:
         samples, rate_hz = soundfile.read(file, dtype="int16")

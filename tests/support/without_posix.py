@@ -35,7 +35,7 @@ def import_all():
             try:
                 import_module(command.target.partition(":")[0])
             except Exception as error:
-                print(command.target, repr(error))
+                print(command.target, repr(error))  # noqa: T201
 
 
 if sys.argv[1:] == ["import-all"]:
