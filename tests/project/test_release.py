@@ -14,6 +14,7 @@ from places import ROOT
 
 WORKFLOW = yaml.safe_load((ROOT / ".github" / "workflows" / "release.yml").read_text())
 NO_NETWORK = ("Failed to fetch", "error sending request", "dns error", "Could not connect")
+BUILT = ("build", "dist", "site")
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 #: Extras of which every library has wheels; `align`, `offline` and `piper` build some from source.
 EXTRAS = ("calibrate", "dashboard", "film", "pca9685", "say")
@@ -49,7 +50,7 @@ def test_a_wheel_that_is_built_from_the_sdist_holds_all_of_the_package(folder, t
     copy = tmp_path / "copy"
     copy.mkdir()
     for path in (ROOT / folder).iterdir():
-        if path.name[0] != "." and path.name not in ("build", "dist", "site"):
+        if path.name[0] != "." and not path.match("*.egg-info") and path.name not in BUILT:
             (shutil.copytree if path.is_dir() else shutil.copy)(path, copy / path.name)
     command = [sys.executable, "-m", "build", "--outdir", str(tmp_path / "dist"), str(copy)]
     subprocess.run(command, check=True, capture_output=True)

@@ -11,10 +11,13 @@ from lipservo_client.protocol import FaceError
 from starlette.requests import ClientDisconnect
 
 from lipservo.dashboard.face_files import (
+    choose_sound,
+    copy_shipped,
     face_errors,
     own_yaml,
     saved_settings,
     set_pulse_limit,
+    sound_choices,
     told_calibration,
     with_settings,
 )
@@ -30,6 +33,7 @@ from lipservo.dashboard.web.api_models import (
     SayBody,
     ServoBody,
     SettingsBody,
+    SoundBody,
     StartBody,
     StopBody,
 )
@@ -188,6 +192,22 @@ def file_routes(link: FaceLink) -> APIRouter:
     async def change(body: SettingsBody) -> Told:
         """Set them now; with `save`, into the YAML too: all of it or none."""
         return await change_settings(link, body.values, save=body.save)
+
+    @routes.get("/sound")
+    async def sound() -> Told:
+        """Loudspeakers, microphones, voices and languages to choose, and what is chosen."""
+        return await asyncio.to_thread(sound_choices, said("config"))
+
+    @routes.patch("/sound")
+    async def choose(body: SoundBody) -> Told:
+        """Write choices into the face's own YAML; they count from its next start."""
+        values = body.model_dump(exclude_none=True)
+        return await asyncio.to_thread(choose_sound, said("config"), values)
+
+    @routes.post("/copy", status_code=201)
+    async def copy() -> Told:
+        """Copy a shipped face to a file of your own, which can be changed and started."""
+        return await asyncio.to_thread(copy_shipped, said("config"))
 
     @routes.get("/lines")
     async def listed() -> Told:
