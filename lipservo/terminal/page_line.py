@@ -33,9 +33,14 @@ class PageLine:
             threading.Thread(target=work, name="page", daemon=True).start()
 
     def tell(self, event: str, **content: Any) -> None:
-        """One event, of which the newest counts; left out where nothing is taken any more."""
-        with contextlib.suppress(queue.Full):
-            self._pending_lines.put_nowait(json.dumps({"event": event, **content}))
+        """Send one event; where the page reads no more, the oldest one waiting makes room."""
+        line = json.dumps({"event": event, **content})
+        while True:
+            with contextlib.suppress(queue.Full):
+                return self._pending_lines.put_nowait(line)
+            with contextlib.suppress(queue.Empty):
+                self._pending_lines.get_nowait()
+                self._pending_lines.task_done()
 
     def finish(self) -> None:
         """Wait until all lines are written, a second at most."""

@@ -28,7 +28,7 @@ LEAST_S = 120.0
 #: What is kept for grading: every fifth text, and at least so much.
 _HELD_OUT_STEP, LEAST_HELD_OUT_S = 5, 20.0
 #: Left out at most: of true texts of 64 native sentences none is, of 60 learners' seven, of others'
-#: texts on native sentences all (docs/recognition.md, Whether the text was said).
+#: texts on native sentences all (docs/recognition.md, Does the text match the sound).
 MOST_LEFT_OUT = 0.34
 
 #: What is done, how many, of how many.
