@@ -83,7 +83,7 @@ class BusServo(Strict):
 
     @property
     def make(self) -> str | None:
-        """Its model, where the YAML says it."""
+        """The servo model that the YAML names; None: none."""
         return getattr(self, "model", None)
 
     @property

@@ -111,7 +111,7 @@ class MixedCapabilities(BusCapabilities):
     bus_of: tuple[str, ...] = ()
 
     def of(self, index: int) -> BusCapabilities:
-        """What one servo can do."""
+        """Return the capabilities of one servo."""
         return self.buses[self.bus_of[index]]
 
     def start_s(self, _n_servos: int) -> float:

@@ -23,6 +23,6 @@ def named_ports(text: str) -> dict[str, str] | None:
 
 
 def ports_in(text: str) -> list[str]:
-    """Every port in such a text."""
+    """Return every port in a text such as `/dev/ttyUSB0`."""
     named = named_ports(text)
     return [text] if named is None else list(named.values())

@@ -198,7 +198,7 @@ class LiveRecognizer(Protocol):
         """Hear the next block. Blocks of any size; a gap between blocks is heard as silence."""
 
     def updates(self) -> list[PhonemeUpdate]:
-        """What became known since the last call."""
+        """Return what became known since the last call."""
 
     def reset(self) -> None:
         """Forget everything, ready for a new stream at sound time 0."""

@@ -163,7 +163,7 @@ class JointFault:
     pose: int
 
     def description(self, names: tuple[str, ...]) -> str:
-        """One line, with what to do."""
+        """Describe the fault in one line, with what to do."""
         if self.joint < 0:
             return (
                 f"from pose {self.pose} on the face is another one than before: was the tracker or "

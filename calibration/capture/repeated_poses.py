@@ -49,7 +49,7 @@ class FaceChange:
     last: int
 
     def description(self, names: tuple[str, ...]) -> str:
-        """One line, with what to do."""
+        """Describe the change in one line, with what to do."""
         where = f"between poses {self.first} and {self.last}"
         if self.joint < 0:
             return (

@@ -60,7 +60,7 @@ class Swap:
 
 
 def described_swaps(swaps: Sequence[Swap]) -> str:
-    """All of them in half a line."""
+    """Describe all swaps in half a line."""
     return "; ".join(swap.description() for swap in swaps)
 
 

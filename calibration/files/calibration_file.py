@@ -314,7 +314,7 @@ def _parse_origin(file: Place, servos: list[Place]) -> Origin:
 
 
 def _parse_memories(servos: list[Place]) -> tuple[ServoMemory, ...]:
-    """None unless some servo was read; then all were."""
+    """Parse the servos' memories; () unless all servos were read."""
     if not any(servo.has("memory") for servo in servos):
         return ()
     keys = [field.name for field in fields(ServoMemory)]
@@ -350,7 +350,7 @@ def _parse_touch(file: Place, names: tuple[str, ...]) -> Touch | None:
 
 
 def _parse_trim(file: Place, names: tuple[str, ...]) -> dict[str, Array]:
-    """A hand writes this part, so names are checked."""
+    """Parse the trims, whose names are checked: people write them by hand."""
     if not file.has("trim"):
         return {}
     trim = file.at("trim")

@@ -464,7 +464,7 @@ class _Learning:
         return process.predict((warm - of.middle_deg) / of.half_range_deg)
 
     def expected(self, filled: Array) -> Array:
-        """What the process makes of all poses."""
+        """Return the markers that the process predicts for all poses."""
         assert self.hyperparameters is not None
         inputs = self._poses.inputs(self.hyperparameters.backlash_deg)
         return fit_process(self.hyperparameters, inputs, filled, self._apart_mm2).predict(inputs)

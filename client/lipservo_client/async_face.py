@@ -73,7 +73,7 @@ class AsyncSpeech:
 
     @property
     def is_complete(self) -> bool:
-        """No more of it comes."""
+        """Whether its end was sent."""
         return self._is_complete
 
     @property
@@ -184,7 +184,7 @@ class AsyncSpeech:
                 self.fail(error_of(event))
 
     def fail(self, error: FaceError) -> None:
-        """The face refused something of it."""
+        """Note that the face refused a message of this stream."""
         if not self._ready.done():
             self._ready.set_exception(error)
             self._ready.exception()  # nobody need wait for it
@@ -368,7 +368,7 @@ class AsyncFace:
         await self.wire.send("pause")
 
     async def resume(self) -> None:
-        """Speech goes on where it was paused."""
+        """Resume speech where it was paused."""
         await self.wire.send("resume")
 
     def keep_trying(self) -> None:

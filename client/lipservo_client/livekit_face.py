@@ -101,7 +101,7 @@ class LiveKitFace(AudioOutput):
             self._then(self._face.pause())
 
     def resume(self) -> None:
-        """Speech goes on where it was paused."""
+        """Resume speech where it was paused."""
         super().resume()
         self._is_paused = False
         if self._is_saying:

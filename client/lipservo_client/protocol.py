@@ -35,7 +35,7 @@ class Played:
 
 
 def played_of(event: Event) -> Played:
-    """What the last event of a stream says of it."""
+    """Return what became of a stream, from its last event."""
     finished = event["type"] == "finished"
     return Played(finished, float(event["played_s"]), float(event.get("dropped_s", 0.0)))
 

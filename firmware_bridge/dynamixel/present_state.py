@@ -59,11 +59,11 @@ class PresentState:
         cache.set_one("room_degc", index, cache.hottest[index] - temperature_degc)
 
     def take_identity(self, index: int, found: ServoIdentity, now_s: float) -> None:
-        """Its own limits and return delay, as its EEPROM says."""
+        """Store a servo's own limits and return delay from its EEPROM."""
         self.cache.take_identity(index, found, found.eeprom["temperature_limit"], now_s)
 
     def note(self, statuses: Sequence[Status], now_s: float) -> None:
-        """Remember who answered, and with what error."""
+        """Store which servos answered, and with what error."""
         cache = self.cache
         for status in statuses:
             n = cache.index[status.servo_id]

@@ -232,7 +232,7 @@ class TorqueSwitch:
         return write_verified(line, servo_id, _GOAL, struct.pack("<i", place))
 
     def disable(self, line: Line, index: int) -> bool:
-        """Torque off; whether it was read back."""
+        """Switch torque off; return whether the servo confirmed it."""
         limp = write_verified(line, self._servos[index].joint.servo_id, _TORQUE, b"\0")
         if limp:
             self._cache.enabled[index] = False

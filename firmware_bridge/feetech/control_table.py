@@ -131,7 +131,7 @@ def baud_rates() -> Mapping[int, int]:
 
 @cache
 def servo_models() -> Mapping[str, ServoModel]:
-    """Every known model by its name, `STS3215` for one."""
+    """Return every known model by its name, such as `STS3215`."""
     tables = _tables()
     dialects = {name: _dialect(name, raw) for name, raw in tables["dialects"].items()}
     return MappingProxyType(

@@ -32,7 +32,7 @@ class FeetechKind(BusKind):
         return CAPABILITIES
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":
-        """At its port; without one in memory."""
+        """Open the bus at its port; without one in memory."""
         from firmware_bridge.feetech.bus import FeetechBus
         from firmware_bridge.feetech.mounting import mounted_servos
 

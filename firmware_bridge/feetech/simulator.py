@@ -309,7 +309,7 @@ class SimulatedChain:
 
     @property
     def next_delivery_s(self) -> float:
-        """When it has something to say."""
+        """The time of the next bytes to the computer; infinity: none."""
         return min((reply.end_s for reply in self._replies), default=_FOREVER)
 
     def advance(self, now_s: float) -> None:
@@ -330,7 +330,7 @@ class SimulatedChain:
             servo.protect()
 
     def receive(self, data: bytes, now_s: float, baud_rate: int) -> None:
-        """The computer writes `data` at `now_s`, at its rate."""
+        """Take bytes that the computer writes at `now_s`, at its baud rate."""
         self.advance(now_s)
         if not self.plugged:
             return

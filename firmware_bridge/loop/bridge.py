@@ -379,7 +379,7 @@ class Bridge:
         self._easing = None
 
     def _act(self, time_s: float) -> tuple[Array, Limited]:
-        """What a face sends that is not driven: (wanted, sent)."""
+        """Return the goals of a face that is not driven: (wanted, sent)."""
         if self._state is FaceState.EASING:
             return self._ease(time_s)
         if self._state is FaceState.FROZEN:
@@ -393,7 +393,7 @@ class Bridge:
         return self._targets.held_deg, self._servos.limiter.unchanged()
 
     def _drive(self, time_s: float, wanted_deg: Array, level: StaleLevel) -> tuple[Array, Limited]:
-        """What a driven face sends: (wanted, sent)."""
+        """Return the goals of a driven face: (wanted, sent)."""
         limiter, scale = self._servos.limiter, self._servos.scale
         if level is StaleLevel.LIMP:
             self._jog.clear()

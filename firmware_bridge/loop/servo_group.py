@@ -380,7 +380,7 @@ class ServoGroup:
 
 
 def _stop_is_repeated(ask: Callable[[int], str], index: int) -> str:
-    """Empty as soon as the servo agrees; else its last refusal."""
+    """Call `ask` several times until the servo agrees; return "" or its last refusal."""
     refusal = ""
     for _ in range(_REQUESTED):
         refusal = ask(index)

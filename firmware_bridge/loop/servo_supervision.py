@@ -61,7 +61,7 @@ class TorquePort(Protocol):
         """Let it hold its place; why it does not, empty: it does."""
 
     def disable(self, index: int) -> bool:
-        """Let it go limp; whether it confirmed."""
+        """Switch torque off; return whether the servo confirmed it."""
 
     def reboot(self, index: int) -> None:
         """Restart one servo, which comes back limp."""

@@ -123,7 +123,7 @@ class TorqueGate:
         self._switched_off.add(index)
 
     def switch_on(self, index: int) -> None:
-        """A person takes that back, and that it was given up."""
+        """Allow torque again to a servo that was switched off or given up."""
         self._switched_off.discard(index)
         self._given_up.pop(index, None)
 

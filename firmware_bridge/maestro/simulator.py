@@ -79,7 +79,7 @@ class Shaft:
         self._speed_us_s, self._sags_us_s = speed_us_s, sags_us_s
 
     def move(self, pulse_us: float, seconds: float) -> None:
-        """Let time pass at one pulse; 0: none."""
+        """Move for some seconds at one pulse; 0: none."""
         if pulse_us:
             reach_us = self._speed_us_s * seconds
             self.place_us += min(max(pulse_us - self.place_us, -reach_us), reach_us)
@@ -157,7 +157,7 @@ class SimulatedMaestro:
 
     @property
     def next_delivery_s(self) -> float:
-        """When it has something to say."""
+        """The time of the next bytes to the computer; infinity: none."""
         return self._answers[0][0] if self._answers else _FOREVER
 
     def advance(self, now_s: float) -> None:

@@ -61,7 +61,7 @@ class I2cChip:
         self._transfers, self._address, self.name = transfers, address, name
 
     def write(self, messages: Sequence[bytes | bytearray]) -> None:
-        """Each begins with its register; they take effect together."""
+        """Write messages that take effect together; each begins with its register."""
         self._transfer([(self._address, 0, message) for message in messages])
 
     def exchange(self, messages: Sequence[bytes | bytearray], register: int) -> bytes:

@@ -40,7 +40,7 @@ class Pca9685Kind(BusKind):
     simulator_module = "firmware_bridge.pca9685.simulator"
 
     def capabilities(self, settings: "BusSettings") -> BusCapabilities:
-        """Pulses go on until they are switched off; nothing comes back."""
+        """The capabilities: pulses go on until they are switched off; nothing is reported."""
         assert isinstance(settings, Pca9685Settings)
         return BusCapabilities(
             hold=True,
@@ -94,7 +94,7 @@ class Pca9685Kind(BusKind):
         return lambda: BoardRelease(opener_of(wiring)())
 
     def examine(self, wiring: Wiring) -> Iterator[Finding]:
-        """Bus, chip, and what its pulses can do."""
+        """Examine bus, chip, and the range of its pulses."""
         from firmware_bridge.pca9685.doctor import examine
 
         yield from examine(wiring, opener_of(wiring), self.slowness(wiring, wiring.rate_hz))
@@ -169,7 +169,7 @@ def _has_guard(settings: Pca9685Settings) -> bool:
 
 
 def _bits_s(port: str) -> int:
-    """The rate of a bus as the device tree says it."""
+    """Return the clock of an I2C bus in bits/s, by the device tree."""
     number = Path(port).name.removeprefix("i2c-")
     try:
         cells = Path(f"/sys/class/i2c-adapter/i2c-{number}/of_node/clock-frequency").read_bytes()

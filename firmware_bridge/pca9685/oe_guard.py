@@ -185,7 +185,7 @@ class _StandIn:
 
 
 def open_pin(chip: str, line: int) -> Pin:
-    """The pin, high. Raises PortError that says what to do."""
+    """Open the pin, driven high. Raises PortError that says what to do."""
     with _in_words():
         return _StandIn(chip) if is_stand_in(chip) else _GpioPin(chip, line)
 

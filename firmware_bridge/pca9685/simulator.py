@@ -64,7 +64,7 @@ class ChipFault(TimedFault):
         )
 
     def n_begun(self, now_s: float) -> int:
-        """How often it has begun by a time."""
+        """Return how often the fault has begun by a time."""
         since_s = now_s - self.at_s
         return 0 if since_s < 0.0 else 1 + int(since_s / self.every_s if self.every_s else 0.0)
 
@@ -169,7 +169,7 @@ class SimulatedPca9685:
         return self.plugged and not self._suffers("stuck") and not self._suffers("nack")
 
     def transfer(self, messages: Sequence[Message], time_s: float) -> tuple[int, bytes]:
-        """Error number and what was read."""
+        """Run one transfer; return its error number and the bytes read."""
         self.advance(time_s)
         if not self.plugged:
             return errno.ENODEV, b""
@@ -331,7 +331,7 @@ class SimulatedPca9685:
             servo.pulse(pulse)
 
     def _cut(self, channels: Sequence[int]) -> None:
-        """End what these send just now."""
+        """Cut the present pulses of these channels."""
         for channel in channels:
             pulse = self._under_way.get(channel)
             if pulse is None or pulse.start_s + pulse.width_us * 1e-6 <= self._now_s:

@@ -39,7 +39,7 @@ class PositionServo(Protocol):
 
     @property
     def current_unit_ma(self) -> float | None:
-        """Of the register of the current; None: it is not measured."""
+        """Milliamperes a step of the current register; None: it is not measured."""
 
 
 Model = TypeVar("Model", bound=PositionServo, covariant=True)

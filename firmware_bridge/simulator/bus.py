@@ -212,7 +212,7 @@ class SimulatedBus:
 
     @property
     def _places_deg(self) -> Array:
-        """As far as they say where they stand."""
+        """Places as reported: NaN for servos that report none."""
         return np.where(self._has_place, self._positions_deg, np.nan)
 
     def _set_torque_of(self, index: int, *, on: bool) -> None:

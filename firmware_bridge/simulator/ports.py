@@ -29,7 +29,7 @@ class SimulatedDevice(Protocol):
 
     @property
     def next_delivery_s(self) -> float:
-        """When it has something to say; infinity: nothing."""
+        """The time of the next bytes to the computer; infinity: none."""
 
     def advance(self, now_s: float) -> None:
         """Move the device on to `now_s`."""
@@ -168,7 +168,7 @@ class PortLink:
         return Path(target).parent == _TERMINALS and not os.path.lexists(target)
 
     def _target(self) -> str | None:
-        """Where the link leads; None where there is none."""
+        """Return the target of the link; None without a link."""
         try:
             return os.readlink(self._path)
         except (OSError, ValueError):

@@ -93,7 +93,7 @@ class AgentStream:
                     raise
 
     def tell(self, event: PlayoutEvent) -> None:
-        """Hand the client what the playout says of the stream."""
+        """Send the client an event of the stream."""
         self.n_played = max(self.n_played, event.n_played)
         if event.kind == "mark":
             self.n_marks -= 1
@@ -166,7 +166,7 @@ class OwnSpeech:
         self.heard_s = event.position_s - (self.began_s or event.position_s)
 
     def tell(self, kind: str) -> None:
-        """Hand the client what became of it."""
+        """Send the client what became of this speech."""
         about = {"stream": self.stream_id, "id": self.request_id}
         duration_s = 0.0 if self.spoken is None else self.spoken.duration_s
         times = {"played_s": round(self.heard_s, 3), "duration_s": round(duration_s, 3)}

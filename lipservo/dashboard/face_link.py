@@ -203,12 +203,12 @@ class FaceLink:
         return {"accepted": answer.get("accepted"), **known}
 
     async def interrupt(self) -> None:
-        """Silence now: what the face says or plays is dropped."""
+        """Interrupt: drop all that the face says or plays."""
         async with self._speech_side() as face:
             await face.interrupt()
 
     async def change(self, values: Mapping[str, float]) -> Answer:
-        """Other values of settings: all of them, or none."""
+        """Change settings: all of them, or none."""
         if not values:
             raise FaceError("refused", "name at least one setting")
         for name, value in values.items():
@@ -217,7 +217,7 @@ class FaceLink:
         return await self._returned(lambda path: change_settings(path, dict(values)))
 
     async def servo(self, name: str, what: str) -> Answer:
-        """One servo: off, on or reboot."""
+        """Order one servo off, on or restarted."""
         if what not in set(ServoSwitch):
             raise FaceError("refused", f"{shown(what)}: there are off, on, reboot")
         return await self._returned(lambda path: switch_servo(path, name, ServoSwitch(what)))

@@ -167,7 +167,7 @@ class _Run:
         self._listens_on: str | None = None
 
     def serve(self, url: str | None) -> None:
-        """Voice agents are waited for there."""
+        """Serve voice agents at `url`."""
         self._listens_on = url
 
     def status(self, bridge: Bridge) -> Status:
@@ -219,6 +219,6 @@ class _Run:
         return observers
 
     def observe(self, _tick: StreetTick) -> None:
-        """Between two ticks: hand what was set to the speech side."""
+        """Pass changed settings to the speech side between two ticks."""
         if changes := self.commands.take_changes():
             self._speech.side.change(changes)

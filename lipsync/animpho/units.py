@@ -208,7 +208,7 @@ class FaceInOtherLayout(FaceWithAnimPhos):
 
     @property
     def checksum(self) -> str:
-        """That of the model it was made from."""
+        """Checksum of the model that it was made from."""
         return self.own_checksum
 
 

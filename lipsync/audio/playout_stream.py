@@ -220,7 +220,7 @@ class PlayoutStream:
             self.started_words.append(StartedWords(spoken.kind, tuple(words), is_new=False))
 
     def mark(self, name: str) -> None:
-        """Tell when all that was pushed until now has been heard."""
+        """Report when all that was pushed until now has been heard."""
         self._marks.append((self._n_received, name))
         self._is_marked = True
 
@@ -383,7 +383,7 @@ class PlayingStream:
     is_followed: bool = False
 
     def add(self, start_s: float, n_samples: int) -> None:
-        """One more block, at a place on the timeline."""
+        """Add a block at a place on the timeline."""
         last = self.segments[-1] if self.segments else None
         if last is not None and abs(last.end_s - start_s) < 1e-6 and not self._is_filled_up(last):
             last.end_s, last.n_end = start_s + BLOCK_S, n_samples
@@ -405,7 +405,7 @@ class PlayingStream:
         return segment.n_end - segment.n_before < n_long - 1.5
 
     def n_played(self, position_s: float) -> int:
-        """Samples that were heard when the timeline has got there."""
+        """Return the samples heard by a position of the timeline."""
         n = 0
         for segment in self.segments:
             if segment.start_s > position_s:

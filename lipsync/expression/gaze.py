@@ -25,13 +25,13 @@ def drawn_magnitude_deg(random: Random) -> float:
 
 
 def drawn_direction_rad(random: Random) -> float:
-    """Within one of the eight bins, uniform."""
+    """Draw a direction uniformly within one of the eight bins."""
     nearest = bisect(_DIRECTIONS, random.random() * _DIRECTIONS[-1])
     return math.radians(_BIN_DEG * (nearest + random.random() - 0.5))
 
 
 def duration_s(magnitude_deg: float) -> float:
-    """How long a movement of that size takes."""
+    """Return the seconds that a movement of that size takes."""
     return _SHORTEST_S + _S_PER_DEG * magnitude_deg
 
 

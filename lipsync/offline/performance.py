@@ -251,7 +251,7 @@ def _no_room(error: OSError) -> PerformanceError:
 
 
 def _chunks(place: Path, performance: Path) -> Iterator[bytes]:
-    """Of a sound beside its performance. Raises PerformanceError."""
+    """Yield chunks of the sound beside a performance. Raises PerformanceError."""
     try:
         if not place.is_file():  # a pipe would be waited for without end
             raise FileNotFoundError(ENOENT, "no such file")

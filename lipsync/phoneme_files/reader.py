@@ -130,7 +130,7 @@ def _append(
 
 
 def _parsed(content: bytes, name: str) -> object:
-    """The document, or its lines by name."""
+    """Return the JSON document, or its lines by name."""
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:

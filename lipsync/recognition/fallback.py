@@ -221,7 +221,7 @@ class Trial:
         level.begin(self._waiting[0].start_s)
 
     def add(self, blocks: Iterable[AudioBlock]) -> None:
-        """The sound that has just come."""
+        """Add the newest sound to the backlog."""
         self._waiting.extend(blocks)
 
     def go_on(self, timer_s: Callable[[], float]) -> None:

@@ -436,7 +436,7 @@ class _WordGraph:
         return int(self._words.words[-1])
 
     def append(self, words: Sequence[PronouncedWord], frames_per_s: int) -> None:
-        """More words; those that the window has left behind are dropped."""
+        """Append words; drop those that the window has left behind."""
         end_state = int(self._words.silences[-1])
         parts = [self._words.part(self._first_word, self.n_words)]
         for number, word in enumerate(words, self.n_words):

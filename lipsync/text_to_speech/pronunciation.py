@@ -167,7 +167,7 @@ def _phones(ipa: Sequence[str]) -> tuple[str, ...]:
 
 
 def _by_espeak(text: str, language: str) -> Iterator[PronouncedWord]:
-    """Its phonemes, cut where it says that its words begin."""
+    """Return espeak-ng's phonemes of a text, cut into words."""
     from lipsync.text_to_speech.synthesis import SynthesisError, Voice
     from lipsync.text_to_speech.synthesizers import speak_in_pieces, synthesizer_for
 

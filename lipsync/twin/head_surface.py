@@ -360,7 +360,7 @@ class HeadSurface:
 
 
 def head_surface(mean: MeanFace) -> HeadSurface:
-    """The surface that is drawn."""
+    """Make the surface that is drawn."""
     return HeadSurface(mean.vertices_mm, mean.triangles, skin_colours(mean))
 
 

@@ -90,7 +90,7 @@ class LitertTracker:
 
     @property
     def name(self) -> str:
-        """The file and what runs it."""
+        """The names of model file and library."""
         return self._name
 
     def faces(self, picture: Picture) -> tuple[Array, ...]:

@@ -71,7 +71,7 @@ class SdkTransport:
         self.call(lambda: self.handler.writePort(data))
 
     def read(self, deadline_s: float) -> bytes:
-        """Whatever the SDK's port holds; it does not wait."""
+        """Return the bytes that the SDK's port holds; it does not wait."""
         del deadline_s
         return bytes(self.call(lambda: self.handler.readPort(4096)))
 
@@ -113,7 +113,7 @@ class SdkLine(Line):
     def read(
         self, servo_id: int, address: int, size: int, extra_wait_s: float = 0.0
     ) -> Status | None:
-        """`size` bytes of one servo."""
+        """Read `size` bytes of one servo."""
         del extra_wait_s
         ask = self._packets.readTxRx
         data, result, error = self._sdk.call(

@@ -126,7 +126,7 @@ class OwnVoice:
         self.playout.be_quiet(self._quiet_s)
 
     def fall_silent(self) -> None:
-        """The face is stopped: what was not heard never will be."""
+        """Drop all speech that was not heard: the face is stopped."""
         self.playout.requests.append(PlayoutRequest("interrupt"))
         self.playout.advance(self.playout.position_s)
 

@@ -180,7 +180,7 @@ class LiveBoard:
         return self._fd
 
     def write_servos(self, **values: object) -> None:
-        """One tick of the servo side; `BoardLayout.servo_type` has the names."""
+        """Write one tick of the servo side; `BoardLayout.servo_type` has the names."""
         self._servos.write(values)
 
     def write_speech(self, peaks: Sequence[float] = (), **values: object) -> None:
@@ -234,7 +234,7 @@ class ServoBoard:
         self._numbers = {state: FACE_STATES.index(state.value) for state in FaceState}
 
     def observe(self, tick: "StreetTick") -> None:
-        """See one tick of the street."""
+        """Write one tick of the street."""
         self.tell(tick.report)
 
     def tell(self, report: TickReport) -> None:
