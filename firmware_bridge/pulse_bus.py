@@ -299,7 +299,7 @@ class PulseBus:
         self._check_open()
         if not self._may_jump and np.isnan(self._last_us[index]):
             return (
-                "has had no pulse yet, so nobody knows where it stands: it will jump to neutral at "
+                "has had no pulse yet, so its position is unknown: it will jump to neutral at "
                 "full speed; keep clear, then allow it once: `lipservo calibrate neutral --yes`"
             )
         return self._wrong[index]

@@ -335,7 +335,7 @@ class DotsFolder:
         n_lost = sum(bool(np.isnan(place).any()) for place in places_px.values())
         remarks = []
         if found.n_merged:
-            remarks.append(f"dots that touch, told apart by shape: {2 * found.n_merged}")
+            remarks.append(f"dots that touch, separated by shape: {2 * found.n_merged}")
         if n_lost == len(places_px):
             remarks.append(
                 f"left out: {len(found.middles_px)} dots are seen of {n_lost}, and names would be "

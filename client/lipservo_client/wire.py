@@ -120,7 +120,7 @@ async def _opened(url: str, token: str | None, patience_s: float) -> ClientConne
         raise FaceError("refused", f"{url}: is no address of a face: {error}") from error
     except (OSError, TimeoutError) as error:
         hint = "is a face running that takes speech?"
-        raise FaceError("not_answering", f"{url}: nobody answers there; {hint}") from error
+        raise FaceError("not_answering", f"{url}: no face answers there; {hint}") from error
 
 
 def _gone(error: ConnectionClosed) -> FaceError:

@@ -38,8 +38,8 @@ _OFD_LOCK: Final = struct.Struct("hhqqi4x")
 #: Address, flags, and the bytes to write or how many to read.
 Message = tuple[int, int, bytes | bytearray | int]
 _GONE: Final = {
-    errno.EREMOTEIO: "nobody acknowledges",
-    errno.ENXIO: "nobody acknowledges",
+    errno.EREMOTEIO: "no chip acknowledges",
+    errno.ENXIO: "no chip acknowledges",
     errno.ETIMEDOUT: "the bus is stuck; a chip holds SDA or SCL low",
 }
 

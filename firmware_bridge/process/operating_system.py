@@ -101,4 +101,4 @@ class ServiceNotice:
         except (OSError, ValueError) as error:
             if not self._has_warned:
                 self._has_warned = True
-                _LOG.warning("systemd is not told: NOTIFY_SOCKET=%s: %s", self._address, error)
+                _LOG.warning("systemd is not notified: NOTIFY_SOCKET=%s: %s", self._address, error)

@@ -263,7 +263,7 @@ class OpenStreams:
         This client speaks nothing.
         """
         if not any(each.owner is owner for each in self._playing.values()):
-            raise MessageError("no_stream", "pause: nothing of this client is said or waits")
+            raise MessageError("no_stream", "pause: nothing of this client is spoken or waits")
         if self._paused is None:
             self._check_requests()
             self._playout.requests.append(PlayoutRequest("pause"))
@@ -377,11 +377,11 @@ class OpenStreams:
                 own = "the face says something of its own"
                 raise MessageError("busy", f"{own}; interrupt it, {_LATER}")
         if len(streams) >= self._settings.most_streams:
-            most = f"{self._settings.most_streams} streams are said or wait already"
+            most = f"{self._settings.most_streams} streams are spoken or wait already"
             raise MessageError("too_many_streams", most)
         self._check_requests()
         if any(each.owner is owner and each.stream_id == start.stream for each in streams):
-            raise MessageError("stream_open", "a stream of that id is said or waits already")
+            raise MessageError("stream_open", "a stream of that id is spoken or waits already")
 
     def _check_requests(self) -> None:
         if len(self._playout.requests) >= _MOST_REQUESTS:

@@ -183,7 +183,7 @@ class PlayoutStream:
             )
         waiting = list(self.started_words)  # at once: the live loop takes them meanwhile
         if sum(len(each.words) for each in waiting) + len(words) > _MOST_WORDS:
-            raise PlayoutTextError(f"{_MOST_WORDS} words wait to be said; tell the others later")
+            raise PlayoutTextError(f"{_MOST_WORDS} words wait to be spoken; send the others later")
         before = self.spoken.get(spoken.kind)
         whole = spoken if before is None else before.revised(spoken)
         if words:

@@ -113,7 +113,7 @@ def events_of(known: VendorUnits, name: str) -> tuple[PhonemeEvent, ...]:
     if last.end_s is None and events and events[-1].phoneme == SILENCE:
         del events[-1]
     if all(event.phoneme == SILENCE for event in events):
-        raise LabelError(f"{name}: nothing but silence; give one in which something is said")
+        raise LabelError(f"{name}: nothing but silence; give one with phonemes")
     return tuple(events)
 
 

@@ -80,7 +80,7 @@ def spoken_words(text: str) -> tuple[PronouncedWord, ...]:
     if words := pronounced(text):
         return words
     raise PronunciationError(
-        f"text {text[:40]!r} has no word that English pronounces; give what is said, or no text"
+        f"text {text[:40]!r} has no word that English pronounces; give its words, or no text"
     )
 
 

@@ -142,7 +142,7 @@ class SdkLine(Line):
         """A sync write, made anew by the SDK."""
         (frame,) = FrameParser().feed(request)
         if frame.instruction != Instruction.SYNC_WRITE:
-            raise ValueError(f"dynamixel-sdk is not asked to send instruction {frame.instruction}")
+            raise ValueError(f"dynamixel-sdk is not used to send instruction {frame.instruction}")
         address, size = struct.unpack_from("<HH", frame.parameters)
         group = GroupSyncWrite(self._sdk.handler, self._packets, address, size)
         for at in range(4, len(frame.parameters), size + 1):

@@ -52,7 +52,7 @@ class FaceCollector(Collector):
         is_fresh = bool(certainty["face_answers"])
         yield _gauge("lipservo_up", "1: the face answers and its servo side ticks", certainty["up"])
         for side in ("servos", "speech"):
-            description = f"1: the {side} side has told nothing for a second"
+            description = f"1: the {side} side has reported nothing for a second"
             yield _gauge(f"lipservo_{side}_gone", description, certainty[f"{side}_gone"])
         if link.status is not None:
             yield _gauge(

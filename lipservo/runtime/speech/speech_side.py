@@ -210,7 +210,7 @@ class SpeechBoard:
         return self._width.rounded(frame.coefficients, self._rounding)
 
 
-#: Full speed is told three times, a tenth of a second apart, since nobody acknowledges it.
+#: Full speed is told three times, a tenth of a second apart, since no chip acknowledges it.
 _MARGIN_S: Final = 0.3
 
 
