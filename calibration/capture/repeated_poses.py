@@ -211,7 +211,7 @@ def _middle(seen_mm: Array) -> Array:
 
 
 def bears_out(changed: ChangedPoses, fault: JointFault) -> bool:
-    """Whether repeated poses, too, say what a model of the whole capture suspects of a joint."""
+    """Return whether repeated poses, too, show a fault that a model of the whole capture suspects."""
     if fault.joint < 0:
         return False
     if fault.kind == "slipped":

@@ -429,7 +429,7 @@ class _Learning:
         self.hyperparameters: Hyperparameters | None = None
 
     def filled(self, seen_mm: Array, known: NDArray[np.bool_]) -> Array:
-        """(n, n_markers, 3), off the centre, where unknown as the process expects it."""
+        """Fit the process; return the markers (n, n_markers, 3), gaps filled by its predictions."""
         filled = np.where(known, seen_mm, 0.0)
         for _ in range(1 if known.all() else _ROUNDS):
             free_mm = filled[self._opened]

@@ -40,7 +40,7 @@ def write_verified(line: Line, servo_id: int, address: int, data: bytes) -> bool
 
 
 def torque_verified(line: Line, servo_id: int, *, on: bool) -> bool:
-    """The same for torque."""
+    """Switch torque on or off, and return whether a read confirms it."""
     for _ in range(_WRITE_TRIES):
         line.tell(codec.torque((servo_id,), on=on))
         status = line.read(servo_id, TORQUE_ENABLE, 1)

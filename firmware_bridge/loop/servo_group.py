@@ -243,7 +243,7 @@ class ServoGroup:
         return limited
 
     def drop_waiting(self, time_s: float) -> None:
-        """A person stops the face: a servo whose turn has not come gets none."""
+        """Cancel the servos that wait for torque: a person stopped the face."""
         ready = self._bus.feedback().ready if self._any_blind else None
         if ready is not None:
             for index in np.flatnonzero(self.supervision.driven & ~ready).tolist():
@@ -311,7 +311,7 @@ class ServoGroup:
             self._start_here(enabled)
 
     def rest(self, time_s: float) -> None:
-        """A tick of a face that is limp in a silence: hear how all are, and who has not let go."""
+        """Run a tick of a face that is limp in a silence: read all, and order torque off once more."""
         self.feedback = self._bus.feedback()
         self._health = self._bus.look_after()
         self.supervision.keep_off(time_s, self.gate)

@@ -226,7 +226,7 @@ class ServoSupervision:
         )
 
     def _act_on(self, i: int, health: Health, time_s: float, port: TorquePort) -> tuple[bool, bool]:
-        """Whether anything was done, and whether the servo holds now."""
+        """Handle one servo; return whether anything was done, and whether it holds now."""
         state = self.states[i]
         if state == ServoState.DRIVEN:
             return self._check_driven(i, health, time_s, port), False

@@ -163,7 +163,7 @@ def following_lines(calibration: Calibration) -> list[str]:
 
 
 def _worst_markers(each_rms_mm: Mapping[str, float]) -> list[str]:
-    """The three that are farthest off."""
+    """Return a line on the three markers that are farthest off."""
     worst = sorted(each_rms_mm.items(), key=lambda item: -item[1])[:3]
     listed = ", ".join(f"{name} {rms_mm:.2f} mm" for name, rms_mm in worst)
     return [f"farthest off: {listed}"] if worst else []

@@ -131,7 +131,7 @@ class FaceLink:
 
     @contextlib.asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
-        """Look and ask until the block ends."""
+        """Poll the face until the block ends."""
         tasks = [asyncio.create_task(each) for each in (self._look(), self._ask_status())]
         try:
             yield
@@ -299,7 +299,7 @@ class FaceLink:
         return answer
 
     def _called(self, call: Callable[[Path], Answer]) -> Answer:
-        """In a thread: where the face was last, or wherever it is by now."""
+        """Call the face where it was last, or else where it is by now; in a thread."""
         path = self.control_path
         try:
             if path is None:

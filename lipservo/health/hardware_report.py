@@ -171,7 +171,7 @@ def limp_loop(bus: ServoBus, rate_hz: float, seconds: float, clock: Clock) -> Re
 
 
 def spread(values: Sequence[float]) -> dict[str, float] | None:
-    """Median, 99th percentile and worst; None of nothing."""
+    """Return median, 99th percentile and worst; None without values."""
     if not values:
         return None
     found = np.percentile(values, [50.0, 99.0, 100.0])

@@ -244,7 +244,7 @@ class DeviceWatch:
 
     @property
     def is_lost(self) -> bool:
-        """No stream is open, or the one that is has stopped."""
+        """Whether no stream is open, or the open one has stopped."""
         return self._stream is None
 
     @property

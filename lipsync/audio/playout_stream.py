@@ -392,7 +392,7 @@ class PlayingStream:
         self.n_taken = n_samples
 
     def take_back(self, start_s: float, n_before: int) -> None:
-        """The block that was added last, at `start_s`, is none; n_before: samples before it."""
+        """Remove the block that was added last, at `start_s`; n_before: samples before it."""
         last = self.segments[-1]
         last.end_s, last.n_end = start_s, n_before
         if last.end_s - last.start_s < 1e-6:

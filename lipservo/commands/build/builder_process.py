@@ -51,7 +51,7 @@ def builder_process(
 
 
 def _find(request: Request, page: "PageLine") -> None:
-    """Who answers at the port, and what another program has written into them."""
+    """Find the servos that answer at the port, and their stored settings."""
     from firmware_bridge.bus_kinds import bus_kind
 
     tools, port = bus_kind(request["kind"]).workshop(), request["port"]
