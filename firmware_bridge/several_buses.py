@@ -122,7 +122,7 @@ class BusThread:
             return self._answers.pop(key, None)
 
     def let_go(self) -> None:
-        """Torque off is the next thing that it does, and nothing of what was handed over before."""
+        """Switch torque off next; drop all work handed over before."""
         with self._changed:
             self._jobs.clear()
             self._answers.clear()

@@ -211,7 +211,7 @@ def _middle(seen_mm: Array) -> Array:
 
 
 def bears_out(changed: ChangedPoses, fault: JointFault) -> bool:
-    """Return whether repeated poses, too, show a fault that a model of the whole capture suspects."""
+    """Return whether repeated poses, too, show a fault found by a model of the whole capture."""
     if fault.joint < 0:
         return False
     if fault.kind == "slipped":

@@ -293,7 +293,7 @@ def _parse_closing(file: Place) -> Closing | None:
 
 
 def _parse_centres(file: Place, servos: list[Place], n_components: int) -> tuple[Array, Array]:
-    """Bends that are not quadratic, where the map has any."""
+    """Parse centres and weights of bends that are not quadratic; empty where there are none."""
     if not file.has("centres"):
         return np.zeros((0, n_components)), np.zeros((len(servos), 0))
     centres = np.array([centre.numbers(n_components) for centre in file.at("centres").places()])

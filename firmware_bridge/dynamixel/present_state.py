@@ -53,7 +53,7 @@ class PresentState:
         return current_ma
 
     def take_temperature(self, index: int, temperature_degc: int) -> None:
-        """How warm it is, and by how much it may become warmer."""
+        """Store a servo's temperature, and its distance from the servo's own limit."""
         cache = self.cache
         cache.set_one("temperature_degc", index, temperature_degc)
         cache.set_one("room_degc", index, cache.hottest[index] - temperature_degc)

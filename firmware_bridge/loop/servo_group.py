@@ -311,7 +311,7 @@ class ServoGroup:
             self._start_here(enabled)
 
     def rest(self, time_s: float) -> None:
-        """Run a tick of a face that is limp in a silence: read all, and order torque off once more."""
+        """Run a tick of a face that is limp in a silence: read all, and keep torque off."""
         self.feedback = self._bus.feedback()
         self._health = self._bus.look_after()
         self.supervision.keep_off(time_s, self.gate)

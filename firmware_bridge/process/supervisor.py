@@ -167,7 +167,7 @@ class Supervisor:
         return self.report
 
     def due_s(self, now_s: float) -> float:
-        """When `step` has something to do although nothing comes."""
+        """Return the next time at which `step` must run even without a message."""
         due = [self._bridge.next_s(now_s)] if self._phase is not _Phase.RELEASING else []
         if not (self._ends and self._speech.child.pid is None):
             due.append(self._speech.next_s(now_s))

@@ -118,7 +118,7 @@ class FaceLink:
         return self.trouble is None and self.status_age_s < STATUS_OLD_S + STATUS_EVERY_S
 
     def certainty(self) -> dict[str, Any]:
-        """How sure what is known is; up: the face answers and its servo side ticks."""
+        """Return the age of the status; up: the face answers and its servo side ticks."""
         is_new = self.status_age_s < float("inf")
         return {
             "up": self.answers and not self.moment.servos_gone,
@@ -258,7 +258,7 @@ class FaceLink:
             return await face.say(text)
 
     async def play(self, file: str) -> Answer:
-        """A sound file of the folder that the face plays from."""
+        """Play a sound file of the folder that the face plays from."""
         async with self._speech_side() as face:
             return await face.play(file)
 

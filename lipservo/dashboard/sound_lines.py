@@ -81,7 +81,7 @@ class SoundLines:
         return sorted(found, key=_name)[:_MOST_LISTED]
 
     def path_of(self, name: str) -> Path:
-        """A line that is there."""
+        """Return the path of an existing line."""
         path = self.place_of(name)
         try:
             is_file = stat.S_ISREG(path.lstat().st_mode)
@@ -99,7 +99,7 @@ class SoundLines:
             raise FaceError("refused", f"{shown(name)}: {error.strerror}") from error
 
     def place_of(self, name: str) -> Path:
-        """Where a line of that name is to be."""
+        """Return the path for a line of that name."""
         return self._place() / checked_name(name)
 
     def _place(self) -> Path:

@@ -241,7 +241,7 @@ def _worn(
 
 
 def lip_gaps(face: FaceModel) -> LipGaps:
-    """Of a model; its own lip gap alone where its layout has no inner lips."""
+    """Return the lip gaps of a model; its own one alone without inner lips in its layout."""
     landmarks = face.layout.landmarks
     found = [
         (n / (len(_LIP_PAIRS) + 1), landmarks.index(upper), landmarks.index(lower))

@@ -115,7 +115,7 @@ class Flite:
 
 
 def segments(printed: str, duration_s: float) -> list[TimedPhones]:
-    """What `-psdur` prints, `pau:0.193 p:0.271 ...`, as far as the sound goes.
+    """Parse the output of `-psdur`, `pau:0.193 p:0.271 ...`, as far as the sound goes.
 
     The last pause is longer or shorter than the sound, by up to 0.12 s; it ends with the sound.
     Raises SynthesisError for another print.

@@ -70,7 +70,7 @@ class MeanFace:
 
 
 def load_mean_face() -> MeanFace:
-    """The one that comes with the package; OSError or ValueError where it is damaged."""
+    """Load the mean face of the package. Raises OSError or ValueError where it is damaged."""
     place = resources.files("lipsync.models") / f"{SHIPPED_FACE}.npz"
     with place.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
         return MeanFace(
