@@ -129,7 +129,7 @@ class FirstHour:
             }
 
     def control_path(self) -> Path:
-        """Return the control socket of the running step. Raises UserError where none drives servos."""
+        """Return the control socket of the step. Raises UserError where none drives servos."""
         path = self._socket()
         if path is None:
             raise UserError("No step of the first hour drives servos now")
