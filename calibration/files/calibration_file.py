@@ -108,7 +108,7 @@ class Place:
         return self._value
 
     def whole(self) -> int:
-        """A whole number of either sign."""
+        """The value here as a whole number. Raises CalibrationError naming its place otherwise."""
         if isinstance(self._value, bool) or not isinstance(self._value, int):
             raise CalibrationError(f"{self.path} is {shown(self._value)}, expected a whole number")
         return self._value

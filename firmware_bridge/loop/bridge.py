@@ -229,7 +229,7 @@ class Bridge:
         return self._servos.health()
 
     def health_records(self) -> list[dict[str, object]]:
-        """The same for JSON, quickly made: None for what was never heard."""
+        """Return `servo_health` as objects for JSON: None for what was never read."""
         return self._servos.health_records()
 
     def start(self, may_continue: Callable[[], bool] = lambda: True) -> None:

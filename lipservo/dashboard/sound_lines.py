@@ -241,7 +241,7 @@ class _ComingFile:
                 raise FaceError("exists", f"{shown(self._place.name)}: is there already") from error
 
     def close(self) -> None:
-        """Nothing is left under the other name."""
+        """Remove the unfinished file."""
         with self._lock:
             try:
                 self._file.close()

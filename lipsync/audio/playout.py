@@ -512,7 +512,7 @@ def _start_sample(unit: SpokenUnit) -> int:
 
 
 def _is_ready(playing: PlayingStream) -> bool:
-    """Whether a stream may begin, or go on."""
+    """Whether a stream has enough sound to begin, or to go on."""
     stream = playing.stream
     is_going_on = bool(playing.segments) and not playing.is_starved
     return is_going_on or stream.ended or stream.is_filled or stream.waiting_s >= _WAITING_S

@@ -255,7 +255,7 @@ class PlayoutStream:
             self._blocks.appendleft(block)
 
     def drop(self) -> None:
-        """The taker's: forget all that was not taken, whatever is being pushed meanwhile."""
+        """Drop all that was not taken, for the thread that takes blocks."""
         self._dropped = self._ended = True
         self._blocks.clear()
 

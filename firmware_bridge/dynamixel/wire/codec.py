@@ -437,7 +437,7 @@ class SpanRead:
         self._wider: dict[int, SpanRead] = {}
 
     def widened(self, size: int) -> "SpanRead":
-        """The same question for `size` bytes, the further ones before its own where there are such.
+        """Return a read of `size` bytes that includes this one, beginning earlier where possible.
 
         Every control table begins at 0; where it ends differs.
         """

@@ -76,7 +76,7 @@ class RecognizedPhonemes:
 
     @property
     def heard_until_s(self) -> float:
-        """Sound has been heard until then."""
+        """The sound time until which sound was recognised, in s."""
         return self._heard_until_s
 
     @property
@@ -147,7 +147,7 @@ class SpokenPhonemes:
 
     @property
     def heard_until_s(self) -> float:
-        """Sound has been committed until then."""
+        """The sound time until which sound was committed, in s."""
         return self._playout.committed_s
 
     @property
