@@ -8,7 +8,7 @@ import typer
 from firmware_bridge.errors import BusError
 from firmware_bridge.port_names import named_ports
 from firmware_bridge.process import logs
-from firmware_bridge.process.runtime_folder import ControlError
+from firmware_bridge.process.runtime_folder import NEEDS_LINUX, RUNS_FACES, ControlError
 from lipservo.runtime.servos.face_stopped import FaceStopped
 from lipservo.terminal.output import complain
 from lipsync.errors import UserError
@@ -43,6 +43,11 @@ def main() -> None:
     except (UserError, BusError, ControlError) as error:
         # Notes say what became of the servos.
         complain("\n".join([str(error), *getattr(error, "__notes__", [])]))
+        status = 1
+    except ModuleNotFoundError as error:
+        if RUNS_FACES or error.name not in ("fcntl", "termios", "tty"):
+            raise
+        complain(NEEDS_LINUX)
         status = 1
     except typer.Abort:
         complain("the input ended before all questions were answered; no file was written")

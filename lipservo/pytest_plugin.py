@@ -66,6 +66,45 @@ class SimulatedFace:
 
         return connect(self.url, self.token)
 
+    def play(self, samples: bytes, rate_hz: int) -> None:
+        """Let the face speak a sound, in the time that the sound takes.
+
+        Parameters
+        ----------
+        samples : bytes
+            16 bit, little endian, one channel.
+        rate_hz : int
+            8,000 to 96,000.
+
+        """
+        duration_s = len(samples) / 2 / rate_hz
+        with self.connect() as face, face.stream(rate_hz, playback="client") as speech:
+            speech.write(samples)
+            began_s = time.monotonic()
+            played_s = 0.0
+            while played_s < duration_s:
+                time.sleep(_POLL_S)
+                played_s = min(time.monotonic() - began_s, duration_s)
+                speech.report_played(played_s)
+
+    def encoders_deg(self) -> dict[str, float]:
+        """Return where each servo is by its encoder, in degrees of its joint, by name.
+
+        NaN where a servo has not answered or cannot say where it is.
+        """
+        from firmware_bridge.process.control_client import running_faces, watch
+        from lipservo.runtime.status.live_board import LiveBoard
+
+        (face,) = running_faces()
+        with LiveBoard.watch(watch(face.path)) as board:
+            _, newest = board.servos_since(0)[-1]
+            return dict(zip(board.layout.servos, newest["encoder_deg"].tolist(), strict=True))
+
+    def stop(self) -> dict[str, Any]:
+        """Switch torque off, as a person would; return the confirmed stop. The daemon waits."""
+        with self.connect() as face:
+            return face.stop("limp")
+
     def end(self) -> list[dict[str, Any]]:
         """Stop the face and return what it did.
 

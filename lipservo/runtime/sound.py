@@ -186,7 +186,7 @@ def spoken_text(
     from lipsync.text_to_speech.synthesis import Voice
     from lipsync.text_to_speech.synthesizers import speak_in_pieces, synthesizer_for
 
-    voice = Voice(language or _LANGUAGE, speaker.voice)
+    voice = Voice(language or speaker.language or _LANGUAGE, speaker.voice)
     sentences = speak_in_pieces(synthesizer_for(speaker.synthesizer), text, voice)
 
     def stream_of(sentence: "SynthesizedSpeech") -> PlayoutStream:
@@ -230,13 +230,15 @@ class Speaker:
 
     synthesizer: str
     voice: str = ""
+    language: str = ""
 
 
 def speaker_of(settings: SoundSettings, folder: Path | None) -> Speaker:
     """The one that a face's YAML names. folder: of the YAML, in which a model may lie."""
     beside = (folder or Path()) / settings.voice
     is_file = bool(settings.voice) and len(settings.voice) < _LONGEST_NAME and beside.is_file()
-    return Speaker(settings.synthesizer, str(beside) if is_file else settings.voice)
+    voice = str(beside) if is_file else settings.voice
+    return Speaker(settings.synthesizer, voice, settings.language)
 
 
 def _sounding_s(stream: PlayoutStream) -> float:
@@ -407,7 +409,9 @@ def _entered_loudspeaker(
     from lipsync.audio.loudspeaker import LoudspeakerOutput
 
     device = settings.output if voice.output == DEFAULT_OUTPUT else voice.output
-    return stack.enter_context(LoudspeakerOutput(device, settings.output_offset_ms))
+    return stack.enter_context(
+        LoudspeakerOutput(device, settings.output_offset_ms, volume=settings.volume)
+    )
 
 
 def _first_words(

@@ -1,6 +1,5 @@
 """What a run amounted to: counted while it goes on, in bounded memory, printed at its end."""
 
-import resource
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -166,6 +165,8 @@ def _often(names: Sequence[str], shares: Array) -> dict[str, float]:
 
 def peak_resident_mb() -> float:
     """The largest resident memory of this process so far, in MB (10^6 bytes)."""
+    import resource
+
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
 

@@ -179,10 +179,11 @@ class LoudspeakerOutput:
         device: str | int | None = None,
         offsets_ms: Mapping[str, float] | None = None,
         *,
+        volume: float = 1.0,
         clock: Callable[[], float] = time.monotonic,
         is_watched: bool = True,
     ) -> None:
-        """is_watched: False where the caller calls `watch.look` from time to time."""
+        """volume: 0 to 1, of the samples. is_watched: False: the caller calls `watch.look`."""
         self._sounddevice = import_sounddevice()
         with opening():
             self._device = find_device(device, "output")
@@ -190,6 +191,7 @@ class LoudspeakerOutput:
         # A number may be another device's after the next plug.
         self._wanted = self._device.lasting_name if is_number(device) else device
         self._offsets_ms = dict(offsets_ms or {})
+        self._volume = np.float32(volume)
         self._clock = clock
         self._is_watched = is_watched
         self._ring = SampleRing(rate_hz)
@@ -263,7 +265,7 @@ class LoudspeakerOutput:
 
     def write(self, samples: Samples) -> None:
         """The next samples (n,) float32 mono of the timeline."""
-        self._ring.write(samples)
+        self._ring.write(samples if self._volume == 1.0 else samples * self._volume)
 
     def silence_rest(self) -> float:
         """Play silence in place of all that is written and not on its way to the device.

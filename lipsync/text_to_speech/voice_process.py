@@ -10,7 +10,6 @@ import contextlib
 import json
 import os
 import queue
-import resource
 import signal
 import subprocess
 import sys
@@ -105,6 +104,8 @@ def serve(answered: Callable[[Request], tuple[dict[str, object], bytes]]) -> Non
 
     A SynthesisError of `answered` is the answer.
     """
+    import resource
+
     resource.setrlimit(resource.RLIMIT_FSIZE, (LARGEST_BYTES, LARGEST_BYTES))
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a library prints is no answer

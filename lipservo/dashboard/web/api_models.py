@@ -174,6 +174,17 @@ class SettingsBody(Body):
     save: bool = False
 
 
+class SoundBody(Body):
+    """What a face speaks through and with, into its YAML; what is left out stays as it is."""
+
+    output: Annotated[str, Field(max_length=200)] | None = None
+    input: Annotated[str, Field(max_length=200)] | None = None
+    synthesizer: _Name | None = None
+    voice: Annotated[str, Field(max_length=1000)] | None = None
+    language: Annotated[str, Field(max_length=40)] | None = None
+    volume: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+
+
 class LookBody(Body):
     """Degrees, yaw to the face's own left and pitch upwards; yaw null: at nothing."""
 

@@ -12,10 +12,13 @@ from starlette.requests import ClientDisconnect
 
 from lipservo.dashboard.face_files import (
     calibration_values,
+    choose_sound,
+    copy_shipped,
     face_errors,
     own_yaml,
     saved_settings,
     set_pulse_limit,
+    sound_choices,
     with_settings,
 )
 from lipservo.dashboard.face_link import FaceLink
@@ -30,6 +33,7 @@ from lipservo.dashboard.web.api_models import (
     SayBody,
     ServoBody,
     SettingsBody,
+    SoundBody,
     StartBody,
     StopBody,
 )
@@ -188,6 +192,22 @@ def file_routes(link: FaceLink) -> APIRouter:
     async def change(body: SettingsBody) -> JsonObject:
         """Set them now; with `save`, into the YAML too: all of it or none."""
         return await change_settings(link, body.values, save=body.save)
+
+    @routes.get("/sound")
+    async def sound() -> JsonObject:
+        """Loudspeakers, microphones, voices and languages to choose, and what is chosen."""
+        return await asyncio.to_thread(sound_choices, named_file("config"))
+
+    @routes.patch("/sound")
+    async def choose(body: SoundBody) -> JsonObject:
+        """Write choices into the face's own YAML; they count from its next start."""
+        values = body.model_dump(exclude_none=True)
+        return await asyncio.to_thread(choose_sound, named_file("config"), values)
+
+    @routes.post("/copy", status_code=201)
+    async def copy() -> JsonObject:
+        """Copy a shipped face to a file of your own, which can be changed and started."""
+        return await asyncio.to_thread(copy_shipped, named_file("config"))
 
     @routes.get("/lines")
     async def listed() -> JsonObject:
