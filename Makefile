@@ -81,7 +81,7 @@ clean:
 
 $(VENV)/.installed: pyproject.toml client/pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dashboard]' --editable ./client
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dashboard,say]' --editable ./client
 	touch $@
 
 $(VENV)/.installed-dev: pyproject.toml client/pyproject.toml lab/pyproject.toml
