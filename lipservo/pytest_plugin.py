@@ -42,7 +42,7 @@ class SimulatedFace:
         assert process.stderr is not None
         self._process = process
         self._messages = process.stderr
-        self._said: list[str] = []
+        self._lines: list[str] = []
         self._trace = folder / "trace.jsonl"
         self._reader = threading.Thread(target=self._read, daemon=True)
         self.url = ""
@@ -58,7 +58,7 @@ class SimulatedFace:
     @property
     def messages(self) -> str:
         """What the face has printed until now."""
-        return "".join(self._said)
+        return "".join(self._lines)
 
     def connect(self) -> "Face":
         """Return `lipservo.connect` to this face: `with simulated_face.connect() as face:`."""
@@ -143,10 +143,10 @@ class SimulatedFace:
                 time.sleep(_POLL_S)
 
     def _read(self) -> None:
-        """Keep what it prints: a pipe that nobody empties would hold the face up."""
+        """Keep what it prints: a full pipe would block the face."""
         for line in self._messages:
-            self._said.append(line)
-            del self._said[:-1000]
+            self._lines.append(line)
+            del self._lines[:-1000]
             _, announced, url = line.partition("voice agents: ")
             if announced:
                 self.url = url.strip()

@@ -4,8 +4,10 @@ from importlib import resources
 
 import soundfile
 
+from lipservo.pytest_plugin import SimulatedFace
 
-def test_what_my_agent_says_opens_the_mouth(simulated_face):
+
+def test_what_my_agent_says_opens_the_mouth(simulated_face: SimulatedFace) -> None:
     """The jaw moves, and every servo says where it is."""
     clip = resources.files("lipservo.clips") / "welcome.flac"
     with resources.as_file(clip) as file:

@@ -106,7 +106,7 @@ def _processes() -> Iterator[int]:
 
 
 def _links(pid: int) -> Iterator[tuple[str, Path]]:
-    """What every descriptor of a process leads to, and where more is said about it."""
+    """Where every descriptor of a process leads, and the folder that describes it."""
     folder = _PROC / str(pid)
     try:
         numbers = os.listdir(folder / "fd")

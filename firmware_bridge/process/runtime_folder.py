@@ -175,7 +175,7 @@ def held_folder(folder: Path, patience_s: float = _FOLDER_PATIENCE_S) -> Iterato
 
 
 def knock(path: Path) -> int:
-    """Connect and hang up again: 0 when somebody listens, else the number of the error."""
+    """Connect and disconnect again: 0 when a process listens, else the number of the error."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
         probe.setblocking(False)
         try:
@@ -186,7 +186,7 @@ def knock(path: Path) -> int:
 
 
 def is_dead_socket(path: Path) -> bool:
-    """Whether a socket lies there that nobody listens on any more, and it is ours to remove."""
+    """Whether a socket lies there that no process listens on any more, and it is ours to remove."""
     try:
         found = path.lstat()
     except OSError:

@@ -13,7 +13,7 @@ from typing import Any
 
 from lipservo_client.protocol import FaceError
 
-from lipservo.runtime.speech.expression import ExpressionWishes
+from lipservo.runtime.speech.expression import ExpressionRequests
 from lipservo.settings import found_limits
 from lipservo.settings.edited_yaml import EditedYaml, Place, edited, read_face_text
 from lipservo.settings.found_limits import PulseLimit
@@ -131,7 +131,7 @@ def face_errors() -> Iterator[None]:
 
 def _place(name: str) -> Place:
     """Section and key of a setting in the YAML. Raises FaceError for one that is not kept."""
-    if name in ExpressionWishes.PASSING:
+    if name in ExpressionRequests.PASSING:
         raise FaceError("refused", f"{name} is for the moment and not saved")
     return ("expression", "amount") if name == "expression" else ("motion", name)
 
@@ -143,7 +143,7 @@ def _text(path: Path) -> str:
         raise FaceError("not_saved", str(error)) from error
 
 
-def told_calibration(config: str | None) -> dict[str, Any]:
+def calibration_values(config: str | None) -> dict[str, Any]:
     """The same as `lipservo calibrate show --json`, with the file's name. Raises FaceError."""
     from calibration.files.calibration_file import parse_calibration
     from lipservo.calibrating.shown_calibration import shown_values
@@ -158,6 +158,6 @@ def told_calibration(config: str | None) -> dict[str, Any]:
         found = parse_calibration(file.read_text(encoding="utf-8"), file.name)
     except (UserError, OSError, UnicodeDecodeError) as error:
         raise FaceError("not_available", " ".join(str(error).split())) from error
-    told = shown_values(found, settings.prevent)
+    values = shown_values(found, settings.prevent)
     is_current = found.face_checksum == settings.checksum
-    return {"file": file.name, "fits_the_face": is_current, **told}
+    return {"file": file.name, "fits_the_face": is_current, **values}

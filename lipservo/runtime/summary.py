@@ -123,7 +123,7 @@ class Tally:
             self._latency.add(self._clock.now() - tick.captured_s + actuation_s)
 
     def summary(self, status: Status, duration_s: float, seconds: float) -> Summary:
-        """The figures of a run that ended like this. seconds: what it took on a real clock."""
+        """The figures of a run that ended like this. seconds: of the run on a real clock."""
         speech = self._street.speech
         n_frames = max(self.frames_sent, 1)
         return Summary(

@@ -60,7 +60,7 @@ def edited(path: Path, values: Mapping[Place, float | str]) -> EditedYaml:
     for one that is written so that there is no safe place.
     """
     before = read_face_text(path)
-    wanted = _told(parse_face(before, path.name))
+    wanted = _plain_mapping(parse_face(before, path.name))
     text: str | None = before
     for place, value in values.items():
         if _at(wanted, place) == value:
@@ -68,7 +68,7 @@ def edited(path: Path, values: Mapping[Place, float | str]) -> EditedYaml:
         written = _written(value)
         text = None if text is None else _with_value(text, place, written)
         _put(wanted, place, value if isinstance(value, str) else float(written))
-    if text is None or not _is_yaml(text) or _told(parse_face(text, path.name)) != wanted:
+    if text is None or not _is_yaml(text) or _plain_mapping(parse_face(text, path.name)) != wanted:
         lines = "; ".join(lines_by_hand(*each).replace("\n", " / ") for each in values.items())
         raise UserError(f"{path.name}: no safe place to write it; add by hand: {lines}")
     return EditedYaml(path, before, text)
@@ -90,22 +90,22 @@ def _written(value: float | str) -> str:
     return value if is_plain else json.dumps(value, ensure_ascii=False)
 
 
-def _told(face: FaceSettings) -> dict[str, Any]:
+def _plain_mapping(face: FaceSettings) -> dict[str, Any]:
     return face.model_dump(exclude_none=True)
 
 
-def _at(told: Any, place: Place) -> Any:
+def _at(node: Any, place: Place) -> Any:
     for key in place:
-        told = told.get(key) if isinstance(told, dict) else None
-    return told
+        node = node.get(key) if isinstance(node, dict) else None
+    return node
 
 
-def _put(told: dict[str, Any], place: Place, value: float | str) -> None:
+def _put(node: dict[str, Any], place: Place, value: float | str) -> None:
     *sections, key = place
     for each in sections:
-        told[each] = dict(told.get(each) or {})
-        told = told[each]
-    told[key] = value
+        node[each] = dict(node.get(each) or {})
+        node = node[each]
+    node[key] = value
 
 
 def _is_yaml(text: str) -> bool:

@@ -144,11 +144,11 @@ class ServoExpression(Strict):
 
 
 class ExpressionSettings(Strict):
-    """amount: 0 still, 1 as measured on people. seed: of the motion that nobody asked for.
+    """amount: 0 still, 1 as measured on people. seed: of the spontaneous motion.
 
-    eye_contact: share of the time in which the face looks at whoever it speaks with. rest_after_s:
-    after so long a silence the servos are let go until somebody speaks. model: learned from tracks
-    (`lipservo learn expression`), a file from the folder of the YAML.
+    eye_contact: share of the time in which the face looks at the person it speaks with.
+    rest_after_s: after so long a silence the servos are let go until a person speaks. model:
+    learned from tracks (`lipservo learn expression`), a file from the folder of the YAML.
     """
 
     amount: Annotated[float, within(0.0, LIVELIEST)] = 1.0

@@ -71,7 +71,7 @@ class SampleRing:
 
     @property
     def n_underruns(self) -> int:
-        """How often sound ran out while the loudspeaker asked for more."""
+        """How often sound ran out while the loudspeaker needed more."""
         return self._n_underruns
 
     def write(self, samples: Samples) -> None:
@@ -143,7 +143,7 @@ class PositionReport:
     def at(self, now_s: float) -> tuple[float, float]:
         """(monotonic seconds, timeline seconds that leave then), as far as is known at `now_s`.
 
-        A device that has not asked for more by the time that all has left stands still, and its
+        A device that has not taken more by the time that all has left stands still, and its
         position with it.
         """
         if now_s > self.ends_s:
@@ -183,7 +183,7 @@ class LoudspeakerOutput:
         clock: Callable[[], float] = time.monotonic,
         is_watched: bool = True,
     ) -> None:
-        """volume: 0 to 1, of the samples. is_watched: False where the caller calls `watch.look`."""
+        """volume: 0 to 1, of the samples. is_watched: False: the caller calls `watch.look`."""
         self._sounddevice = import_sounddevice()
         with opening():
             self._device = find_device(device, "output")
@@ -219,7 +219,7 @@ class LoudspeakerOutput:
 
     @property
     def output_offset_ms(self) -> float:
-        """How much later than it says sound leaves this device, as far as was told."""
+        """How much later than it reports sound leaves this device, ms, as configured."""
         return offset_ms_of(self._device.name, self._offsets_ms)
 
     @property
@@ -250,7 +250,7 @@ class LoudspeakerOutput:
 
     @property
     def n_underruns(self) -> int:
-        """How often nothing was written in time while the device asked for more."""
+        """How often nothing was written in time while the device needed more."""
         return self._ring.n_underruns
 
     @property

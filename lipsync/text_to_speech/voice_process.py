@@ -1,7 +1,7 @@
 """A voice in a process of its own: what crashes, hangs or grows costs one text, never the face.
 
 The process answers each line of JSON, a request, with a line of JSON, and bytes after it. It ends
-when its pipe does, with all that it has started, so that nothing outlives whoever speaks, however
+when its pipe does, with all that it has started, so that nothing outlives the caller, however
 that ended; it is killed with all of it when an answer takes too long.
 """
 

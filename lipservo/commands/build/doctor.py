@@ -243,8 +243,8 @@ def _limp_loop(settings: "FaceSettings", seconds: float) -> dict[str, Any]:
         released = LimpServos(settings, bus, clock, list(settings.servos)).let_go()
         if settings.capabilities.confirmed_limp and not released.complete:
             MESSAGES.print(f"torque off is NOT confirmed: {named_by_reason(released.unconfirmed)}")
-        told = limp_loop(bus, settings.rate_hz, seconds, clock)
-    return {"n_confirmed_limp": len(released.confirmed), **told}
+        report = limp_loop(bus, settings.rate_hz, seconds, clock)
+    return {"n_confirmed_limp": len(released.confirmed), **report}
 
 
 def _steps(settings: "FaceSettings", joint: str) -> dict[str, Any]:

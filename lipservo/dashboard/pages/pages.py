@@ -59,7 +59,7 @@ _SETTINGS_SCRIPTS: Final = ("settings.js", "live/robot_view.js")
 def build_pages(link: FaceLink, making: Path | None = None) -> None:
     """Register them with NiceGUI. What moves is drawn by the browser: a page costs no timer here.
 
-    link: the face; a page that is opened is told of the face that answers then. making: the YAML of
+    link: the face; a page that is opened shows the face that answers then. making: the YAML of
     a face in its first hour, which need not be there yet.
     """
     _add(link, making, "/", _LIVE_SCRIPTS, _live)
@@ -90,7 +90,7 @@ def _add(
 
 
 async def _first_hour(_status: Status, _config: str | None) -> None:
-    """From servos that nobody has named to the first words."""
+    """From unnamed servos to the first words."""
     ui.add_head_html(f'<link rel="stylesheet" href="{STATIC_URL}/first_hour/first_hour.css">')
     html(f"<first-hour data-warning='{escape(WARNING)}'></first-hour>")
 

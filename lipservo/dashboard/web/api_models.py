@@ -1,4 +1,4 @@
-"""What programs send to the API, checked before a face is asked, and the errors they are answered.
+"""Bodies of API requests, checked before a face gets them, and the errors of the answers.
 
 An error is {"error": one line}, with the status that fits.
 """
