@@ -184,7 +184,7 @@ def test_words_links_and_figures_that_a_page_should_not_have_are_found(tmp_path)
 
 
 def test_pages_and_docstrings_keep_to_their_bars():
-    """`hears` of the status is public; the two others are times of a thing that took or happened."""
+    """Names: `hears` of the status is public, `took_s` and `moments_s` are times."""
     found = word_figures(ROOT)
     pages = found["pages"]
 
