@@ -1,4 +1,4 @@
-"""One step of the first hour as a child process: what it tells, what it is told, how it ended."""
+"""One step of the first hour as a child process: its output, its input, how it ended."""
 
 import contextlib
 import json
@@ -32,9 +32,9 @@ class StepProcess:
 
     Methods may be called by any thread; but for `wait`, none waits.
 
-    step: its name. events: the newest of each kind, by name. notes: what it said to a person, the
-    newest last. error: why it ended, one line; None: it has not, or ended well. was_left: nobody
-    wanted it any more. let_go: whether its servos confirmed that they are limp as it ended.
+    step: its name. events: the newest of each kind, by name. notes: its lines for a person, the
+    newest last. error: why it ended, one line; None: it has not, or ended well. was_left: it is
+    wanted by no page any more. let_go: whether its servos confirmed that they are limp as it ended.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class StepProcess:
         ended: Callable[["StepProcess"], object] = lambda _: None,
         end_s: float = END_S,
     ) -> None:
-        """is_wanted: asked again and again; False: it is ended softly. ended: called once.
+        """is_wanted: called again and again; False: it is ended softly. ended: called once.
 
         end_s: how long a soft end may take before it is killed.
         """
@@ -114,7 +114,10 @@ class StepProcess:
         self._over(self._why(status, signalled=signalled))
 
     def _follow(self, process: "subprocess.Popen[bytes]") -> bool:
-        """Until it has ended and all it said is read; whether it was asked to end."""
+        """Follow it until it has ended and its output is read.
+
+        Return whether it was ended on request.
+        """
         readers = [
             threading.Thread(target=read, args=[process], name=f"step {self.step}", daemon=True)
             for read in (self._read_events, self._read_notes)
