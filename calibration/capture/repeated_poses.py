@@ -182,9 +182,9 @@ def changed_poses(capture: Capture, lines: StraightLines) -> ChangedPoses | None
     # A pose whose markers are all off together, as where they are counted from a noisy nose; but
     # not by what the joint itself does no more.
     along_mm = np.einsum("smk,nmk->sn", ways, off_mm)
-    still_mm = np.ma.masked_array(along_mm, moved.T)
-    spread_mm = np.ma.median(np.abs(still_mm - np.ma.median(still_mm, axis=1)[:, None]), axis=1)
-    along_noise_mm = np.maximum(noise_mm, 1.4826 * np.ma.filled(spread_mm, 0.0))
+    still_mm = np.where(moved.T, np.nan, along_mm)
+    spread_mm = np.nanmedian(np.abs(still_mm - np.nanmedian(still_mm, axis=1)[:, None]), axis=1)
+    along_noise_mm = np.maximum(noise_mm, 1.4826 * spread_mm)
     size_mm = math.sqrt(max(float(np.sum(common_mm**2)) - error_mm2, error_mm2 / n))
     return ChangedPoses(
         did_mm=np.maximum(did_mm, 1e-6),
