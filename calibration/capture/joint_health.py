@@ -144,6 +144,7 @@ def _ends_alone(capture: Capture, joint: int) -> tuple[NDArray[np.int64], NDArra
 #: Healthy robots come to 2.6 over poses that fill the range, and with those of speech, which lie
 #: elsewhere, to 5: so a suspicion needs poses that were taken twice to bear it out, and less of F.
 SURE, SUSPECTED, _AHEAD = 5.0, 3.0, 1.5
+_CHANCE = 1e-3
 #: A shift is a joint's own where it goes along with what the joint does, and with no other.
 _ALIKE, _UNLIKE = 0.8, 0.15
 _FIRST, _LAST = 6, 5
@@ -192,11 +193,25 @@ def joint_fault(capture: Capture, lines: StraightLines, sure: float = SURE) -> J
     if n < base.shape[1] + _FIRST + _LAST:
         return None
     healthy = _left(base, y)
+    sure = max(sure, _by_chance(base, y, (n - _FIRST - _LAST) * x.shape[1]))
     # A joint that stands still is somewhere else, too: so a stop is asked for first.
     stops, shifts = _stops(base, x, y, healthy, sure), _shifts(base, x, y, healthy, sure)
     if stops and (not shifts or stops[0][0] > _STOP_SHARE * shifts[0][0]):
         return stops[0][1]
     return shifts[0][1] if shifts else None
+
+
+def _by_chance(inputs: Array, y: Array, n_tries: int) -> float:
+    """The F value that one of so many suspicions of a healthy robot comes to, once in a thousand.
+
+    Noise of many markers is of many dimensions, and its mean is sure; what a good tracker sees of
+    skin that is not quadratic is of two or three, and varies by as much as it is (the effective
+    number of dimensions: Satterthwaite, Biometrics Bulletin, 1946).
+    """
+    basis = np.linalg.qr(inputs)[0]
+    powers = np.linalg.svd(y - basis @ (basis.T @ y), compute_uv=False) ** 2
+    n_dimensions = powers.sum() ** 2 / max(float((powers**2).sum()), 1e-12)
+    return float(chi2.isf(_CHANCE / n_tries, n_dimensions) / n_dimensions)
 
 
 def _left(inputs: Array, y: Array) -> float:

@@ -21,6 +21,8 @@ from lipsync.arrays import Array
 #: Degrees, and the share of what a joint did, from which a change is a fault. Zeros that drift with
 #: warm servos come to two degrees and noise to a quarter; slipped splines begin at ten.
 _SLIPPED_DEG, _LOST_SHARE, _ALL_LOST = 5.0, 0.45, 0.8
+#: A joint that would have to have slipped by more than a quarter of a turn is not to blame.
+_MOST_SLIPPED_DEG = 90.0
 #: So many standard errors of noise, whatever else: for a slip, which all poses show, and for what a
 #: joint does alone, where healthy robots come to 2.3. And of a marker that nothing explains.
 _SURE_ERRORS, _SURE_LOST_ERRORS, _SURE_MM = 6.0, 3.5, 1.5
@@ -177,9 +179,11 @@ def changed_poses(capture: Capture, lines: StraightLines) -> ChangedPoses | None
     variances = np.array([1.0 / len(rows) + 1.0 / len(neutral) for rows in alone])
     slid_mm = np.sum(ways * common_mm, axis=(1, 2))
     error_mm2 = common_mm.size * (1.25 * noise_mm) ** 2 / n
-    # A pose whose markers are all off together, as where they are counted from a noisy nose.
+    # A pose whose markers are all off together, as where they are counted from a noisy nose; but
+    # not by what the joint itself does no more.
     along_mm = np.einsum("smk,nmk->sn", ways, off_mm)
-    spread_mm = np.median(np.abs(along_mm - np.median(along_mm, axis=1)[:, None]), axis=1)
+    still_mm = np.where(moved.T, np.nan, along_mm)
+    spread_mm = np.nanmedian(np.abs(still_mm - np.nanmedian(still_mm, axis=1)[:, None]), axis=1)
     along_noise_mm = np.maximum(noise_mm, 1.4826 * spread_mm)
     size_mm = math.sqrt(max(float(np.sum(common_mm**2)) - error_mm2, error_mm2 / n))
     return ChangedPoses(
@@ -237,7 +241,8 @@ def face_change(changed: ChangedPoses) -> FaceChange | None:
         # Nor is a joint blamed that alone took the face no farther than noise does.
         is_known = changed.did_mm[joint] > _KNOWN_ERRORS * changed.lost_error_mm[joint]
         alike = is_known and changed.alike[joint] > _ALIKE
-        if moves and alike and abs(slip_deg) > _SLIPPED_DEG and slips > _SURE_ERRORS:
+        is_slip = _SLIPPED_DEG < abs(slip_deg) < _MOST_SLIPPED_DEG
+        if moves and alike and is_slip and slips > _SURE_ERRORS:
             fault = FaceChange("slipped", joint, float(slip_deg), slips, *where)
             found.append((abs(changed.slid_mm[joint]) * math.sqrt(changed.n), fault))
     if found:

@@ -60,6 +60,14 @@ _WATCH_EVERY_S: Final = 2.0
 HISTORY_S: Final = 30
 
 
+class NothingDrivenError(UserError):
+    """There is no face to be stopped. is_limp: the servos that were driven last confirmed it."""
+
+    def __init__(self, text: str, *, is_limp: bool) -> None:
+        super().__init__(text)
+        self.is_limp = is_limp
+
+
 class FaceLink:
     """One face, seen and commanded. Its tasks run within `async with link.running()`.
 
@@ -156,7 +164,10 @@ class FaceLink:
             tell()
 
     async def located(self) -> Path:
-        """Find the face anew, where none listens at `control_path`; it is kept there."""
+        """Find the face anew, where none listens at `control_path`; it is kept there.
+
+        Raises FaceError; NothingDrivenError where there is none to be found.
+        """
         if self._locating is None or self._locating.done():
             self._locating = asyncio.create_task(self._located())
         return await asyncio.shield(self._locating)
@@ -271,6 +282,8 @@ class FaceLink:
         loop = asyncio.get_running_loop()
         try:
             self.control_path = await loop.run_in_executor(self._finding, self._find)
+        except NothingDrivenError:
+            raise
         except (OSError, UserError, ControlError) as error:
             raise not_answering(error) from error
         return self.control_path

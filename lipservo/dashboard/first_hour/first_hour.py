@@ -23,6 +23,7 @@ from firmware_bridge.process.runtime_folder import (
     read_socket_name,
     runtime_folder,
 )
+from lipservo.dashboard.face_link import NothingDrivenError
 from lipservo.dashboard.first_hour.step_process import StepProcess
 from lipservo.runtime.servos.assembly import load_settings
 from lipservo.runtime.servos.new_face import (
@@ -129,11 +130,23 @@ class FirstHour:
             }
 
     def control_path(self) -> Path:
-        """Return the control socket of the step. Raises UserError where none drives servos."""
-        path = self._socket()
-        if path is None:
-            raise UserError("No step of the first hour drives servos now")
-        return path
+        """Return the control socket of the step that runs. Raises UserError before it is there.
+
+        Raises NothingDrivenError where no step runs: no servo is driven then, but only servos that
+        confirmed it are limp.
+        """
+        path, step = self._socket(), self._step
+        if path is not None:
+            return path
+        if step is not None and step.runs:
+            raise UserError(f"'{step.step.replace('_', ' ')}' cannot be stopped yet")
+        if step is None or step.let_go:
+            raise NothingDrivenError("No step runs: no servo is driven now.", is_limp=True)
+        raise NothingDrivenError(
+            "No step runs, so no servo is driven now. The last step ended without a word of its "
+            "servos: where one still holds, switch their supply off.",
+            is_limp=False,
+        )
 
     # ---- what a person does ----
 

@@ -19,10 +19,12 @@ _MOST_NOTES: Final = 40
 _LONGEST_LINE: Final = 1 << 18
 _LONGEST_NOTE: Final = 500
 #: Easing to rest, and letting go of servos that answer late, take a few seconds at most.
-_END_S: Final = 15.0
+END_S: Final = 15.0
 _LOOK_S: Final = 0.2
 #: How the program begins its own complaints.
 _COMPLAINS: Final = "lipservo: "
+#: Status of a process that a signal ended softly, less the signal's number.
+_BY_SIGNAL: Final = 128
 
 
 class StepProcess:
@@ -32,7 +34,7 @@ class StepProcess:
 
     step: its name. events: the newest of each kind, by name. notes: its lines for a person, the
     newest last. error: why it ended, one line; None: it has not, or ended well. was_left: it is
-    wanted by no page any more.
+    wanted by no page any more. let_go: whether its servos confirmed that they are limp as it ended.
     """
 
     def __init__(
@@ -42,17 +44,21 @@ class StepProcess:
         *,
         is_wanted: Callable[[], bool] = lambda: True,
         ended: Callable[["StepProcess"], object] = lambda _: None,
+        end_s: float = END_S,
     ) -> None:
-        """is_wanted: called again and again; False: it is ended softly. ended: called once."""
+        """is_wanted: called again and again; False: it is ended softly. ended: called once.
+
+        end_s: how long a soft end may take before it is killed.
+        """
         self.step = step
         self.events: dict[str, Mapping[str, Any]] = {}
         self.notes: deque[str] = deque(maxlen=_MOST_NOTES)
         self.error: str | None = None
-        self.was_left = False
+        self.was_left = self.let_go = False
         self.began_s = time.monotonic()
         self.seconds = 0.0
         self._request = json.dumps(request)
-        self._is_wanted, self._ended = is_wanted, ended
+        self._is_wanted, self._ended, self._end_s = is_wanted, ended, end_s
         self._process: subprocess.Popen[bytes] | None = None
         self._is_over = threading.Event()
         self._must_end = threading.Event()
@@ -80,14 +86,12 @@ class StepProcess:
                 os.write(process.stdin.fileno(), json.dumps(order).encode() + b"\n")
 
     def end(self) -> None:
-        """Softly: to rest, then limp."""
+        """Softly: to rest, then limp; killed where it has not ended in the time that takes."""
         self._must_end.set()
 
     def wait(self) -> None:
-        """Until it is over, for as long as a soft end takes at most; then it is killed."""
-        if not self._is_over.wait(_END_S) and self._process is not None:
-            self._process.kill()
-            self._is_over.wait(1.0)
+        """After `end`: until it is over."""
+        self._is_over.wait(self._end_s + 2.0)
 
     def _run(self) -> None:
         command = [sys.executable, "-m", "lipservo", "builder-process", self.step, self._request]
@@ -105,7 +109,9 @@ class StepProcess:
             os.set_blocking(process.stdin.fileno(), False)
             self._process = process
             signalled = self._follow(process)
-        self._over(self._why(process.returncode, signalled=signalled))
+        status = process.returncode
+        self.let_go = status in (0, ExitStatus.STOPPED_EARLY) or status > _BY_SIGNAL
+        self._over(self._why(status, signalled=signalled))
 
     def _follow(self, process: "subprocess.Popen[bytes]") -> bool:
         """Follow it until it has ended and its output is read.
@@ -118,19 +124,21 @@ class StepProcess:
         ]
         for each in readers:
             each.start()
-        signalled = False
+        signalled_s = None
         while process.poll() is None:
             self.was_left = self.was_left or not self._is_wanted()
-            if not signalled and (self._must_end.is_set() or self.was_left):
+            if signalled_s is None and (self._must_end.is_set() or self.was_left):
                 process.send_signal(signal.SIGTERM)
-                signalled = True
-            if signalled:
-                time.sleep(_LOOK_S)
-            else:
+                signalled_s = time.monotonic()
+            if signalled_s is None:
                 self._must_end.wait(_LOOK_S)
+                continue
+            if time.monotonic() - signalled_s > self._end_s:
+                process.kill()
+            time.sleep(_LOOK_S)
         for each in readers:
             each.join(1.0)
-        return signalled
+        return signalled_s is not None
 
     def _over(self, error: str | None) -> None:
         self.error = error
@@ -139,6 +147,11 @@ class StepProcess:
         self._is_over.set()
 
     def _why(self, status: int, *, signalled: bool) -> str | None:
+        if signalled and status == -signal.SIGKILL:
+            return (
+                f"the step did not end within {self._end_s:g} s and was killed: its servos may "
+                "still hold; switch their supply off"
+            )
         if status in (0, ExitStatus.STOPPED_EARLY) or (signalled and not self._has_complained):
             return None  # a person's stop is no error: what servos confirmed is told beside STOP
         if self._has_complained:

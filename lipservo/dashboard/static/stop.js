@@ -54,6 +54,7 @@ async function insist(how, isOld) {
     isWaiting = true;
     const { isTaken, answer } = await post(how, WAIT_S).catch(() => ({ isTaken: false }));
     isWaiting = false;
+    if (isOld() || isIdle(answer)) return;
     isConfirmed = Boolean(isTaken && answer?.report);
     if (!isConfirmed || isOld()) return;
     keep(answer.report, Date.now());
@@ -64,6 +65,11 @@ async function insist(how, isOld) {
     if (!isWaiting) awaitEnd();
     const { isTaken, status, answer } = await post(how, 0).catch(() => ({ isTaken: false }));
     if (isConfirmed || isOld()) return;
+    if (isIdle(answer)) {
+      level = "soft"; // the next press is a first one
+      label("STOP");
+      return show(answer.is_limp ? "good" : "warn", answer.nothing_driven);
+    }
     if (isTaken) return show("warn", how === "soft" ? EASES : LETS_GO);
     const tone = isLimp(word) ? "warn" : "bad";
     if (status === 401) return show(tone, `Refused: ${LOCKED} ${advice()}`);
@@ -77,6 +83,11 @@ async function insist(how, isOld) {
   if (!isConfirmed && !isOld()) {
     show(isLimp(word) ? "warn" : "bad", `No answer to ${TRIES} requests. ${advice()}`);
   }
+}
+
+/** Whether there was no face to stop: between the steps of a first hour. Pure. */
+function isIdle(answer) {
+  return Boolean(answer?.nothing_driven);
 }
 
 const EASES = "The face stops: it eases to rest. Press again to let go at once.";

@@ -19,7 +19,7 @@ from firmware_bridge.process.control_client import send_stop
 from firmware_bridge.stopping import StopLevel
 from lipservo.access.admission import Policy, Refusal, Request, refusal, request_of_scope
 from lipservo.agents.control_session import stop_answer
-from lipservo.dashboard.face_link import FaceLink, not_answering
+from lipservo.dashboard.face_link import FaceLink, NothingDrivenError, not_answering
 from lipservo.dashboard.web.access_layer import App, Receive, Scope, Send, answer_json, cors_headers
 from lipservo.dashboard.web.api_models import StopBody, first_error, status_of
 
@@ -89,7 +89,8 @@ async def stop_face(link: FaceLink, stop: StopBody) -> dict[str, Any]:
     Returns
     -------
     {"accepted": LEVEL}, with `wait_s` also {"report"}: what the servos confirmed (`StopReport`), or
-    None where no end came in time, or too many clients wait for one.
+    None where no end came in time, or too many clients wait for one. Where no face drives servos
+    {"accepted": None, "nothing_driven", "is_limp"}: a sentence, and whether servos confirmed it.
 
     Raises
     ------
@@ -108,6 +109,9 @@ async def stop_face(link: FaceLink, stop: StopBody) -> dict[str, Any]:
     try:
         if path is None:
             path = await link.located()
+    except NothingDrivenError as error:
+        return {"accepted": None, "nothing_driven": str(error), "is_limp": error.is_limp}
+    try:
         with link.waiting_for_end(stop.wait_s) as wait_s:
             again = partial(send_stop, path, level, end=stop.end)
             answer, report = await stop_answer(sent, again, wait_s)

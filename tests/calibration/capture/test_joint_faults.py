@@ -29,6 +29,19 @@ def capture_of(seed=0, n_servos=4, n_poses=N_POSES, given=lambda _, goal_deg: go
     return Capture(SERVOS[:n_servos], names, goals_deg, np.ones_like(goals_deg), markers_mm)
 
 
+def twisted(seed):
+    """Seen by a good tracker; two joints together do what neither does alone."""
+    seen = capture_of(seed)
+    rng = np.random.default_rng([seed, 1])
+    noise_mm = 0.03 * rng.normal(size=seen.markers_mm.shape)
+    by_deg = 0.1 * rng.normal(size=(4, N_MARKERS, 3))
+    by_both_mm = 0.002 * rng.normal(size=(N_MARKERS, 3))
+    both_deg2 = seen.goals_deg[:, 0] * seen.goals_deg[:, 1]
+    markers_mm = np.einsum("ns,smk->nmk", seen.goals_deg, by_deg)
+    markers_mm += both_deg2[:, None, None] * by_both_mm + noise_mm
+    return replace(seen, markers_mm=markers_mm)
+
+
 def fault_of(capture: Capture) -> JointFault | None:
     return joint_fault(capture, straight_lines(capture))
 
@@ -54,6 +67,10 @@ def slipped(joint, by_deg, since=MIDDLE):
 @pytest.mark.parametrize("seed", range(6))
 def test_of_a_sound_robot_nothing_is_said(seed):
     assert fault_of(capture_of(seed)) is None
+
+
+def test_of_a_sound_robot_whose_skin_a_good_tracker_sees_to_be_crooked_nothing_is_said():
+    assert [fault_of(twisted(seed)) for seed in range(12)] == [None] * 12
 
 
 @pytest.mark.parametrize("joint", range(4))

@@ -1,5 +1,7 @@
 """Poses that were taken twice: what slipped, stopped or tore meanwhile, and who is to blame."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -94,3 +96,28 @@ def test_a_suspicion_is_borne_out_by_the_joint_that_stopped_and_by_no_other():
     borne = [bears_out(changed, JointFault("stopped", joint, MIDDLE)) for joint in range(4)]
     assert borne == [False, False, True, False]
     assert not bears_out(changed, JointFault("shifted", -1, MIDDLE))
+
+
+def test_a_jaw_alone_that_tears_its_rod_is_named_though_every_pose_is_off_by_another_amount():
+    plan = plan_poses(JOINTS[:1], 40)
+    plan = joined(plan, first_part(plan))
+    rng = np.random.default_rng(4)
+    jaw_deg = np.where(np.arange(len(plan)) < len(plan) // 2, plan.goals_deg[:, 0], 0.0)
+    markers_mm = jaw_deg[:, None, None] * 0.1 * rng.normal(size=(N_MARKERS, 3))
+    markers_mm += rng.normal(0.0, NOISE_MM, markers_mm.shape)
+    names = MARKERS_47.names[:N_MARKERS]
+
+    found = change_of(Capture(NAMES[:1], names, plan.goals_deg, plan.from_below, markers_mm))
+
+    assert (found.kind, found.joint) == ("stopped", 0)
+
+
+def test_nobody_is_blamed_who_would_have_had_to_turn_by_half_a_turn():
+    changed = changed_poses(capture_of(), straight_lines(capture_of()))
+    ways = replace(changed, did_mm=np.array([10.0, 10.0, 10.0, 0.8]), turned_deg=np.full(4, 25.0))
+    slid_mm = np.array([0.0, 0.0, 0.0, 6.0])
+    blamed = replace(ways, slid_mm=slid_mm, alike=np.array([0.0, 0.0, 0.0, 0.9]))
+    blamed = replace(blamed, lost_error_mm=np.full(4, 0.1), does_mm=blamed.did_mm)
+
+    assert blamed.slipped_deg[3] > 180.0
+    assert face_change(blamed) is None

@@ -10,6 +10,7 @@ import pytest
 from lipservo_client.protocol import FaceError
 from places import ROOT
 
+from lipservo.dashboard.face_link import NothingDrivenError
 from lipservo.dashboard.first_hour.first_hour import FirstHour
 from lipservo.dashboard.first_hour.step_process import StepProcess
 from lipservo.runtime.servos.new_face import FoundJoint, face_yaml
@@ -148,8 +149,16 @@ def test_a_step_at_a_port_that_is_not_there_says_so_in_one_line(path):
     assert told["runs"] is False
     assert "/dev/no_such_port" in told["error"]
     assert "Traceback" not in json.dumps(told)
-    with pytest.raises(UserError):
+    with pytest.raises(NothingDrivenError, match="without a word of its servos") as stopped:
         hour.control_path()
+    assert not stopped.value.is_limp
+
+
+def test_between_steps_no_servo_is_driven_and_a_stop_says_so(path):
+    with pytest.raises(NothingDrivenError, match="no servo is driven now") as stopped:
+        FirstHour(path).control_path()
+
+    assert stopped.value.is_limp
 
 
 def test_a_step_that_nobody_wants_is_ended():
@@ -165,6 +174,24 @@ def test_a_step_that_nobody_wants_is_ended():
 
     assert ended == [step]
     assert not step.runs
+
+
+def test_a_step_that_hangs_when_it_should_end_is_killed_and_says_what_may_still_hold():
+    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)  # which a child inherits
+    try:
+        step = StepProcess("find", {"port": "/dev/null", "kind": "dynamixel"}, end_s=0.5)
+        while step.pid is None:
+            time.sleep(0.001)
+        os.kill(step.pid, signal.SIGSTOP)
+
+        step.end()
+        step.wait()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+    assert not step.runs
+    assert "was killed: its servos may still hold" in step.error
+    assert not step.let_go
 
 
 def test_orders_to_a_step_that_hangs_hold_up_no_thread_of_the_server():

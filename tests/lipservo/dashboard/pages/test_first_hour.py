@@ -151,6 +151,21 @@ def speak(page):
     return page.evaluate("[...heard]"), page.evaluate("wentDeg()")
 
 
+def test_on_a_telephone_nothing_scrolls_sideways_and_a_stop_between_steps_is_answered(page):
+    page.set_viewport_size({"width": 390, "height": 844})
+    page.locator("#face-stop[data-ready]").wait_for()
+    wide = "(e) => e.scrollWidth > e.clientWidth"
+    assert not page.locator("#face-head nav").evaluate(wide)
+    assert not page.locator("html").evaluate(wide)
+
+    page.click("#face-stop")
+
+    said = page.locator("#face-stop-report", has_text="no servo is driven now")
+    said.wait_for()
+    assert said.get_attribute("data-tone") == "good"
+    assert page.inner_text("#face-stop b") == "STOP"
+
+
 def test_from_the_box_to_the_first_words_in_the_page_alone(page, path):
     name_servos(page)
     set_limits(page)

@@ -16,7 +16,7 @@ from served_dashboard import served, wait_for
 from watched_face import WatchedFace
 
 from lipservo.dashboard import sound_lines as uploads
-from lipservo.dashboard.face_link import FaceLink
+from lipservo.dashboard.face_link import FaceLink, NothingDrivenError
 from lipservo.dashboard.web import stop_route
 from lipservo.dashboard.web.serving import with_access
 from lipservo.dashboard.web.stop_route import StopRoute
@@ -145,6 +145,18 @@ def test_what_is_no_stop_is_refused_and_nothing_is_sent(app, face, body, status)
     assert list(answer) == ["error"]
     assert len(answer["error"].splitlines()) == 1
     assert face.said == []
+
+
+def test_where_no_face_drives_servos_a_stop_says_so_at_once():
+    def find():
+        raise NothingDrivenError("No step runs", is_limp=True)
+
+    link = FaceLink(find)
+    status, answer = asyncio.run(posted(with_access(None, link, "a secret"), b'{"wait_s": 15}'))
+    link.close()
+
+    assert status == 200
+    assert answer == {"accepted": None, "nothing_driven": "No step runs", "is_limp": True}
 
 
 @pytest.mark.parametrize(
