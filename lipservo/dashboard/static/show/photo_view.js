@@ -100,8 +100,12 @@ export function makePhoto(container, picture, warp, { inSoftware }) {
     const [right, down] = [(clientWidth * perPx) / 2, (clientHeight * perPx) / 2];
     Object.assign(camera, { left: x - right, right: x + right, top: y - down, bottom: y + down });
     camera.updateProjectionMatrix();
+    // What gives way round the face may not leave the picture.
+    const [left, bottom] = [(right - x - 0.5) / perPx, (down - height + 0.5 + y) / perPx];
+    renderer.setScissor(Math.ceil(left), Math.ceil(bottom), Math.floor(width / perPx), Math.floor(height / perPx));
     drawSoon();
   };
+  renderer.setScissorTest(true);
   const sizes = new ResizeObserver(fit);
   sizes.observe(container);
   return Object.assign(view, {
@@ -227,6 +231,8 @@ function mouth(warp, flat, places, layer, uvOf, map) {
         warp.jaw_px[name]?.forEach((way, axis) => (jaw[axis] += by * way));
       });
       for (const { part, mesh } of parts) {
+        mesh.visible = widest > 0;
+        if (!mesh.visible) continue;
         const points = Float64Array.from(part.places);
         if (part === warp.lower) for (let i = 0; i < points.length; i += 1) points[i] += jaw[i % 3];
         turn(points, pose);
