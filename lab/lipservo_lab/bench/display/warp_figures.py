@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from lipservo.display.lip_contact import areas_px2
-from lipservo.display.photo_display import PhotoDisplay, rotation
+from lipservo.display.photo_display import PhotoDisplay
 from lipservo.display.photo_face import photo_face
 from lipservo.display.photo_file import Landmarks, framed
+from lipservo.display.photo_warp import rotation
 from lipservo.display.shipped_faces import TWIN_SIZE, twin_landmarks
 from lipsync.array_archive import ArrayArchive
 from lipsync.arrays import Array
