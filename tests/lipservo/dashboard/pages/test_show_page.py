@@ -140,7 +140,7 @@ def test_the_photograph_moves_in_the_page_as_in_films(opened):
             given,
         )
         away_px = np.abs(np.reshape(found, (-1, 2)) - wanted).max(axis=1)
-        # Where triangles would turn over, a thousandth of a pixel decides which of them go together.
+        # Where triangles would turn over, a thousandth of a pixel decides which go together.
         assert np.percentile(away_px, 98) < 0.01
         assert away_px.max() < 1.5
 
