@@ -49,11 +49,30 @@ class PhotoDisplay:
 
     @property
     def own(self) -> Array:
-        """Coefficients of the mouth as it was photographed."""
+        """Coefficients of the mouth as it was photographed.
+
+        Returns
+        -------
+        Array
+            (n_components,).
+        """
         return self._photo.own
 
     def model_moves_px(self, face: FaceModel, coefficients: Array) -> Array:
-        """(n_points, 2): how far the model's points are from where the photograph has them."""
+        """Return how far the model's points are from where the photograph has them.
+
+        Parameters
+        ----------
+        face : FaceModel
+            The model.
+        coefficients : Array
+            (n_components,).
+
+        Returns
+        -------
+        Array
+            (n_points, 2) pixels.
+        """
         moves = face.markers_mm((coefficients - self._photo.own)[None])[0] - face.mean_mm
         return np.asarray((moves @ self._photo.matrix.T)[:, :2])
 
@@ -79,7 +98,18 @@ class PhotoDisplay:
         return picture
 
     def source_of(self, moved_px: Array) -> NDArray[np.float32]:
-        """(2, rows, columns) of the part that moves: from where in the photograph a pixel comes."""
+        """Return from where in the photograph each pixel of the moving part comes.
+
+        Parameters
+        ----------
+        moved_px : Array
+            (n, 2), of `moved`.
+
+        Returns
+        -------
+        NDArray[np.float32]
+            (2, rows, columns) pixels.
+        """
         rest = self._mesh.rest_px
         still = np.asarray((np.abs(moved_px - rest) < _STILL_PX).all(axis=1))
         # Where nothing moves the map is there already; but what lies over what moves is drawn.

@@ -74,7 +74,18 @@ class PhotoWarp:
         self._unfold = Unfolding(rest_px, self.mesh)
 
     def moved(self, frame: Frame) -> tuple[Array, Array]:
-        """Where the mesh's vertices are, (n, 2) in pixels; and the depth of those of the skin."""
+        """Return where the mesh's vertices are.
+
+        Parameters
+        ----------
+        frame : Frame
+            Mouth and expression.
+
+        Returns
+        -------
+        tuple[Array, Array]
+            (n, 2) pixels; and the depth of the skin's vertices, (n_skin,).
+        """
         turn, shift = self.turn(frame)
         places_px = self._photo.in_picture(self._skin_places(frame))
         skin = self.contact.held(places_px, frame) @ turn.T + shift
@@ -113,9 +124,9 @@ class PhotoWarp:
 def amounts_of(frame: Frame, components: tuple[str, ...]) -> dict[str, float]:
     """How much of each target a frame asks for; what it leaves open is at rest."""
     amounts = dict(zip(components, np.asarray(frame.coefficients).tolist(), strict=True))
-    said = {each.name: getattr(frame.expression, each.name) for each in fields(frame.expression)}
+    values = {each.name: getattr(frame.expression, each.name) for each in fields(frame.expression)}
     for name, (least, most) in MOST.items():
-        amounts[name] = min(most, max(least, said[name] or 0.0))
+        amounts[name] = min(most, max(least, values[name] or 0.0))
     for side in ("left", "right"):
         lid = amounts[f"lid_{side}"]
         amounts[f"lid_{side}_over"] = lid * (1 - lid)
@@ -124,18 +135,26 @@ def amounts_of(frame: Frame, components: tuple[str, ...]) -> dict[str, float]:
 
 def pose_rad(frame: Frame) -> tuple[float, float, float]:
     """Pitch, yaw and roll of the head that a photograph bears."""
-    said = frame.expression
-    asked = (said.neck_pitch_deg, said.neck_yaw_deg, said.neck_roll_deg)
+    expression = frame.expression
+    angles_deg = (expression.neck_pitch_deg, expression.neck_yaw_deg, expression.neck_roll_deg)
     most = MOST_POSE_DEG.values()
-    within = [max(-m, min(m, deg or 0.0)) for deg, m in zip(asked, most, strict=True)]
+    within = [max(-m, min(m, deg or 0.0)) for deg, m in zip(angles_deg, most, strict=True)]
     pitch, yaw, roll = np.radians(within).tolist()
     return pitch, yaw, roll
 
 
 def rotation(pitch: float, yaw: float, roll: float) -> Array:
-    """(3, 3) of x to the picture's right, y up, z to the viewer: by roll, then pitch, then yaw.
+    """Return the rotation by roll, then pitch, then yaw; x to the right, y up, z to the viewer.
 
-    Pitch up, yaw to the face's own left, roll to its left shoulder, in radians.
+    Parameters
+    ----------
+    pitch,yaw,roll : float
+        Radians: up, to the face's own left, to its left shoulder.
+
+    Returns
+    -------
+    Array
+        (3, 3).
     """
     (cx, sx), (cy, sy), (cz, sz) = ((np.cos(a), np.sin(a)) for a in (-pitch, yaw, -roll))
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])

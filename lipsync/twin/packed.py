@@ -92,9 +92,9 @@ class Body:
 
     def behind(self, header: Mapping[str, object]) -> bytes:
         """All of it behind its header."""
-        said = json.dumps(header).encode()
-        said += b" " * (-(4 + len(said)) % 4)
-        return struct.pack("<I", len(said)) + said + b"".join(self.pieces)
+        text = json.dumps(header).encode()
+        text += b" " * (-(4 + len(text)) % 4)
+        return struct.pack("<I", len(text)) + text + b"".join(self.pieces)
 
     def add(self, values: NDArray[Any], kind: str) -> dict[str, object]:
         """Where the array lies and how it is read."""
@@ -125,14 +125,14 @@ def _part(part: Part, amounts: Mapping[str, float], body: Body) -> dict[str, obj
             {
                 "name": name,
                 "moves": body.add_scaled(moves, "<i2"),
-                "turns": body.add_scaled(_turns(part, moves, amounts.get(name, 1.0)), "i1"),
+                "turns": body.add_scaled(_rotated(part, moves, amounts.get(name, 1.0)), "i1"),
             }
             for name, moves in part.morphs.items()
         ],
     }
 
 
-def _turns(part: Part, moves: Array, amount: float) -> Array:
+def _rotated(part: Part, moves: Array, amount: float) -> Array:
     """How the normals turn with 1 of a target; taken over as much of it as occurs."""
     there = vertex_normals(part.places_mm + amount * moves, part.triangles)
     back = vertex_normals(part.places_mm - amount * moves, part.triangles)
@@ -140,7 +140,20 @@ def _turns(part: Part, moves: Array, amount: float) -> Array:
 
 
 def vertex_normals(places: Array, triangles: Indices) -> Array:
-    """(n, 3), of length 1: the mean of the triangles round each vertex, by their area."""
+    """Return normals of length 1: the mean of the triangles round each vertex, by their area.
+
+    Parameters
+    ----------
+    places : Array
+        (n, 3).
+    triangles : Indices
+        (n_triangles, 3).
+
+    Returns
+    -------
+    Array
+        (n, 3).
+    """
     corner = places[triangles]
     faces = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     summed = np.column_stack(
