@@ -17,7 +17,7 @@ const BRIGHT = 0.85, FULL_LIGHT = 185, LEAST_TONE = 0.45, MOST_TONE = 1.1, HUE =
  */
 export function makePhoto(container, picture, warp, { inSoftware }) {
   const [width, height] = warp.size;
-  const renderer = new THREE.WebGLRenderer({ antialias: !inSoftware });
+  const renderer = new THREE.WebGLRenderer({ antialias: !inSoftware, alpha: true });
   renderer.setPixelRatio(inSoftware ? 1 : Math.min(window.devicePixelRatio, 2));
   renderer.setClearColor(0, 0);
   // Pixels are shown as the photograph has them, and blended as a film blends them.

@@ -5,7 +5,6 @@ import { eyeTexture } from "./eye_texture.js";
 import { plainMesh } from "./plain_mesh.js";
 import { lipGapMm } from "./pose.js";
 
-const BACKGROUND = 0xe9eef3;
 const LOOK_AT_MM = [0, -52, -45];
 const DISTANCE_MM = 640;
 const FIELD_OF_VIEW_DEG = 27;
@@ -30,13 +29,13 @@ const MATERIALS = {
  * redraw. What a processor draws alone is simpler (plain_mesh.js), and its edges are not smoothed.
  */
 export function makeHead(container, asset, onDrawn, { inSoftware }) {
-  const renderer = new THREE.WebGLRenderer({ antialias: !inSoftware });
+  const renderer = new THREE.WebGLRenderer({ antialias: !inSoftware, alpha: true });
   renderer.setPixelRatio(inSoftware ? 1 : Math.min(window.devicePixelRatio, 2));
   // Asking after errors waits for every shader to be compiled, one after the other.
   renderer.debug.checkShaderErrors = false;
   container.append(renderer.domElement);
   const scene = new THREE.Scene();
-  scene.background = new THREE.Color(BACKGROUND);
+  renderer.setClearColor(0, 0); // the page is seen behind it, light or dark
   light(scene);
 
   const pivot = new THREE.Vector3(...asset.pivot_mm);
