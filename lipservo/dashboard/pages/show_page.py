@@ -12,6 +12,7 @@ SHOW_SCRIPTS: Final = (
     "show/close_up.js",
     "show/photograph.js",
     "show/own_robot.js",
+    "show/trace_player.js",
 )
 
 
@@ -25,3 +26,5 @@ def show_page() -> None:
             Twin().classes("drawn head")
         with card("Your robot", "its own model, as its encoders say", "own-robot"):
             html("<face-model></face-model>")
+    with card("A run that was", "its trace, back and forth", "trace"):
+        html("<face-trace></face-trace>")

@@ -64,6 +64,11 @@ export class TwinPicture {
     if (!alike(pose, this.pose)) this._show(pose);
   }
 
+  /** How far the inner lips are apart with these coefficients, mm; null before the head is there. */
+  gapOf(coefficients) {
+    return this._asset ? lipGapMm(this._asset, poseOf({ coefficients }, this._asset).targets) : null;
+  }
+
   /** Look at the mouth from near, or at the whole head. The simple drawing stays as it is. */
   closeUp(isNear) {
     this.isNear = isNear;

@@ -1,11 +1,13 @@
 """The page for an audience: a photograph that speaks, the mouth from near, the user's own robot."""
 
+import gzip
 import io
 import json
 import math
 
 import numpy as np
 import pytest
+from places import ROOT
 
 from lipservo.display.photo_face import HAND_POINTS
 from lipservo.display.photo_file import read_landmarks
@@ -219,3 +221,29 @@ def test_what_is_no_photograph_of_a_face_is_said_in_one_line(opened, name, conte
         files.append(("me.json", points() if callable(points) else points))
     show_photograph(page, *files)
     settled(page, f"document.querySelector('face-photo .told').textContent.includes({says!r})")
+
+
+def test_a_trace_is_scrubbed_back_and_forth_in_place_of_the_live_face(opened):
+    page = opened("/show")
+    settled(page, "window.twin?.ready && window.tracePlayer")
+    page.set_input_files("face-trace input[type=file]", ROOT / "tests/data/traces/clip.jsonl.gz")
+    settled(page, "window.tracePlayer.trace")
+    with gzip.open(ROOT / "tests/data/traces/clip.jsonl.gz", "rt") as lines:
+        ticks = [each for each in map(json.loads, lines) if "coefficients" in each]
+    for n in (40, 12):
+        page.evaluate(f"tracePlayer.at({n})")
+        wanted = ticks[n]["coefficients"]
+        settled(page, f"Math.abs(twin.pose.targets.c0 - {wanted[0]}) < 1e-6")
+    page.click("face-trace .live")
+    settled(page, "dashboard.held === null && twin.last === dashboard.frame")
+
+
+def test_what_is_no_trace_is_said_in_one_line(opened):
+    page = opened("/show")
+    settled(page, "window.tracePlayer")
+    page.set_input_files(
+        "face-trace input[type=file]",
+        {"name": "talk.jsonl", "mimeType": "text/plain", "buffer": b"{}"},
+    )
+    told = "document.querySelector('face-trace .told').textContent"
+    settled(page, f"{told}.includes('no lipservo trace')")
