@@ -26,5 +26,5 @@ def show_page() -> None:
             Twin().classes("drawn head")
         with card("Your robot", "its own model, as its encoders say", "own-robot"):
             html("<face-model></face-model>")
-    with card("A run that was", "its trace, back and forth", "trace"):
+    with card("A recorded run", "its trace, back and forth", "trace"):
         html("<face-trace></face-trace>")

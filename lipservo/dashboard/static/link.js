@@ -19,7 +19,7 @@ export const face = {
   hello: null,
   frame: null,
   status: null,
-  held: null, // a frame of a run that was: drawn in place of the newest
+  held: null, // a frame of a recorded run: drawn in place of the newest
   frameAtMs: -Infinity,
   trouble: null, // why there is no status
   refusal: null, // why this page may not see the face: a sentence about the token

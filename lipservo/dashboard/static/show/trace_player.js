@@ -1,4 +1,4 @@
-// A run that was: its trace as plots over time, scrubbed back and forth. While it is shown, twin,
+// A recorded run: its trace as plots over time, scrubbed back and forth. While it is shown, twin,
 // photograph and own robot show it in place of the live face. The file stays in the browser.
 
 import { face } from "../link.js";
@@ -82,7 +82,7 @@ class FaceTrace extends HTMLElement {
       coefficients: coefficients[n], expression: {}, goalsDeg: anglesDeg, encodersDeg: anglesDeg,
       phoneme: phonemes[n], servosGone: false, torqueOn: false,
     };
-    this.told.textContent = `${this.name} at ${timesS[n].toFixed(2)} s, ${phonemes[n] ?? "silence"}: a run that was, not the live face.`;
+    this.told.textContent = `${this.name} at ${timesS[n].toFixed(2)} s, ${phonemes[n] ?? "silence"}: recorded, not the live face.`;
     this.draw();
   }
 

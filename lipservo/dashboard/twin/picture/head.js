@@ -1,6 +1,7 @@
 // The head in three.js, of NiceGUI's scene module. Draws only when something has changed.
 
 import { OrbitControls, THREE } from "nicegui-scene";
+import { earParts } from "./ears.js";
 import { eyeTexture } from "./eye_texture.js";
 import { plainMesh } from "./plain_mesh.js";
 import { lipGapMm } from "./pose.js";
@@ -22,6 +23,7 @@ const MATERIALS = {
   lids_left: { roughness: 0.7, side: THREE.DoubleSide },
   lids_right: { roughness: 0.7, side: THREE.DoubleSide },
   neck: { roughness: 0.6 },
+  ear: { roughness: 0.62 },
 };
 
 /**
@@ -42,7 +44,7 @@ export function makeHead(container, asset, onDrawn, { inSoftware }) {
   const head = new THREE.Group();
   head.position.copy(pivot);
   scene.add(head);
-  const meshes = asset.parts.map((part) => {
+  const meshes = [...asset.parts, ...earParts(asset)].map((part) => {
     const mesh = meshOf(part, inSoftware);
     if (part.stays) {
       scene.add(mesh);
