@@ -233,7 +233,7 @@ function mouth(warp, flat, places, layer, uvOf, map) {
       for (const { part, mesh } of parts) {
         mesh.visible = widest > 0;
         if (!mesh.visible) continue;
-        const points = Float64Array.from(part.places);
+        const points = new Float64Array(part.places);
         if (part === warp.lower) for (let i = 0; i < points.length; i += 1) points[i] += jaw[i % 3];
         turn(points, pose);
         const { position } = mesh.geometry.attributes;

@@ -37,7 +37,7 @@ export function amountsOf(warp, frame) {
 /** {px, depth, turn, shift}: the mesh's vertices, and how the head is turned (`turned`). */
 export function moved(warp, frame) {
   const amounts = amountsOf(warp, frame);
-  const skin = Float64Array.from(warp.places);
+  const skin = new Float64Array(warp.places);
   for (const [name, moves] of Object.entries(warp.targets)) {
     const amount = amounts[name];
     if (amount) for (let i = 0; i < skin.length; i += 1) skin[i] += amount * moves[i];
@@ -45,7 +45,7 @@ export function moved(warp, frame) {
   meet(warp.contact, warp.components.map((name) => amounts[name]), skin);
   const pose = poseOf(warp, frame);
   turn(skin, pose);
-  const still = Float64Array.from(warp.own_px);
+  const still = new Float64Array(warp.own_px);
   turn(still, pose);
   const nSkin = skin.length / 3;
   const px = new Float64Array(warp.rest_px.length);
