@@ -75,7 +75,7 @@ def make_app(
 
     from lipservo.dashboard.pages.pages import build_pages
     from lipservo.dashboard.twin.element import twin_routes
-    from lipservo.dashboard.twin.photo_routes import photo_routes
+    from lipservo.dashboard.web.photo_routes import photo_routes
 
     pages = FastAPI(openapi_url=None, docs_url=None, redoc_url=None, lifespan=running)
     face = load_face(model)
