@@ -36,36 +36,36 @@ class LipContact:
     The targets move the lips of the photograph as far as the speaker's, so that what they are apart
     when they should touch is the difference of two faces. It is taken away in the measure in which
     the model's lips come nearer to each other than they are in the photograph. And lips that would
-    overlap meet in the middle.
+    overlap meet in the middle. What it is made of is public for the page, which does the same.
     """
 
     def __init__(self, photo: PhotoFace, own_px: Array, lips: Indices) -> None:
         half = len(lips) // 2
-        self._upper, self._lower = lips[1:half], lips[:half:-1]
-        self._gaps = photo.lip_gaps
+        self.upper, self.lower = lips[1:half], lips[:half:-1]
+        self.gaps = photo.lip_gaps
         corner, other = own_px[lips[0], :2], own_px[lips[half], :2]
         along = (other - corner) / np.linalg.norm(other - corner)
         #: From the upper lip to the lower one.
-        self._down = np.array([-along[1], along[0]])
+        self.down = np.array([-along[1], along[0]])
         share = np.linspace(0.0, 1.0, half + 1)[1:-1]
         own_gap = self._gap_px(own_px)
-        self._excess_px = own_gap - photo.lip_gaps.at(share, photo.own) * photo.px_per_mm
+        self.excess_px = own_gap - photo.lip_gaps.at(share, photo.own) * photo.px_per_mm
         # Where landmarks overlap in the photograph, they may.
-        self._least_px = np.minimum(own_gap, 0.0)
-        self._own_gap_mm = max(self._widest_mm(photo.own), 1e-3)
+        self.least_px = np.minimum(own_gap, 0.0)
+        self.own_gap_mm = max(self._widest_mm(photo.own), 1e-3)
         reach_px = _LIP_MM * photo.px_per_mm
-        self._felt = [
-            _felt_by(own_px[:, :2], rim, reach_px, side * self._down) for rim, side in self._sides()
+        self.felt = [
+            _felt_by(own_px[:, :2], rim, reach_px, side * self.down) for rim, side in self._sides()
         ]
 
     def _gap_px(self, skin_px: Array) -> Array:
-        return np.asarray((skin_px[self._lower, :2] - skin_px[self._upper, :2]) @ self._down)
+        return np.asarray((skin_px[self.lower, :2] - skin_px[self.upper, :2]) @ self.down)
 
     def _sides(self) -> tuple[tuple[Indices, float], tuple[Indices, float]]:
-        return (self._upper, -1.0), (self._lower, 1.0)
+        return (self.upper, -1.0), (self.lower, 1.0)
 
     def _widest_mm(self, coefficients: Array) -> float:
-        return float(self._gaps.gaps_mm(coefficients).max())
+        return float(self.gaps.gaps_mm(coefficients).max())
 
     def held(self, skin_px: Array, frame: Frame) -> Array:
         """Bring the lips in contact where they should be, in place.
@@ -82,11 +82,11 @@ class LipContact:
         Array
             `skin_px`.
         """
-        nearer = 1.0 - self._widest_mm(frame.coefficients) / self._own_gap_mm
-        closing = self._excess_px * min(1.0, max(0.0, nearer))
-        closing = np.minimum(closing, self._gap_px(skin_px) - self._least_px) / 2
-        for felt, way in zip(self._felt, (closing, -closing), strict=True):
-            skin_px[:, :2] += (felt @ way)[:, None] * self._down
+        nearer = 1.0 - self._widest_mm(frame.coefficients) / self.own_gap_mm
+        closing = self.excess_px * min(1.0, max(0.0, nearer))
+        closing = np.minimum(closing, self._gap_px(skin_px) - self.least_px) / 2
+        for felt, way in zip(self.felt, (closing, -closing), strict=True):
+            skin_px[:, :2] += (felt @ way)[:, None] * self.down
         return skin_px
 
 

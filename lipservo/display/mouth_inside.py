@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lipservo.display.photo_face import PhotoFace
 from lipservo.display.raster import covered
-from lipsync.arrays import Array
+from lipsync.arrays import Array, Indices
 from lipsync.face.frame import Frame
 from lipsync.twin.packed import vertex_normals
 from lipsync.twin.parts import Part
@@ -24,15 +24,15 @@ _FINE = 3
 #: Where the light comes from: x right, y up, z to the viewer.
 _LIGHT = np.array([-0.25, 0.35, 0.9]) / np.linalg.norm([-0.25, 0.35, 0.9])
 #: Light between the lips: least, and from which gap to which, mm, as in the page's twin.
-_LEAST_LIGHT, _DARK_MM, _LIGHT_MM = 0.15, 0.9, 6.0
+LEAST_LIGHT, DARK_MM, LIGHT_MM = 0.15, 0.9, 6.0
 #: Lips that are no farther apart in a photograph are closed there.
 _CLOSED_MM = 2.0
 #: Nearer lips touch each other; the shade of lips that hardly part, and up to how far apart.
-_SLIT_MM, _SHADE, _PARTED_MM = 0.35, 0.55, 1.6
+SLIT_MM, SHADE, PARTED_MM = 0.35, 0.55, 1.6
 #: Behind the teeth, sRGB.
-_DARKNESS = np.array([38.0, 14.0, 14.0], dtype=np.float32)
+DARKNESS = np.array([38.0, 14.0, 14.0], dtype=np.float32)
 #: An inner lip is seen this far into the mouth, mm, before it is in its own shadow.
-_SHADOW_MM = 2.2
+SHADOW_MM = 2.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,33 +43,59 @@ class _Sprite:
     corner_px: Array
 
 
+@dataclass(frozen=True, slots=True)
+class SeenPart:
+    """A part of the twin as it is in the photograph's own pose, in its light.
+
+    places_px (n, 3), with depth. colours (n, 3): sRGB, 0 to 255. triangles: from the back.
+    """
+
+    places_px: Array
+    colours: Array
+    triangles: Indices
+
+
+class MouthParts:
+    """What is behind the lips of one photograph. lips_px (n, 3): the inner rim as it is.
+
+    upper, lower: teeth; with the lower ones the tongue. jaw_px: how far 1 of each target takes the
+    lower ones. upper_rows, lower_rows: of the rim, from corner to corner, pair by pair. hidden_px
+    (n_pairs,): so far the lips of each pair part before anything is seen between them.
+    """
+
+    def __init__(self, photo: PhotoFace, lips_px: Array) -> None:
+        parts = {part.name: part for part in photo.twin.parts}
+        own = dict(zip(photo.twin.components, photo.own.tolist(), strict=True))
+        self.upper = _seen_part(photo, parts["teeth_upper"], {})
+        self.lower = _seen_part(photo, parts["teeth_lower"], own)
+        lower = parts["teeth_lower"]
+        front = lower.places_mm[:, 2] > lower.places_mm[:, 2].max() - 6.0
+        self.jaw_px = {
+            name: photo.matrix @ moves[front].mean(axis=0) for name, moves in lower.morphs.items()
+        }
+        upper = len(lips_px) // 2
+        self.upper_rows = np.arange(upper + 1)
+        self.lower_rows = np.concatenate([np.arange(upper, len(lips_px)), [0]])[::-1]
+        # Lips that are closed in the photograph have a line of their own where they meet.
+        apart = lips_px[self.lower_rows, :2] - lips_px[self.upper_rows, :2]
+        own_px = np.linalg.norm(apart, axis=1)
+        is_closed = float(own_px.max()) < _CLOSED_MM * photo.px_per_mm
+        slit_px = SLIT_MM * photo.px_per_mm
+        self.hidden_px = own_px + slit_px if is_closed else np.full(len(own_px), slit_px)
+
+
 class MouthInside:
     """Draws the inside of the mouth of one photograph. lips_px (n, 3): the inner rim as it is."""
 
     def __init__(self, photo: PhotoFace, lips_px: Array) -> None:
         self._photo = photo
-        parts = {part.name: part for part in photo.twin.parts}
-        own = dict(zip(photo.twin.components, photo.own.tolist(), strict=True))
-        self._upper = _sprite(photo, parts["teeth_upper"], {})
-        self._lower = _sprite(photo, parts["teeth_lower"], own)
-        lower = parts["teeth_lower"]
-        front = lower.places_mm[:, 2] > lower.places_mm[:, 2].max() - 6.0
-        self._jaw_px = {
-            name: photo.matrix @ moves[front].mean(axis=0) for name, moves in lower.morphs.items()
-        }
-        self._own = own
+        parts = MouthParts(photo, lips_px)
+        self._upper, self._lower = _sprite(parts.upper), _sprite(parts.lower)
+        self._jaw_px = parts.jaw_px
+        self._own = dict(zip(photo.twin.components, photo.own.tolist(), strict=True))
         self._tone = _tone(photo.picture, lips_px)
-        upper = len(lips_px) // 2
-        self._upper_rows = np.arange(upper + 1)
-        self._lower_rows = np.concatenate([np.arange(upper, len(lips_px)), [0]])[::-1]
-        self._rest_px = lips_px[:, :2]
-        # Lips that are closed in the photograph have a line of their own where they meet.
-        own_px = np.linalg.norm(
-            self._rest_px[self._lower_rows] - self._rest_px[self._upper_rows], axis=1
-        )
-        is_closed = float(own_px.max()) < _CLOSED_MM * photo.px_per_mm
-        slit_px = _SLIT_MM * photo.px_per_mm
-        self._own_px = own_px + slit_px if is_closed else np.full(len(own_px), slit_px)
+        self._upper_rows, self._lower_rows = parts.upper_rows, parts.lower_rows
+        self._rest_px, self._own_px = lips_px[:, :2], parts.hidden_px
 
     def draw_into(
         self, picture: Picture, frame: Frame, lips_px: Array, turned: tuple[Array, Array]
@@ -106,8 +132,8 @@ class MouthInside:
         inside = self._inside(frame, turned, low, view.shape[:2], gaps)
         cover = gaps.cover[..., None]
         # Lips that hardly part are seen through nothing: what is between them is their own shade.
-        apart = np.clip(gaps.open_px / (_PARTED_MM * self._photo.px_per_mm), 0.0, 1.0)[..., None]
-        inside = apart * inside + (1 - apart) * (_SHADE * lips)
+        apart = np.clip(gaps.open_px / (PARTED_MM * self._photo.px_per_mm), 0.0, 1.0)[..., None]
+        inside = apart * inside + (1 - apart) * (SHADE * lips)
         hole = gaps.hole[..., None]
         rim = hole * lips + (1 - hole) * view.astype(np.float32)
         view[...] = np.clip(cover * inside + (1 - cover) * rim, 0, 255).astype(np.uint8)
@@ -125,15 +151,15 @@ class MouthInside:
         jaw = np.zeros(3)
         for name, way in self._jaw_px.items():
             jaw = jaw + (amounts[name] - self._own[name]) * way
-        pixels = np.broadcast_to(_DARKNESS, (*shape, 3)).astype(np.float32)
+        pixels = np.broadcast_to(DARKNESS, (*shape, 3)).astype(np.float32)
         for sprite, moved in ((self._lower, jaw), (self._upper, np.zeros(3))):
             seen = _placed(sprite, turned, moved, low, shape)
             pixels = seen[..., 3:] * seen[..., :3] + (1 - seen[..., 3:]) * pixels
         gap_mm = gaps.widest_px / self._photo.px_per_mm
-        share = np.clip((gap_mm - _DARK_MM) / (_LIGHT_MM - _DARK_MM), 0.0, 1.0)
-        light = _LEAST_LIGHT + (1 - _LEAST_LIGHT) * share * share * (3 - 2 * share)
+        share = np.clip((gap_mm - DARK_MM) / (LIGHT_MM - DARK_MM), 0.0, 1.0)
+        light = LEAST_LIGHT + (1 - LEAST_LIGHT) * share * share * (3 - 2 * share)
         shadow = 0.45 + 0.55 * np.clip(
-            gaps.below_upper_px / (_SHADOW_MM * self._photo.px_per_mm), 0.0, 1.0
+            gaps.below_upper_px / (SHADOW_MM * self._photo.px_per_mm), 0.0, 1.0
         )
         return np.asarray(pixels * (light * shadow[..., None]) * self._tone, dtype=np.float32)
 
@@ -206,28 +232,31 @@ def _placed(
     return np.asarray(seen, dtype=np.float32)
 
 
-def _sprite(photo: PhotoFace, part: Part, own: dict[str, float]) -> _Sprite:
+def _seen_part(photo: PhotoFace, part: Part, own: dict[str, float]) -> SeenPart:
     """A part of the twin in the pose of the photograph, shaded."""
-    import cv2
-
     places_mm = part.places_mm.copy()
     for name, moves in part.morphs.items():
         places_mm += own.get(name, 0.0) * moves
     px = photo.in_picture(places_mm)
-    low = np.append(np.floor(px[:, :2].min(axis=0)) - 1, px[:, 2].max())
-    fine = (px[:, :2] - low[:2]) * _FINE + (_FINE - 1) / 2.0
-    width, height = (np.ceil(fine.max(axis=0)) + 2 * _FINE).astype(int).tolist()
-    normals = vertex_normals(places_mm, part.triangles)
-    facing = np.clip(normals @ _LIGHT, 0.0, 1.0)
+    facing = np.clip(vertex_normals(places_mm, part.triangles) @ _LIGHT, 0.0, 1.0)
     # Farther back in the mouth it is darker.
     deep_mm = places_mm[:, 2].max() - places_mm[:, 2]
     lit = (0.55 + 0.45 * facing) * np.exp(-deep_mm / 24.0)
-    colours = 255.0 * part.colours * lit[:, None]
     order = np.argsort(px[part.triangles, 2].mean(axis=1))
-    triangles = part.triangles[order]
-    corners = fine[triangles]
+    return SeenPart(px, 255.0 * part.colours * lit[:, None], part.triangles[order])
+
+
+def _sprite(part: SeenPart) -> _Sprite:
+    """A part drawn once."""
+    import cv2
+
+    px = part.places_px
+    low = np.append(np.floor(px[:, :2].min(axis=0)) - 1, px[:, 2].max())
+    fine = (px[:, :2] - low[:2]) * _FINE + (_FINE - 1) / 2.0
+    width, height = (np.ceil(fine.max(axis=0)) + 2 * _FINE).astype(int).tolist()
+    corners = fine[part.triangles]
     found = covered(corners, height, width)
-    painted = found.interpolated(corners, colours[triangles]).T
+    painted = found.interpolated(corners, part.colours[part.triangles]).T
     pixels = np.zeros((height, width, 4), dtype=np.float32)
     pixels[found.rows, found.columns, :3] = painted
     pixels[found.rows, found.columns, 3] = 1.0

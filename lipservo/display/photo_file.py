@@ -111,23 +111,37 @@ def read_landmarks(path: Path, share: float) -> Landmarks:
         if path.stat().st_size > _MOST_JSON_BYTES:
             raise PhotoError(f"{path}: too large for the points of a face")
         points = json.loads(path.read_text(encoding="utf-8"))["points_px"]
-        found = {_number(name): np.array(place, dtype=np.float64) for name, place in points.items()}
     except OSError as error:
         raise PhotoError(f"{path}: cannot be read ({error.strerror})") from error
-    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
-        if isinstance(error, PhotoError):
-            raise
-        raise PhotoError(
-            f"{path}: no points of a face ({error}); write "
-            '{"points_px": {"nose_tip": [x, y], ...}}, names: ' + ", ".join(HAND_POINTS)
-        ) from error
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        raise PhotoError(f"{path}: {_no_points(error)}") from error
+    try:
+        return {number: _scaled(place, share) for number, place in landmarks_of(points).items()}
+    except PhotoError as error:
+        raise PhotoError(f"{path}: {error}") from error
+
+
+def landmarks_of(points: object) -> Landmarks:
+    """Landmarks from what stands under `points_px`. Raises PhotoError without a file's name."""
+    try:
+        named = dict(points)  # type: ignore[call-overload]
+        found = {_number(name): np.array(place, dtype=np.float64) for name, place in named.items()}
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise PhotoError(_no_points(error)) from error
     for number, place in found.items():
         if place.shape not in ((2,), (3,)) or not np.isfinite(place).all():
-            raise PhotoError(f"{path}: landmark {number} is no [x, y] or [x, y, z]")
+            raise PhotoError(f"landmark {number} is no [x, y] or [x, y, z]")
     missing = [name for name, number in HAND_POINTS.items() if number not in found]
     if missing:
-        raise PhotoError(f"{path}: lacks {', '.join(missing)}")
-    return {number: _scaled(place, share) for number, place in found.items()}
+        raise PhotoError(f"lacks {', '.join(missing)}")
+    return found
+
+
+def _no_points(error: Exception) -> str:
+    return (
+        f'no points of a face ({error}); write {{"points_px": {{"nose_tip": [x, y], ...}}}}, '
+        "names: " + ", ".join(HAND_POINTS)
+    )
 
 
 def framed(

@@ -37,7 +37,7 @@ _MOST = {np.dtype(np.int16): 32767, np.dtype(np.int8): 127}
 
 def pack(twin: Twin) -> bytes:
     """The whole twin; the header's fields are those of `Twin`, `Part` and `Eyeball`."""
-    body = _Body()
+    body = Body()
     amounts = dict(zip(twin.components, twin.deviations.tolist(), strict=True))
     header = {
         "version": PACKED_VERSION,
@@ -57,9 +57,7 @@ def pack(twin: Twin) -> bytes:
         ],
         "parts": [_part(part, amounts, body) for part in twin.parts],
     }
-    header_bytes = json.dumps(header).encode()
-    header_bytes += b" " * (-(4 + len(header_bytes)) % 4)
-    return struct.pack("<I", len(header_bytes)) + header_bytes + b"".join(body.pieces)
+    return body.behind(header)
 
 
 def unpack(packed: bytes) -> dict[str, dict[str, Any]]:
@@ -85,12 +83,18 @@ def unpack(packed: bytes) -> dict[str, dict[str, Any]]:
     }
 
 
-class _Body:
-    """The arrays, one after another."""
+class Body:
+    """Arrays as bytes, one after another."""
 
     def __init__(self) -> None:
         self.pieces: list[bytes] = []
         self._length = 0
+
+    def behind(self, header: Mapping[str, object]) -> bytes:
+        """All of it behind its header."""
+        text = json.dumps(header).encode()
+        text += b" " * (-(4 + len(text)) % 4)
+        return struct.pack("<I", len(text)) + text + b"".join(self.pieces)
 
     def add(self, values: NDArray[Any], kind: str) -> dict[str, object]:
         """Where the array lies and how it is read."""
@@ -108,7 +112,7 @@ class _Body:
         return {**self.add(np.rint(values / step), kind), "step": step}
 
 
-def _part(part: Part, amounts: Mapping[str, float], body: _Body) -> dict[str, object]:
+def _part(part: Part, amounts: Mapping[str, float], body: Body) -> dict[str, object]:
     normals = vertex_normals(part.places_mm, part.triangles)
     return {
         "name": part.name,

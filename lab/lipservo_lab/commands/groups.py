@@ -111,6 +111,9 @@ class StudyGroup(LazyGroup):
             "make": Command(f"{_STUDY}:make", "Film the clips, and deal them out."),
             "serve": Command(f"{_STUDY}:serve", "Show them to raters in a browser."),
             "report": Command(f"{_STUDY}:report", "What the raters said."),
+            "recorded": Command(
+                "lipservo_lab.commands.study.recorded:recorded", "How a person said a sentence."
+            ),
             "rehearse": Command(f"{_STUDY}:rehearse", "Simulated raters sit a study."),
             "power": Command(f"{_STUDY}:power", "How many raters see which difference."),
         }

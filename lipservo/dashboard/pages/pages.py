@@ -75,7 +75,7 @@ def build_pages(link: FaceLink, making: Path | None = None) -> None:
 def _add(
     link: FaceLink, making: Path | None, path: str, scripts: Sequence[str], fill: Fill
 ) -> None:
-    @ui.page(path, dark=False, reconnect_timeout=_PATIENCE_S)
+    @ui.page(path, dark=None, reconnect_timeout=_PATIENCE_S)
     async def page() -> None:
         status = link.status
         config = None if status is None else status.get("config")

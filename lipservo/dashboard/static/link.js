@@ -19,6 +19,7 @@ export const face = {
   hello: null,
   frame: null,
   status: null,
+  held: null, // a frame of a recorded run: drawn in place of the newest
   frameAtMs: -Infinity,
   trouble: null, // why there is no status
   refusal: null, // why this page may not see the face: a sentence about the token
@@ -154,8 +155,9 @@ function drawAll() {
   const everyMs = pictureMs > SLOW_PICTURE_MS ? SLOW_SHARE * pictureMs : PAINT_MS;
   if (!face.frame || nowMs - paintedMs < everyMs || waitsForTwin(nowMs)) return;
   paintedMs = nowMs;
-  if (face.frame !== drawn) tell("draw", face.frame);
-  drawn = face.frame;
+  const shown = face.held ?? face.frame;
+  if (shown !== drawn) tell("draw", shown);
+  drawn = shown;
   tell("paint", face.frame);
 }
 

@@ -75,9 +75,12 @@ def make_app(
 
     from lipservo.dashboard.pages.pages import build_pages
     from lipservo.dashboard.twin.element import twin_routes
+    from lipservo.dashboard.web.photo_routes import photo_routes
 
     pages = FastAPI(openapi_url=None, docs_url=None, redoc_url=None, lifespan=running)
-    twin_routes(pages, load_face(model))
+    face = load_face(model)
+    twin_routes(pages, face)
+    photo_routes(pages, face)
     build_pages(link, None if hour is None else hour.path)
     ui.run_with(pages, title="lipservo", show_welcome_message=False, tailwind=False)
     return with_access(_Parted(make_api(link, hour), pages), link, token, code)

@@ -42,8 +42,8 @@ def opened(share):
 
 
 def gap_px(display, frame):
-    moved, _ = display.moved(frame)
-    upper, lower = (moved[display.vertex_of(INNER_LIP[at])] for at in (5, 15))
+    moved, _ = display.warp.moved(frame)
+    upper, lower = (moved[display.warp.vertex_of(INNER_LIP[at])] for at in (5, 15))
     return float(lower[1] - upper[1])
 
 
@@ -83,8 +83,13 @@ def test_the_wider_the_model_opens_the_darker_is_the_mouth():
     gaps = [gap_px(display, opened(share)) for share in (0.0, 1.0, 2.0, 2.6)]
     assert gaps == sorted(gaps)
     assert gaps[0] < 1.0 < 6.0 < gaps[-1]
-    moved, _ = display.moved(opened(2.6))
-    x, y = moved[[display.vertex_of(13), display.vertex_of(14)]].mean(axis=0).round().astype(int)
+    moved, _ = display.warp.moved(opened(2.6))
+    x, y = (
+        moved[[display.warp.vertex_of(13), display.warp.vertex_of(14)]]
+        .mean(axis=0)
+        .round()
+        .astype(int)
+    )
     closed, open_ = display.draw(opened(0.0)), display.draw(opened(2.6))
     assert open_[y, x].mean() < closed[y, x].mean() - 40
 
@@ -97,11 +102,11 @@ def test_lips_that_overlap_in_the_model_meet_in_the_photograph():
 
 def test_no_triangle_turns_over_in_any_likely_mouth():
     display = twin()
-    mesh = display.mesh
+    mesh = display.warp.mesh
     before = np.sign(areas_px2(mesh.rest_px, mesh.triangles))
     mouths = np.random.default_rng(4).multivariate_normal(np.zeros(8), FACE.covariance, 60)
     for each in mouths:
-        moved, _ = display.moved(Frame(0.0, each))
+        moved, _ = display.warp.moved(Frame(0.0, each))
         assert (np.sign(areas_px2(moved, mesh.triangles)) == before).all()
 
 
@@ -111,17 +116,17 @@ def test_the_background_stays_and_the_head_turns_before_it():
     turned = display.draw(Frame(0.0, display.own, Expression(neck_yaw_deg=9.0)))
     assert (turned[:5] == still[:5]).all()
     assert (turned[:, :5] == still[:, :5]).all()
-    nose = display.vertex_of(1)
-    moved, _ = display.moved(Frame(0.0, display.own, Expression(neck_yaw_deg=9.0)))
+    nose = display.warp.vertex_of(1)
+    moved, _ = display.warp.moved(Frame(0.0, display.own, Expression(neck_yaw_deg=9.0)))
     # Its own left is the picture's right.
-    assert moved[nose, 0] > display.mesh.rest_px[nose, 0] + 5.0
+    assert moved[nose, 0] > display.warp.mesh.rest_px[nose, 0] + 5.0
 
 
 def test_a_lid_that_shuts_comes_down_to_the_lower_one():
     display = twin()
-    upper, lower = (display.vertex_of(each) for each in (159, 145))
-    shut, _ = display.moved(Frame(0.0, display.own, Expression(lid_right=1.0)))
-    open_px = display.mesh.rest_px[lower, 1] - display.mesh.rest_px[upper, 1]
+    upper, lower = (display.warp.vertex_of(each) for each in (159, 145))
+    shut, _ = display.warp.moved(Frame(0.0, display.own, Expression(lid_right=1.0)))
+    open_px = display.warp.mesh.rest_px[lower, 1] - display.warp.mesh.rest_px[upper, 1]
     assert shut[lower, 1] - shut[upper, 1] < 0.35 * open_px
 
 
@@ -130,11 +135,12 @@ def test_twenty_points_set_by_hand_are_enough_and_are_met():
     by_hand = {number: known[number][:2] for number in HAND_POINTS.values()}
     display = PhotoDisplay(photo_face(blank(), by_hand, FACE))
     for number, place in by_hand.items():
-        at = display.mesh.rest_px[display.vertex_of(number)]
+        at = display.warp.mesh.rest_px[display.warp.vertex_of(number)]
         np.testing.assert_allclose(at, place, atol=0.01)
-    others = [n for n in range(468) if n not in by_hand and display.vertex_of(n) >= 0]
+    others = [n for n in range(468) if n not in by_hand and display.warp.vertex_of(n) >= 0]
     away = [
-        np.linalg.norm(display.mesh.rest_px[display.vertex_of(n)] - known[n][:2]) for n in others
+        np.linalg.norm(display.warp.mesh.rest_px[display.warp.vertex_of(n)] - known[n][:2])
+        for n in others
     ]
     assert np.median(away) < 8.0  # of a face 380 pixels wide
 
@@ -184,7 +190,7 @@ def test_a_filmed_talker_speaks_from_the_landmarks_of_the_corpus():
     still, open_ = (display.draw(opened(share)) for share in (0.0, 2.0))
     moved = np.abs(still.astype(int) - open_).sum(axis=2) > 60
     rows = np.flatnonzero(moved.any(axis=1))
-    mouth = display.mesh.rest_px[display.vertex_of(13), 1]
+    mouth = display.warp.mesh.rest_px[display.warp.vertex_of(13), 1]
     assert abs(np.median(np.nonzero(moved)[0]) - mouth) < 25
     assert rows.min() > mouth - 40
 

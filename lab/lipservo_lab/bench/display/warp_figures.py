@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from lipservo.display.lip_contact import areas_px2
-from lipservo.display.photo_display import PhotoDisplay, rotation
+from lipservo.display.photo_display import PhotoDisplay
 from lipservo.display.photo_face import photo_face
 from lipservo.display.photo_file import Landmarks, framed
+from lipservo.display.photo_warp import rotation
 from lipservo.display.shipped_faces import TWIN_SIZE, twin_landmarks
 from lipsync.array_archive import ArrayArchive
 from lipsync.arrays import Array
@@ -91,18 +92,18 @@ def warp_figures(
 
 
 def _folds(display: PhotoDisplay, frame: Frame) -> int:
-    mesh = display.mesh
+    mesh = display.warp.mesh
     before = areas_px2(mesh.rest_px, mesh.triangles)
-    after = areas_px2(display.moved(frame)[0], mesh.triangles)
+    after = areas_px2(display.warp.moved(frame)[0], mesh.triangles)
     return int((np.sign(after) != np.sign(before)).sum())
 
 
 def _rest_error_px(display: PhotoDisplay, landmarks: Landmarks) -> float:
     """The farthest that a landmark is drawn from where it is, in the photograph's own pose."""
     frame = Frame(0.0, display.own)
-    moved = display.moved(frame)[0]
-    numbers = [n for n in landmarks if n < N_SKIN and display.vertex_of(n) >= 0]
-    at = np.stack([moved[display.vertex_of(n)] for n in numbers])
+    moved = display.warp.moved(frame)[0]
+    numbers = [n for n in landmarks if n < N_SKIN and display.warp.vertex_of(n) >= 0]
+    at = np.stack([moved[display.warp.vertex_of(n)] for n in numbers])
     wanted = np.stack([landmarks[n][:2] for n in numbers])
     drawn = _source(display, moved, wanted) - wanted
     return float(
@@ -117,12 +118,12 @@ def _marker_error_px(display: PhotoDisplay, face: FaceModel, coefficients: Array
     pose, in the size and turn of this head.
     """
     wanted, drawn = [], []
-    moved = display.moved(Frame(0.0, coefficients))[0]
+    moved = display.warp.moved(Frame(0.0, coefficients))[0]
     model = display.model_moves_px(face, coefficients)
     for landmark, move in zip(face.layout.landmarks, model, strict=True):
-        vertex = display.vertex_of(landmark) if landmark < N_SKIN else -1
+        vertex = display.warp.vertex_of(landmark) if landmark < N_SKIN else -1
         if vertex >= 0:
-            wanted.append(display.mesh.rest_px[vertex] + move)
+            wanted.append(display.warp.mesh.rest_px[vertex] + move)
             drawn.append(moved[vertex])
     return float(np.linalg.norm(np.array(wanted) - drawn, axis=1).mean())
 

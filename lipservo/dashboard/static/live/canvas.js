@@ -16,6 +16,11 @@ export function fitted(canvas) {
   return { context, width, height };
 }
 
+/** A colour of the stylesheet, by its name: dark where the page is. */
+export function colour(canvas, name) {
+  return getComputedStyle(canvas).getPropertyValue(`--${name}`);
+}
+
 /** The time at the right edge: it goes on smoothly between two frames, and stops with them. */
 export function shownTimeS(frame, ageMs) {
   return frame.timeS + Math.min(ageMs, 100) / 1000;

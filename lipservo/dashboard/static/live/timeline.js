@@ -1,5 +1,5 @@
 // The phonemes of the last four seconds, as the mouth shows them; now is at the right.
-import { LONGEST_SPAN_S, fitted, shownTimeS, spanS } from "./canvas.js";
+import { LONGEST_SPAN_S, colour, fitted, shownTimeS, spanS } from "./canvas.js";
 import { facts, frameAgeMs, onFrame, onPaint } from "../link.js";
 
 /** Runs of one phoneme: {phoneme, fromS, toS}, oldest first. Pure, but for `runs` itself. */
@@ -51,7 +51,7 @@ class FaceTimeline extends HTMLElement {
 }
 
 function drawSeconds(context, nowS, pxPerS, width, height) {
-  context.strokeStyle = "#dfe5ea";
+  context.strokeStyle = colour(context.canvas, "line");
   context.lineWidth = 1;
   for (let s = Math.floor(nowS); s > nowS - LONGEST_SPAN_S; s -= 1) {
     const x = Math.round(width - (nowS - s) * pxPerS) + 0.5;

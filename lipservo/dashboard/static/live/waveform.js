@@ -1,5 +1,5 @@
 // The sound that belongs to what the mouth shows: loudest sample of every 10 ms, four seconds.
-import { LONGEST_SPAN_S, fitted, shownTimeS, spanS } from "./canvas.js";
+import { LONGEST_SPAN_S, colour, fitted, shownTimeS, spanS } from "./canvas.js";
 import { frameAgeMs, onFrame, onPaint } from "../link.js";
 
 const BLOCK_S = 0.01;
@@ -40,15 +40,16 @@ class FaceWaveform extends HTMLElement {
     const pxPerS = width / spanS(width);
     const middle = height / 2;
     context.clearRect(0, 0, width, height);
-    context.fillStyle = "#c9d3dc";
+    context.fillStyle = colour(this.canvas, "edge");
     context.fillRect(0, middle - 0.5, width, 1);
+    const blue = colour(this.canvas, "blue");
     const wide = Math.max(1.5, pxPerS * BLOCK_S - 0.7);
     for (let i = 0; i < N_KEPT; i += 1) {
       const ageS = nowS - this.times[i];
       if (!(ageS >= -GAP_S && ageS <= LONGEST_SPAN_S) || this.peaks[i] === 0) continue;
       // The square root shows quiet speech too: 1 % of full scale is a tenth of the height.
       const reach = Math.sqrt(this.peaks[i]) * (middle - 3);
-      context.fillStyle = this.peaks[i] > 0.995 ? "#c81e1e" : "#3f6f9f";
+      context.fillStyle = this.peaks[i] > 0.995 ? "#c81e1e" : blue;
       context.fillRect(width - ageS * pxPerS, middle - reach, wide, 2 * reach);
     }
   }

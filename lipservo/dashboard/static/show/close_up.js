@@ -19,6 +19,7 @@ class FaceCloseUp extends HTMLElement {
     while (!window.twin) await new Promise((resolve) => setTimeout(resolve, 50));
     await window.twin.loaded;
     window.twin.closeUp(isNear);
+    window.photograph?.view?.closeUp(isNear);
   }
 }
 

@@ -138,11 +138,11 @@ function makeView(stage, root) {
   const probe = document.createElement("canvas").getContext("webgl2");
   if (!probe) throw new Error("this browser has no WebGL");
   probe.getExtension("WEBGL_lose_context")?.loseContext();
-  const renderer = new THREE.WebGLRenderer({ antialias: true });
+  const renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true });
   renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
   stage.append(renderer.domElement);
   const scene = new THREE.Scene();
-  scene.background = new THREE.Color(0xe9eef3);
+  renderer.setClearColor(0, 0);
   scene.add(new THREE.HemisphereLight(0xffffff, 0x8a8f94, 2.2));
   const lamp = new THREE.DirectionalLight(0xffffff, 1.6);
   lamp.position.set(-1, 1.5, 2);

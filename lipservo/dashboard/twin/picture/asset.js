@@ -1,10 +1,11 @@
-// Reads what lipsync/twin/packed.py writes: a header in JSON, then arrays.
+// Reads what lipsync/twin/packed.py and lipservo/display/photo_packed.py write: a header in JSON,
+// then arrays.
 
 const ARRAYS = { "<f4": Float32Array, "<u2": Uint16Array, u1: Uint8Array };
 const SCALED = { "<i2": Int16Array, i1: Int8Array };
 
-/** The header, with arrays in the place of what says where they lie; lengths in mm. */
-export function readAsset(buffer) {
+/** The header, and array(where): what lies there, scaled where it says by what. */
+export function readPacked(buffer) {
   const length = new DataView(buffer).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
   const body = 4 + length;
@@ -17,6 +18,12 @@ export function readAsset(buffer) {
     return scaled;
   }
 
+  return { header, array };
+}
+
+/** The header of a twin, with arrays in the place of what says where they lie; lengths in mm. */
+export function readAsset(buffer) {
+  const { header, array } = readPacked(buffer);
   for (const part of header.parts) {
     for (const name of ["places", "triangles", "normals", "colours"]) part[name] = array(part[name]);
     for (const morph of part.morphs) {

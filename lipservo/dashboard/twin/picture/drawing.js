@@ -12,7 +12,7 @@ export function makeDrawing(container, asset, onDrawn) {
   const note = document.createElement("div");
   note.textContent = WITHOUT_WEBGL;
   note.className = "twin-note";
-  note.style.cssText = "position:absolute;bottom:6px;left:10px;font:13px sans-serif;color:#555";
+  note.style.cssText = "position:absolute;bottom:6px;left:10px;font:13px sans-serif;color:var(--soft, #555)";
   container.append(canvas, note);
   const paint = canvas.getContext("2d");
   const skin = asset.parts[0];
@@ -26,8 +26,7 @@ export function makeDrawing(container, asset, onDrawn) {
     canvas.width = width;
     canvas.height = height;
     const scale = height / HEIGHT_MM;
-    paint.fillStyle = "#e9eef3";
-    paint.fillRect(0, 0, width, height);
+    paint.clearRect(0, 0, width, height);
     paint.setTransform(
       scale, 0, 0, -scale, width / 2 - MIDDLE_MM[0] * scale, height / 2 + MIDDLE_MM[1] * scale,
     );

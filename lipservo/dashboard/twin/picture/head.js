@@ -1,10 +1,11 @@
 // The head in three.js, of NiceGUI's scene module. Draws only when something has changed.
 
 import { OrbitControls, THREE } from "nicegui-scene";
+import { earParts } from "./ears.js";
 import { eyeTexture } from "./eye_texture.js";
+import { plainMesh } from "./plain_mesh.js";
 import { lipGapMm } from "./pose.js";
 
-const BACKGROUND = 0xe9eef3;
 const LOOK_AT_MM = [0, -52, -45];
 const DISTANCE_MM = 640;
 const FIELD_OF_VIEW_DEG = 27;
@@ -22,27 +23,28 @@ const MATERIALS = {
   lids_left: { roughness: 0.7, side: THREE.DoubleSide },
   lids_right: { roughness: 0.7, side: THREE.DoubleSide },
   neck: { roughness: 0.6 },
+  ear: { roughness: 0.62 },
 };
 
 /**
  * Needs WebGL. Returns {show(pose), stop(), triangles, element}; onDrawn is called after every
- * redraw. What a processor draws alone it draws without smoothing edges: that takes most of the time.
+ * redraw. What a processor draws alone is simpler (plain_mesh.js), and its edges are not smoothed.
  */
 export function makeHead(container, asset, onDrawn, { inSoftware }) {
-  const renderer = new THREE.WebGLRenderer({ antialias: !inSoftware });
+  const renderer = new THREE.WebGLRenderer({ antialias: !inSoftware, alpha: true });
   renderer.setPixelRatio(inSoftware ? 1 : Math.min(window.devicePixelRatio, 2));
   // Asking after errors waits for every shader to be compiled, one after the other.
   renderer.debug.checkShaderErrors = false;
   container.append(renderer.domElement);
   const scene = new THREE.Scene();
-  scene.background = new THREE.Color(BACKGROUND);
+  renderer.setClearColor(0, 0); // the page is seen behind it, light or dark
   light(scene);
 
   const pivot = new THREE.Vector3(...asset.pivot_mm);
   const head = new THREE.Group();
   head.position.copy(pivot);
   scene.add(head);
-  const meshes = asset.parts.map((part) => {
+  const meshes = [...asset.parts, ...earParts(asset)].map((part) => {
     const mesh = meshOf(part, inSoftware);
     if (part.stays) {
       scene.add(mesh);
@@ -104,16 +106,12 @@ export function makeHead(container, asset, onDrawn, { inSoftware }) {
       controls.update();
       drawSoon();
     },
-    triangles: asset.parts[0].triangles.length / 3,
+    triangles: meshes[0].geometry.index.count / 3,
     element: renderer.domElement,
     show(pose) {
       turn(head, pose.neckDeg);
       for (const eye of eyes) turn(eye, pose.eyesDeg);
-      for (const mesh of meshes) {
-        mesh.userData.targets.forEach((name, k) => {
-          mesh.morphTargetInfluences[k] = pose.targets[name];
-        });
-      }
+      for (const mesh of meshes) mesh.userData.move(pose.targets);
       const light = mouthLight(lipGapMm(asset, pose.targets));
       for (const mesh of inMouth) mesh.material.color.setScalar(light);
       drawSoon();
@@ -145,37 +143,47 @@ function turn(object, { pitch, yaw, roll }) {
 }
 
 function meshOf(part, inSoftware) {
+  const colours = linear(part.colours);
+  const { mesh, move } = inSoftware
+    ? plainMesh(part, colours, { vertexColors: true, side: MATERIALS[part.name].side ?? THREE.FrontSide })
+    : morphedMesh(part, colours);
+  mesh.name = part.name;
+  mesh.frustumCulled = false;
+  mesh.userData.move = move;
+  return mesh;
+}
+
+/** {mesh, move(targets)}; the shader moves it. */
+function morphedMesh(part, colours) {
   const geometry = new THREE.BufferGeometry();
   const floats = (values) => new THREE.BufferAttribute(values, 3);
   geometry.setAttribute("position", floats(part.places));
   geometry.setAttribute("normal", floats(part.normals));
-  geometry.setAttribute("color", floats(linear(part.colours)));
+  geometry.setAttribute("color", floats(colours));
   geometry.setIndex(new THREE.BufferAttribute(part.triangles, 1));
   geometry.morphTargetsRelative = true;
   if (part.morphs.length) {
     geometry.morphAttributes.position = part.morphs.map((morph) => floats(morph.moves));
-    // A processor alone would spend half of each picture on them.
-    if (!inSoftware) geometry.morphAttributes.normal = part.morphs.map((morph) => floats(morph.turns));
+    geometry.morphAttributes.normal = part.morphs.map((morph) => floats(morph.turns));
   }
-  const material = materialOf({ vertexColors: true, ...MATERIALS[part.name] }, inSoftware);
+  const material = new THREE.MeshStandardMaterial({ vertexColors: true, ...MATERIALS[part.name] });
   const mesh = new THREE.Mesh(geometry, material);
-  mesh.name = part.name;
-  mesh.frustumCulled = false;
-  mesh.userData.targets = part.morphs.map((morph) => morph.name);
-  return mesh;
+  const move = (targets) => {
+    part.morphs.forEach(({ name }, k) => (mesh.morphTargetInfluences[k] = targets[name]));
+  };
+  return { mesh, move };
 }
 
-/** A surface that shines; a processor alone takes seconds for that, and draws a matt one. */
-function materialOf({ roughness, ...look }, inSoftware) {
-  if (inSoftware) return new THREE.MeshLambertMaterial(look);
-  return new THREE.MeshStandardMaterial({ ...look, roughness });
-}
-
+/** A processor alone draws a matt one, of fewer triangles. */
 function eyeball(eye, inSoftware) {
-  const geometry = new THREE.SphereGeometry(eye.radius_mm, 48, 40).rotateX(Math.PI / 2);
+  const [around, down] = inSoftware ? [20, 16] : [48, 40];
+  const geometry = new THREE.SphereGeometry(eye.radius_mm, around, down).rotateX(Math.PI / 2);
   const map = new THREE.CanvasTexture(eyeTexture(eye.iris_radius_mm, eye.radius_mm));
   map.colorSpace = THREE.SRGBColorSpace;
-  return new THREE.Mesh(geometry, materialOf({ map, roughness: 0.18 }, inSoftware));
+  const material = inSoftware
+    ? new THREE.MeshBasicMaterial({ map })
+    : new THREE.MeshStandardMaterial({ map, roughness: 0.18 });
+  return new THREE.Mesh(geometry, material);
 }
 
 /** sRGB bytes to linear shares. */

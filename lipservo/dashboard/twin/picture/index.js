@@ -5,6 +5,8 @@ import { makeDrawing } from "./drawing.js";
 import { makeHead } from "./head.js";
 import { alike, lipGapMm, poseOf, restingPose } from "./pose.js";
 
+export { readPacked } from "./asset.js";
+
 /**
  * What a page sees of a twin, also as window.twin:
  * apply(frame): show a frame of static/frame.js at the next redraw, the newest only;
@@ -62,6 +64,11 @@ export class TwinPicture {
     if (!alike(pose, this.pose)) this._show(pose);
   }
 
+  /** How far the inner lips are apart with these coefficients, mm; null before the head is there. */
+  gapOf(coefficients) {
+    return this._asset ? lipGapMm(this._asset, poseOf({ coefficients }, this._asset).targets) : null;
+  }
+
   /** Look at the mouth from near, or at the whole head. The simple drawing stays as it is. */
   closeUp(isNear) {
     this.isNear = isNear;
@@ -115,7 +122,7 @@ export function pictureOf(url) {
  * Whether WebGL is there and drawn by a processor alone, {inSoftware}, or null. Asked of a canvas
  * of its own, as three.js writes errors to the console where it finds none.
  */
-function graphicsOf(canvas) {
+export function graphicsOf(canvas) {
   const context = canvas.getContext("webgl2");
   if (!context) return null;
   const names = context.getExtension("WEBGL_debug_renderer_info");

@@ -1,0 +1,53 @@
+"""`lipservo study recorded`: a recorded sentence as a performance, to be filmed beside a method."""
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from lipservo.commands.options import Model
+from lipservo.terminal.output import MESSAGES
+from lipsync.errors import UserError
+
+
+def recorded(
+    corpus: Annotated[Path, typer.Argument(help="Folder laid out like grid_s1.")],
+    sentence: Annotated[str, typer.Argument(help="Name of a sentence in it.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Performance to write (.perf).")],
+    model: Model = None,
+) -> None:
+    """Write how a person said a sentence: the recorded face, with its sound, as a performance.
+
+    `lipservo film SOUND --beside FILE.perf` sets a method beside it; a robot can play it too.
+    """
+    from lipservo_lab.corpus.grid import read_grid
+    from lipsync.face.model import load_face
+    from lipsync.offline.performance import (
+        RATE_HZ,
+        SUFFIX,
+        Performance,
+        is_performance,
+        performed_sound,
+        write_performance,
+    )
+    from lipsync.output_file import check_output
+
+    if output.suffix != SUFFIX:
+        raise UserError(f"{output}: a performance ends in {SUFFIX}")
+    check_output(output, replaces=is_performance, kind="performance", inputs=[])
+    face = load_face(model)
+    utterances = read_grid(corpus, face.layout, skip_bad=True).utterances
+    one = next((each for each in utterances if each.name == sentence), None)
+    if one is None:
+        names = ", ".join(each.name for each in utterances[:5])
+        raise UserError(f"{corpus}: no sentence {sentence}; there are {names} ...")
+    shown = face.coefficients(one.markers_mm)
+    known_s = np.arange(len(shown)) / one.frame_rate_hz
+    times_s = np.arange(int(known_s[-1] * RATE_HZ) + 1) / RATE_HZ
+    columns = [np.interp(times_s, known_s, column) for column in shown.T]
+    faces = np.stack(columns, axis=1).astype(np.float32)
+    sound = performed_sound(one.sound_path, included=True)
+    phones = tuple(each for each in one.phones if each.end_s is not None)
+    write_performance(Performance(face.checksum, faces, phones, sound, "recorded"), output)
+    MESSAGES.print(f"{output}: {times_s[-1]:.1f} s, as recorded; its sound is {one.sound_path}")

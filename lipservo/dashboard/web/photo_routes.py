@@ -1,0 +1,75 @@
+"""A photograph in the page: its warp for points that a browser gives. The picture stays there.
+
+As with a robot's own model, nothing of a person is stored or sent: the browser has the pixels, and
+gives twenty points and a size (docs/decisions/0081-photographs-in-the-page.md).
+"""
+
+import gzip
+import threading
+from importlib import resources
+from typing import Final
+
+import numpy as np
+from fastapi import FastAPI
+from fastapi.responses import FileResponse, JSONResponse, Response
+from pydantic import BaseModel, Field
+
+from lipservo.display.photo_face import HAND_POINTS, photo_face
+from lipservo.display.photo_file import Landmarks, landmarks_of
+from lipservo.display.photo_packed import pack_photo
+from lipservo.display.shipped_faces import TWIN_SIZE, twin_landmarks
+from lipsync.errors import UserError
+from lipsync.face.model import FaceModel
+
+PHOTO_PATH: Final = "/twin/photo"
+#: A browser makes larger pictures smaller before it shows them.
+_LONGEST_SIDE_PX: Final = 4096
+
+
+class PhotoPoints(BaseModel):
+    """Of a photograph: (width, height), and where its face is, as `--landmarks` has it."""
+
+    size: tuple[int, int]
+    points_px: dict[str, list[float]] = Field(max_length=500)
+
+
+def photo_routes(app: FastAPI, face: FaceModel) -> None:
+    """Serve the warp of the shipped picture, and of any points that are posted."""
+    one_at_a_time = threading.Lock()
+
+    def warp(landmarks: Landmarks, size: tuple[int, int]) -> Response:
+        # The warp is that of any pixels: there are none here.
+        no_pixels = np.broadcast_to(np.uint8(0), (size[1], size[0], 3))
+        with one_at_a_time:
+            packed = pack_photo(photo_face(no_pixels, landmarks, face), face)
+        headers = {"Content-Encoding": "gzip", "Cache-Control": "no-store"}
+        return Response(
+            gzip.compress(packed, compresslevel=4),
+            media_type="application/octet-stream",
+            headers=headers,
+        )
+
+    # Not async: FastAPI runs them in threads, so that other answers do not wait.
+    @app.get(f"{PHOTO_PATH}.jpg", include_in_schema=False)
+    def picture() -> Response:
+        with resources.as_file(resources.files("lipservo.display") / "twin.jpg") as path:
+            return FileResponse(path, headers={"Cache-Control": "no-cache"})
+
+    @app.get(f"{PHOTO_PATH}.json", include_in_schema=False)
+    def points() -> Response:
+        known = twin_landmarks()
+        at = {name: np.round(known[n][:2], 1).tolist() for name, n in HAND_POINTS.items()}
+        return JSONResponse({"size": TWIN_SIZE, "points_px": at})
+
+    @app.get(f"{PHOTO_PATH}.bin", include_in_schema=False)
+    def shipped() -> Response:
+        return warp(twin_landmarks(), TWIN_SIZE)
+
+    @app.post(f"{PHOTO_PATH}.bin", include_in_schema=False)
+    def of_points(given: PhotoPoints) -> Response:
+        try:
+            if not all(64 <= each <= _LONGEST_SIDE_PX for each in given.size):
+                raise UserError(f"64 to {_LONGEST_SIDE_PX} pixels each way")
+            return warp(landmarks_of(given.points_px), given.size)
+        except UserError as error:
+            return JSONResponse({"error": str(error)}, 422)

@@ -1,0 +1,200 @@
+"""Where the points of a photograph go when its face moves: its flat mesh, moved by a frame.
+
+From the back: rings round the face, which give way; the eyes; the skin with the lips, moved by the
+model's targets. Lips meet where the model's do, and no triangle turns over (`lip_contact.py`).
+`lipservo/dashboard/twin/picture/photo_warp.js` does the same in a page.
+"""
+
+from dataclasses import fields
+from itertools import pairwise
+
+import numpy as np
+
+from lipservo.display.lip_contact import LipContact, Mesh, Unfolding
+from lipservo.display.photo_face import PhotoFace
+from lipsync.arrays import Array, Indices
+from lipsync.face.frame import Frame
+from lipsync.markers import INNER_LIP
+from lipsync.twin.head_surface import FACE_RIM, LEFT_EYE, RIGHT_EYE, boundary_loops
+
+#: How far round the face the background gives way, in parts of its size, and by how much.
+RINGS = ((0.06, 0.9), (0.16, 0.68), (0.30, 0.42), (0.48, 0.2), (0.70, 0.0))
+#: Of so many neighbours on each side the rim's motion is the mean before the rings take it over.
+RIM_NEIGHBOURS = 4
+#: A head turned farther than this shows what no photograph from the front has, degrees.
+MOST_POSE_DEG = {"pitch": 10.0, "yaw": 12.0, "roll": 12.0}
+#: What lids, brows and smile can be asked for without looking like a mask.
+MOST = {"lid_left": (0.0, 1.0), "lid_right": (0.0, 1.0), "brow": (-0.4, 1.0), "smile": (-0.5, 0.9)}
+
+
+class PhotoWarp:
+    """The mesh of one photograph.
+
+    places_mm (n_skin, 3) and targets: of the skin's vertices, which are the mesh's first, of the
+    head in mm. lips, rim: rows of its loops, from a corner of the mouth. eyes: of each, rows of its
+    loop; their own vertices come next, those of a loop and then its middle. The rings are last.
+    """
+
+    def __init__(self, photo: PhotoFace) -> None:
+        self._photo = photo
+        skin = photo.twin.parts[0]
+        triangles = _half_as_fine(skin.triangles)
+        front = triangles[photo.twin.face_vertices[triangles].all(axis=1)]
+        used = np.unique(front)
+        self._number = np.full(len(skin.places_mm), -1)
+        self._number[used] = np.arange(len(used))
+        faces = self._number[front]
+        self.places_mm = skin.places_mm[used]
+        self.targets = {name: moves[used] for name, moves in skin.morphs.items()}
+        loops = [np.array(loop) for loop in boundary_loops(faces)]
+        self.lips = _loop(loops, self._number[list(INNER_LIP[:2])])
+        self.rim = _loop(loops, self._number[list(FACE_RIM[:2])])
+        self.eyes = [_loop(loops, self._number[list(each[:2])]) for each in (LEFT_EYE, RIGHT_EYE)]
+        #: Of the skin in the photograph, with depth.
+        self.own_px = own_px = photo.in_picture(self._skin_places(Frame(0.0, photo.own)))
+        faces = faces[np.argsort(own_px[faces, 2].mean(axis=1))]
+        first = len(own_px)
+        eye_fans = []
+        for eye in self.eyes:
+            eye_fans.append(_fan(first, len(eye)))
+            first += len(eye) + 1
+        rim_px = own_px[self.rim, :2]
+        middle = rim_px.mean(axis=0)
+        rings = np.vstack([middle + (1 + far) * (rim_px - middle) for far, _ in RINGS])
+        ring_rows = np.vstack([self.rim, first + np.arange(len(rings)).reshape(len(RINGS), -1)])
+        back = np.concatenate([_band(*pair) for pair in pairwise(ring_rows)])
+        rest_px = np.vstack([own_px[:, :2], *self._eyes_of(own_px), rings])
+        behind = np.vstack([back[::-1], *eye_fans])
+        #: Rows of the mesh's triangles that are eyes.
+        self.eye_fans = slice(len(back), len(behind))
+        self.mesh = Mesh(
+            rest_px, np.vstack([behind, faces]), slice(len(behind), len(behind) + len(faces))
+        )
+        self.contact = LipContact(photo, own_px, self.lips)
+        self._unfold = Unfolding(rest_px, self.mesh)
+
+    def moved(self, frame: Frame) -> tuple[Array, Array]:
+        """Return where the mesh's vertices are.
+
+        Parameters
+        ----------
+        frame : Frame
+            Mouth and expression.
+
+        Returns
+        -------
+        tuple[Array, Array]
+            (n, 2) pixels; and the depth of the skin's vertices, (n_skin,).
+        """
+        turn, shift = self.turn(frame)
+        places_px = self._photo.in_picture(self._skin_places(frame))
+        skin = self.contact.held(places_px, frame) @ turn.T + shift
+        eyes = self._eyes_of(self.own_px @ turn.T + shift)
+        rest = self.mesh.rest_px
+        rim = _smooth(skin[self.rim, :2] - rest[self.rim])
+        rings = rest[-len(RINGS) * len(rim) :] + np.vstack([share * rim for _, share in RINGS])
+        return self._unfold.unfolded(np.vstack([skin[:, :2], *eyes, rings])), skin[:, 2]
+
+    def turn(self, frame: Frame) -> tuple[Array, Array]:
+        """Of the head, in the picture: `px @ turn.T + shift`, about the twin's pivot."""
+        angles = pose_rad(frame)
+        if not any(angles):
+            return np.eye(3), np.zeros(3)
+        own = self._photo.matrix / self._photo.px_per_mm
+        turn = own @ rotation(*angles) @ own.T
+        pivot = self._photo.in_picture(self._photo.twin.pivot_mm)
+        return turn, pivot - turn @ pivot
+
+    def vertex_of(self, landmark: int) -> int:
+        """The mesh's vertex of a landmark of the 478-point face mesh; -1: it is not drawn."""
+        return int(self._number[landmark])
+
+    def _eyes_of(self, skin_px: Array) -> list[Array]:
+        loops = [skin_px[eye, :2] for eye in self.eyes]
+        return [np.vstack([loop, loop.mean(axis=0)]) for loop in loops]
+
+    def _skin_places(self, frame: Frame) -> Array:
+        places = self.places_mm.copy()
+        for name, amount in amounts_of(frame, self._photo.twin.components).items():
+            if amount:
+                places += amount * self.targets[name]
+        return places
+
+
+def amounts_of(frame: Frame, components: tuple[str, ...]) -> dict[str, float]:
+    """How much of each target a frame asks for; what it leaves open is at rest."""
+    amounts = dict(zip(components, np.asarray(frame.coefficients).tolist(), strict=True))
+    values = {each.name: getattr(frame.expression, each.name) for each in fields(frame.expression)}
+    for name, (least, most) in MOST.items():
+        amounts[name] = min(most, max(least, values[name] or 0.0))
+    for side in ("left", "right"):
+        lid = amounts[f"lid_{side}"]
+        amounts[f"lid_{side}_over"] = lid * (1 - lid)
+    return amounts
+
+
+def pose_rad(frame: Frame) -> tuple[float, float, float]:
+    """Pitch, yaw and roll of the head that a photograph bears."""
+    expression = frame.expression
+    angles_deg = (expression.neck_pitch_deg, expression.neck_yaw_deg, expression.neck_roll_deg)
+    most = MOST_POSE_DEG.values()
+    within = [max(-m, min(m, deg or 0.0)) for deg, m in zip(angles_deg, most, strict=True)]
+    pitch, yaw, roll = np.radians(within).tolist()
+    return pitch, yaw, roll
+
+
+def rotation(pitch: float, yaw: float, roll: float) -> Array:
+    """Return the rotation by roll, then pitch, then yaw; x to the right, y up, z to the viewer.
+
+    Parameters
+    ----------
+    pitch,yaw,roll : float
+        Radians: up, to the face's own left, to its left shoulder.
+
+    Returns
+    -------
+    Array
+        (3, 3).
+    """
+    (cx, sx), (cy, sy), (cz, sz) = ((np.cos(a), np.sin(a)) for a in (-pitch, yaw, -roll))
+    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    return np.asarray(about_y @ about_x @ about_z)
+
+
+def _half_as_fine(triangles: Indices) -> Indices:
+    """One triangle for each four of the last subdivision, which keeps its corners' numbers."""
+    four = triangles.reshape(-1, 4, 3)
+    return np.column_stack([four[:, 0, 0], four[:, 1, 1], four[:, 2, 2]])
+
+
+def _loop(loops: list[Indices], start: Indices) -> Indices:
+    """The hole that goes through a vertex, from it towards another one."""
+    first, then = start.tolist()
+    (loop,) = (each for each in loops if first in each)
+    at = int(np.flatnonzero(loop == first)[0])
+    turned = np.roll(loop, -at)
+    if int(np.flatnonzero(turned == then)[0]) < len(turned) / 2:
+        return turned
+    return np.concatenate([turned[:1], turned[:0:-1]])
+
+
+def _fan(first: int, n: int) -> Indices:
+    """Triangles of a loop of vertices and its middle, which comes after them."""
+    here = first + np.arange(n)
+    return np.column_stack([here, np.roll(here, -1), np.full(n, first + n)])
+
+
+def _band(inner: Indices, outer: Indices) -> Indices:
+    ahead, outer_ahead = np.roll(inner, -1), np.roll(outer, -1)
+    return np.vstack(
+        [np.column_stack([inner, ahead, outer]), np.column_stack([ahead, outer_ahead, outer])]
+    )
+
+
+def _smooth(moves: Array) -> Array:
+    """Of neighbours on the rim, so that the rings round it do not cross."""
+    near = range(-RIM_NEIGHBOURS, RIM_NEIGHBOURS + 1)
+    around = [np.roll(moves, shift, axis=0) for shift in near]
+    return np.asarray(np.mean(around, axis=0))
