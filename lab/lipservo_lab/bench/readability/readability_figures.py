@@ -6,6 +6,7 @@ The picture of `lipservo bench readability`; needs matplotlib, the extra `plots`
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -45,11 +46,13 @@ from lipservo_lab.evaluation.readability.reading_scores import (
     known_score,
     made_faces,
     new_word_score,
+    percentiles,
     recorded_motions,
     seen_motions,
 )
 from lipservo_lab.learning.motion.trained_model import TrainedModel
 from lipsync.motion.finishing import DEFAULT_LOOKAHEAD_S
+from lipsync.motion.live_synthesizer import LIVE_STRATEGY, UNIT_STRATEGY
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.offline.line_methods import PLANNED_METHODS, LineMethod
 
@@ -142,7 +145,20 @@ def reading_rows(
             rows += _made_rows(split, asked, phonemes, listeners[phonemes], track)
         if asked.robot and part.split == KNOWN:
             rows += _robot_rows(split, asked, listeners, track, advance)
+    _pair(rows)
     return rows
+
+
+def _pair(rows: Sequence[Row]) -> None:
+    """Say by how much AnimPhos change a score, on the same samples of sentences."""
+    same = itemgetter("split", "face", "phonemes", "lookahead_ms", "reader")
+    without = {same(row): row for row in rows if row["strategy"] == LIVE_STRATEGY}
+    for row in rows:
+        other = without.get(same(row)) if row["strategy"] == UNIT_STRATEGY else None
+        row["less_expected"] = other and row["score"] - other["score"]
+        row["less_expected_95"] = other and percentiles(row["samples"] - other["samples"])
+    for row in rows:
+        del row["samples"]
 
 
 def headline(rows: Sequence[Row]) -> dict[str, object]:
@@ -275,6 +291,7 @@ def _row(
         "reader": kind.name,
         "score": scored.score,
         "score_95": list(scored.interval),
+        "samples": scored.samples,
         "shares": scored.shares,
         "whole_sentences": scored.whole_sentences,
         "gain": scored.gain,
