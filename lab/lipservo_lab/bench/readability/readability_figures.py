@@ -55,6 +55,7 @@ from lipsync.motion.finishing import DEFAULT_LOOKAHEAD_S
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY, UNIT_STRATEGY
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.offline.line_methods import PLANNED_METHODS, LineMethod
+from lipsync.recognition.network import DEFAULT_WEIGHTS
 
 Advance = Callable[[str, int, int], None]
 
@@ -68,7 +69,8 @@ HEADLINE_LOOKAHEAD_MS = round(DEFAULT_LOOKAHEAD_S * 1e3)
 class ReadingQuestion:
     """What is to be read: whose motion, with which phonemes, and whether the robot plays it too.
 
-    line_methods: those of `lipservo lines render`, which need models of their own.
+    line_methods: those of `lipservo lines render`, which need models of their own. weights: of the
+    recogniser, a name or a file.
     """
 
     methods: tuple[Method, ...]
@@ -76,6 +78,7 @@ class ReadingQuestion:
     phonemes: tuple[str, ...]
     robot: bool
     line_methods: tuple[LineMethod, ...] = ()
+    weights: str = DEFAULT_WEIGHTS
 
 
 def reading_question(
@@ -134,8 +137,8 @@ def reading_rows(
     """The rows of all parts. model_of: one that has learned no sentence of the part's test."""
     listeners: dict[str, Listen] = {
         PHONEMES_TRUE: true_phonemes,
-        PHONEMES_RECOGNIZED: OnceListener(live_listener()),
-        PHONEMES_TEXT: OnceListener(live_listener(with_text=True)),
+        PHONEMES_RECOGNIZED: OnceListener(live_listener(weights=asked.weights)),
+        PHONEMES_TEXT: OnceListener(live_listener(with_text=True, weights=asked.weights)),
     }
     rows: list[Row] = []
     for part in parts:
