@@ -285,6 +285,7 @@ def train_soft(
             head_reference_mm=face.head_reference_mm,
             progress=lambda names: progress.track(names, description="reading"),
         ).labelled()
+        taught = taught_sentences(face, sentences)
         parts = reading_parts(corpus, sentences) if table else []
 
         def track(what: str, items: "Sequence[Utterance]") -> "Iterable[Utterance]":
@@ -295,10 +296,7 @@ def train_soft(
 
         step = progress.add_task("posteriors to faces", total=None)
         teacher = ModelTeacher(sentences, weights, track, tell) if table else None
-        if teacher is None:
-            copies = hear_copies(network, taught_sentences(face, sentences), track)
-        else:
-            copies = teacher.copies
+        copies = hear_copies(network, taught, track) if teacher is None else teacher.copies
         made = with_soft_expectation(face, sentences, copies, digest)
         if made.soft is None:
             raise UserError(f"{corpus}: too little speech with sound to learn from; record more")
