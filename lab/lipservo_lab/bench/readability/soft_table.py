@@ -31,7 +31,7 @@ from lipservo_lab.learning.motion.model_teacher import ModelTeacher
 from lipsync.motion.finishing import DEFAULT_LOOKAHEAD_S
 from lipsync.recognition.network import LATENCY_S
 
-#: Of the shipped weights, with room for others: decisions/0078.
+#: What weights should reach; what the shipped ones do: docs/benchmarks.md.
 _BARS: Final = {
     "known_recognized": ">= 0.86",
     "new_a_recognized": ">= 0.46",
@@ -53,14 +53,14 @@ def soft_table(
     Raises TrainingError, BenchError.
     """
     models = {part.split: teacher(corpus.keep(set(part.train))) for part in parts}
-    asked = reading_question(
+    reading = reading_question(
         DEFAULT_STRATEGY, str(HEADLINE_LOOKAHEAD_MS), PHONEMES_RECOGNIZED, robot=False
     )
     rows = reading_rows(
         corpus,
         parts,
         lambda part: models[part.split],
-        replace(asked, weights=weights),
+        replace(reading, weights=weights),
         track,
         lambda *_: None,
     )
