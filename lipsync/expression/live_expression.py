@@ -4,11 +4,8 @@ Brows go up with the voice, and arousal scales what the generators do. Arousal a
 voice: anger and joy sound equally excited (Bone, Lee and Narayanan, "Robust unsupervised arousal
 rating", IEEE Trans. Affective Computing 5(2), 2014), so that nothing here smiles or frowns. The
 sizes are design choices, not measured on people.
-
-The head and eyes of a performance take the place of the live ones (`PerformedExpression`).
 """
 
-from dataclasses import replace
 from random import Random
 from typing import Final
 
@@ -19,19 +16,11 @@ from lipsync.expression.cue import (
     DampedFollower,
     ExpressionCue,
     bounded,
-    smoothstep,
     toward,
 )
 from lipsync.expression.gaze import Gaze, eyes_deg, listening_habit, talking_habit
 from lipsync.expression.head_pose import HeadPose
-from lipsync.face.frame import NO_EXPRESSION, Expression
-
-_LEAST_MOUTH_GAIN, _MOST_MOUTH_GAIN = 0.85, 1.2
-
-
-def mouth_gain(arousal: float) -> float:
-    """How far the mouth's coefficients go, 0.85 to 1.2; for all but closures of the lips."""
-    return bounded(1.0 + 0.2 * bounded(arousal, -1.0, 1.0), _LEAST_MOUTH_GAIN, _MOST_MOUTH_GAIN)
+from lipsync.face.frame import Expression
 
 
 def head_gain(arousal: float) -> float:
@@ -60,47 +49,8 @@ def lid_offset(arousal: float) -> float:
     return -0.25 * arousal if arousal > 0.0 else -0.15 * arousal
 
 
-#: How long each takes to go over: a neck as in a slow turn, eyes as in a large saccade, lids as in
-#: a blink, so that none is left half shut.
-_OVER_S: Final = {
-    "neck_pitch_deg": 0.8, "neck_yaw_deg": 0.8, "neck_roll_deg": 0.8,
-    "eye_pitch_deg": 0.2, "eye_yaw_deg": 0.2,
-    "lid_left": 0.1, "lid_right": 0.1, "brow": 0.3,
-}  # fmt: skip
-#: A changed amount is there after as long a time for each 1 of change, as in `LiveExpression`.
+#: A changed amount is there after as long a time for each 1 of change, as in `PerformedExpression`.
 _AMOUNT_S: Final = 1.0
-
-
-class PerformedExpression:
-    """`step` once for every 10 ms that are shown."""
-
-    def __init__(self) -> None:
-        self._shares = dict.fromkeys(_OVER_S, 0.0)
-        self._held = dict.fromkeys(_OVER_S, 0.0)
-        self._amount = 0.0
-
-    def step(self, live: Expression, stored: Expression, amount: float) -> Expression:
-        """What is shown. stored: what the performance says, `NO_EXPRESSION` where there is none.
-
-        amount: how lively the face is to be; at 0 it is still, as without a performance. Where a
-        performance ends or is cut off, its last pose is left for the live one.
-        """
-        self._amount = toward(self._amount, amount, CUE_PERIOD_S / _AMOUNT_S)
-        is_still = amount <= 0.0
-        mixed = {}
-        for name, over_s in _OVER_S.items():
-            value = None if is_still or stored is NO_EXPRESSION else getattr(stored, name)
-            if value is not None:
-                self._held[name] = value if name.startswith("lid") else self._amount * value
-            wanted = float(value is not None)
-            share = toward(self._shares[name], wanted, CUE_PERIOD_S / over_s)
-            self._shares[name] = share
-            if share > 0.0:
-                ours = getattr(live, name) or 0.0
-                mixed[name] = ours + smoothstep(share) * (self._held[name] - ours)
-        return replace(live, **mixed) if mixed else live
-
-
 _BROW_HZ, _BROW_PER_S = 4.0, 12.0
 _MOOD_HZ, _MOOD_PER_S = 0.6, 4.0
 #: Blinks of their own accord; with those at saccades and ends of speech there are 24 a minute

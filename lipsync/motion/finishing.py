@@ -22,7 +22,15 @@ from lipsync.expectation.expectation import PhonemeTrack, context_at
 from lipsync.face.frame import FaceWindow, Frame, Motion
 from lipsync.face.model import FaceModel
 from lipsync.motion.rounding import SPREAD, is_rounded, lip_width_of, planned_rounding
-from lipsync.motion.tick_plan import AT_REST, TICK_S, Amount, EasedSetting, TickPlan, planned_rest
+from lipsync.motion.tick_plan import (
+    AT_REST,
+    TICK_S,
+    Amount,
+    EasedSetting,
+    TickPlan,
+    planned_rest,
+    values_at,
+)
 from lipsync.phonemes import PHONEMES, PhonemeEvent, PhonemeUpdate
 
 if TYPE_CHECKING:
@@ -346,6 +354,7 @@ class FinishedSynthesizer:
         self._unit_share = EasedSetting(unit_share, 1.0)
         self._stage = EasedSetting(stage, 1.0)
         self._valence = EasedSetting(0.0, 1.0, -1.0)
+        self._style = (self._strength, self._stage, self._valence)
         self._ticks = TickPlan(_Finish())
         self._adjust = {
             **(adjust_inner or {}),
@@ -419,9 +428,13 @@ class FinishedSynthesizer:
         face = frame.coefficients
         if self._units is not None:
             face = self._mixed(face, self._units, time_s)
-        face, finish = self._strengthened(face, time_s), self._ticks.at(time_s, self._decide)
+        strength, stage, valence = values_at(self._style, time_s)
+        face = self._strengthened(face, strength, stage)
+        finish = self._ticks.at(time_s, self._decide)
         if finish is not None:
-            face = self._cornered(face, finish.rounding.share(time_s), time_s)
+            if stage or valence:
+                rounding = finish.rounding.share(time_s)
+                face = self._cornered(face, strength, stage * rounding, (1.0 - rounding) * valence)
             face = self._rest + (1.0 - finish.rest.smooth(time_s)) * (face - self._rest)
             labiodental = finish.labiodental.share(time_s)
             face = self._gap.narrowed(face, self._labiodental_gap_mm, labiodental)
@@ -446,8 +459,11 @@ class FinishedSynthesizer:
         faces = self._inner.faces_after(frame, np.array(times_s)) if times_s else ()
         rows, closed = [frame.coefficients], [max(lips.at(now_s)[0], teeth.at(now_s)[0]) == 1.0]
         for time_s, face in zip(times_s, faces, strict=True):
-            round_ = float(is_rounded(track, time_s, until_s))
-            face = self._cornered(self._strengthened(face, time_s), round_, time_s)
+            strength, stage, valence = values_at(self._style, time_s)
+            face = self._strengthened(face, strength, stage)
+            if stage or valence:
+                round_ = float(is_rounded(track, time_s, until_s))
+                face = self._cornered(face, strength, stage * round_, (1.0 - round_) * valence)
             face = self._rest + (1.0 - finish.rest.smooth(time_s)) * (face - self._rest)
             shares = [closed_share(spans_s, time_s) for _, spans_s in closing]
             for (gap_mm, _), share in zip(closing, shares, strict=True):
@@ -458,19 +474,17 @@ class FinishedSynthesizer:
         shut = self._gap.shut(frame.coefficients)
         return FaceWindow(offsets_s, np.array(rows), np.array(closed), shut)
 
-    def _strengthened(self, face: Array, time_s: float) -> Array:
+    def _strengthened(self, face: Array, strength: float, stage: float) -> Array:
         """The face (n_components,) as far from rest as strength and stage want it."""
-        stage = 1.0 + (STAGE_STRENGTH - 1.0) * self._stage.at(time_s)
-        strength = self._strength.at(time_s) * stage
+        strength *= 1.0 + (STAGE_STRENGTH - 1.0) * stage
         return face if strength == 1.0 else self._rest + strength * (face - self._rest)
 
-    def _cornered(self, face: Array, rounding: float, time_s: float) -> Array:
-        """The face (n_components,) with its corners rounded, 0 to 1, and smiling."""
+    def _cornered(self, face: Array, strength: float, rounding: float, smile: float) -> Array:
+        """The face (n_components,) with its corners rounded, 0 to 1, and smiling, -1 to 1."""
         if self._width is None:
             return face
-        moved = min(1.0, self._strength.at(time_s))
-        face = self._width.rounded(face, self._stage.at(time_s) * moved * rounding)
-        return self._width.smiling(face, moved * (1.0 - rounding) * self._valence.at(time_s))
+        moved = min(1.0, strength)
+        return self._width.smiling(self._width.rounded(face, moved * rounding), moved * smile)
 
     def _mixed(self, face: Array, units: "UnitMotion", time_s: float) -> Array:
         """The face (n_components,) with its share of AnimPhos, larger in the finer components."""

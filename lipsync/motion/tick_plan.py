@@ -6,7 +6,7 @@ and the rest to which the mouth comes in a pause.
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -129,6 +129,11 @@ class EasedSetting:
     def settle(self) -> None:
         """Be where the last change leads, from the beginning of time."""
         self._now = _steady(self._now.goal)
+
+
+def values_at(settings: Iterable[EasedSetting], time_s: float) -> list[float]:
+    """The value of each at a time."""
+    return [setting.at(time_s) for setting in settings]
 
 
 def _steady(value: float) -> Amount:

@@ -42,7 +42,7 @@ from lipsync.errors import UserError
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY, UNIT_STRATEGY
 from lipsync.offline.line_methods import PLANNED_METHODS
 from lipsync.phonemes import LiveRecognizer, PhonemeEvent
-from lipsync.recognition.network import LATENCY_S
+from lipsync.recognition.network import DEFAULT_WEIGHTS, LATENCY_S
 from lipsync.text_to_speech.pronunciation import pronounced
 
 Row = dict[str, object]
@@ -280,11 +280,14 @@ def _miss_rate(
 
 
 def live_listener(
-    engine: MeasuredEngine = "network", *, with_text: bool = False
+    engine: MeasuredEngine = "network",
+    *,
+    with_text: bool = False,
+    weights: str = DEFAULT_WEIGHTS,
 ) -> Callable[[Utterance], Heard]:
     """What a live recogniser finds in a sentence's sound; made at the first call.
 
-    with_text: it gets the words beforehand, without their times.
+    with_text: it gets the words beforehand, without their times. weights: a name or a file.
     """
 
     def listen(utterance: Utterance) -> Heard:
@@ -294,6 +297,6 @@ def live_listener(
 
     @cache
     def recognizer() -> LiveRecognizer:
-        return measured_recognizer(engine, _COMPARED.get(engine, LATENCY_S))()
+        return measured_recognizer(engine, _COMPARED.get(engine, LATENCY_S), weights)()
 
     return listen

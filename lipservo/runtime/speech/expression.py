@@ -1,12 +1,13 @@
 """Head, eyes, lids, brows and a smile of a face that speaks.
 
-What may be set of them, which servos show them, and the layer that claims those servos. A model
-learned from tracks is played by lipservo-lab: the entry point `lipservo.expressions`.
+What may be set of them, which servos show them, and the layer that claims those servos. The head
+and eyes of a performance take the place of the live ones. A model learned from tracks is played by
+lipservo-lab: the entry point `lipservo.expressions`.
 """
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Final, cast
@@ -19,8 +20,13 @@ from lipservo.runtime.speech.phoneme_sources import HeardVoice
 from lipservo.settings.sections import LIVELIEST
 from lipservo.settings.settings import FaceSettings
 from lipsync.errors import UserError
-from lipsync.expression.cue import CUE_PERIOD_S, ExpressionCue, WholeExpression
-from lipsync.expression.live_expression import LiveExpression, PerformedExpression, mouth_gain
+from lipsync.expression.cue import (
+    CUE_PERIOD_S,
+    ExpressionCue,
+    WholeExpression,
+    smoothstep,
+    toward,
+)
 from lipsync.face.frame import NO_EXPRESSION, Expression
 from lipsync.prosody.voice_tracker import VoiceTracker
 
@@ -190,10 +196,52 @@ def _within_range(servo: ExpressionServo, angle_deg: float) -> float:
     return min(servo.max_deg, max(servo.min_deg, angle_deg))
 
 
+#: How long each takes to go over: a neck as in a slow turn, eyes as in a large saccade, lids as in
+#: a blink, so that none is left half shut.
+_OVER_S: Final = {
+    "neck_pitch_deg": 0.8, "neck_yaw_deg": 0.8, "neck_roll_deg": 0.8,
+    "eye_pitch_deg": 0.2, "eye_yaw_deg": 0.2,
+    "lid_left": 0.1, "lid_right": 0.1, "brow": 0.3,
+}  # fmt: skip
+#: A changed amount is there after as long a time for each 1 of change, as in `LiveExpression`.
+_AMOUNT_S: Final = 1.0
+
+
+class PerformedExpression:
+    """`step` once for every 10 ms that are shown."""
+
+    def __init__(self) -> None:
+        self._shares = dict.fromkeys(_OVER_S, 0.0)
+        self._held = dict.fromkeys(_OVER_S, 0.0)
+        self._amount = 0.0
+
+    def step(self, live: Expression, stored: Expression, amount: float) -> Expression:
+        """What is shown. stored: what the performance says, `NO_EXPRESSION` where there is none.
+
+        amount: how lively the face is to be; at 0 it is still, as without a performance. Where a
+        performance ends or is cut off, its last pose is left for the live one.
+        """
+        self._amount = toward(self._amount, amount, CUE_PERIOD_S / _AMOUNT_S)
+        is_still = amount <= 0.0
+        mixed = {}
+        for name, over_s in _OVER_S.items():
+            value = None if is_still or stored is NO_EXPRESSION else getattr(stored, name)
+            if value is not None:
+                self._held[name] = value if name.startswith("lid") else self._amount * value
+            wanted = float(value is not None)
+            share = toward(self._shares[name], wanted, CUE_PERIOD_S / over_s)
+            self._shares[name] = share
+            if share > 0.0:
+                ours = getattr(live, name) or 0.0
+                mixed[name] = ours + smoothstep(share) * (self._held[name] - ours)
+        return replace(live, **mixed) if mixed else live
+
+
 #: A pause within a sentence: whoever makes it still speaks.
 _PAUSE_S: Final = 0.3
 #: After so long a silence what the head does is nobody's business but its own.
 _IDLE_AFTER_S: Final = 4.0
+_LEAST_MOUTH_GAIN: Final = 0.85
 
 
 class ExpressionLayer:
@@ -201,13 +249,19 @@ class ExpressionLayer:
 
     def __init__(
         self,
-        source: WholeExpression,
+        source: WholeExpression | None,
         voice: HeardVoice,
         servos: Sequence[ExpressionServo],
         requests: ExpressionRequests,
+        rest_after_s: float = math.inf,
     ) -> None:
+        """source: None where there is nothing to show but affect in the mouth.
+
+        rest_after_s: after so long a silence a face without source rests.
+        """
         self.voice = voice
         self._source = source
+        self._rest_after_s = rest_after_s
         self._claims = ExpressionClaims(servos, CUE_PERIOD_S)
         self.requests = requests
         self._performed = PerformedExpression()
@@ -221,6 +275,8 @@ class ExpressionLayer:
     @property
     def is_resting(self) -> bool:
         """Whether it is at neutral after a long silence and stays there: servos may be let go."""
+        if self._source is None:
+            return self._silent_s > self._rest_after_s
         return self._silent_s > _IDLE_AFTER_S and self._source.is_resting
 
     @property
@@ -230,8 +286,8 @@ class ExpressionLayer:
 
     @property
     def mouth_gain(self) -> float:
-        """How much livelier the mouth moves for it; closures apart."""
-        return mouth_gain(self._arousal)
+        """How much livelier the mouth moves for it, 0.85 to 1.2; closures apart."""
+        return max(_LEAST_MOUTH_GAIN, 1.0 + 0.2 * self._arousal)
 
     @property
     def valence(self) -> float:
@@ -265,6 +321,8 @@ class ExpressionLayer:
         voice = self.voice.at(sound_s)
         self._valence, arousal = self.requests.affect_at(now_s)
         self._arousal = min(1.0, max(-1.0, voice.arousal + arousal))
+        if self._source is None:
+            return
         self._n_steps += 1
         amount = self.requests.amount
         live = self._source.step(
@@ -303,6 +361,8 @@ def expression_source(face: FaceSettings, folder: Path | None, seed: int) -> Who
     """
     expression_settings = face.expression
     # Of a face that its YAML lets look more or less often at whoever it speaks with.
+    from lipsync.expression.live_expression import LiveExpression
+
     shares = (
         {}
         if expression_settings.eye_contact is None
@@ -326,15 +386,16 @@ def _player_of_models() -> Callable[[Path, int, WholeExpression], WholeExpressio
     )
 
 
-def make_expression(face: FaceSettings, folder: Path | None) -> ExpressionLayer:
+def make_expression(
+    face: FaceSettings, folder: Path | None, *, is_watched: bool
+) -> ExpressionLayer:
     """Everything between the sound that is heard and the servos besides the mouth.
 
-    folder: as `expression_source` has it. Raises ExpressionModelError for a model that cannot be
-    used.
+    folder: as `expression_source` has it. is_watched: the page may show a head with eyes where the
+    face has none. Raises ExpressionModelError for a model that cannot be used.
     """
-    return ExpressionLayer(
-        expression_source(face, folder, face.expression.seed),
-        HeardVoice(VoiceTracker()),
-        expression_servos(face),
-        ExpressionRequests(face.expression.amount),
-    )
+    servos, source = expression_servos(face), None
+    if servos or is_watched:
+        source = expression_source(face, folder, face.expression.seed)
+    voice, requests = HeardVoice(VoiceTracker()), ExpressionRequests(face.expression.amount)
+    return ExpressionLayer(source, voice, servos, requests, face.expression.rest_after_s)

@@ -6,7 +6,9 @@ The picture of `lipservo bench readability`; needs matplotlib, the extra `plots`
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -45,13 +47,17 @@ from lipservo_lab.evaluation.readability.reading_scores import (
     known_score,
     made_faces,
     new_word_score,
+    percentiles,
     recorded_motions,
     seen_motions,
 )
 from lipservo_lab.learning.motion.trained_model import TrainedModel
+from lipsync.arrays import Array
 from lipsync.motion.finishing import DEFAULT_LOOKAHEAD_S
+from lipsync.motion.live_synthesizer import LIVE_STRATEGY, UNIT_STRATEGY
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.offline.line_methods import PLANNED_METHODS, LineMethod
+from lipsync.recognition.network import DEFAULT_WEIGHTS
 
 Advance = Callable[[str, int, int], None]
 
@@ -65,7 +71,8 @@ HEADLINE_LOOKAHEAD_MS = round(DEFAULT_LOOKAHEAD_S * 1e3)
 class ReadingQuestion:
     """What is to be read: whose motion, with which phonemes, and whether the robot plays it too.
 
-    line_methods: those of `lipservo lines render`, which need models of their own.
+    line_methods: those of `lipservo lines render`, which need models of their own. weights: of the
+    recogniser, a name or a file.
     """
 
     methods: tuple[Method, ...]
@@ -73,6 +80,7 @@ class ReadingQuestion:
     phonemes: tuple[str, ...]
     robot: bool
     line_methods: tuple[LineMethod, ...] = ()
+    weights: str = DEFAULT_WEIGHTS
 
 
 def reading_question(
@@ -131,8 +139,8 @@ def reading_rows(
     """The rows of all parts. model_of: one that has learned no sentence of the part's test."""
     listeners: dict[str, Listen] = {
         PHONEMES_TRUE: true_phonemes,
-        PHONEMES_RECOGNIZED: OnceListener(live_listener()),
-        PHONEMES_TEXT: OnceListener(live_listener(with_text=True)),
+        PHONEMES_RECOGNIZED: OnceListener(live_listener(weights=reading.weights)),
+        PHONEMES_TEXT: OnceListener(live_listener(with_text=True, weights=reading.weights)),
     }
     rows: list[Row] = []
     for part in parts:
@@ -142,7 +150,23 @@ def reading_rows(
             rows += _made_rows(split, reading, phonemes, listeners[phonemes], track)
         if reading.robot and part.split == KNOWN:
             rows += _robot_rows(split, reading, listeners, track, advance)
+    _pair(rows)
     return rows
+
+
+def _pair(rows: Sequence[Row]) -> None:
+    """Say by how much AnimPhos change a score, on the same samples of sentences."""
+    same = itemgetter("split", "face", "phonemes", "lookahead_ms", "reader")
+    without = {same(row): row for row in rows if row["strategy"] == LIVE_STRATEGY}
+    for row in rows:
+        other = without.get(same(row)) if row["strategy"] == UNIT_STRATEGY else None
+        change, interval = None, None
+        if other is not None:
+            change = cast(float, row["score"]) - cast(float, other["score"])
+            interval = percentiles(cast(Array, row["samples"]) - cast(Array, other["samples"]))
+        row |= {"less_expected": change, "less_expected_95": interval}
+    for row in rows:
+        del row["samples"]
 
 
 def headline(rows: Sequence[Row]) -> dict[str, object]:
@@ -275,6 +299,7 @@ def _row(
         "reader": kind.name,
         "score": scored.score,
         "score_95": list(scored.interval),
+        "samples": scored.samples,
         "shares": scored.shares,
         "whole_sentences": scored.whole_sentences,
         "gain": scored.gain,

@@ -17,7 +17,6 @@ from lipservo.commands.options import Json, Landmarker, Quiet, SkipBad, UnitShar
 from lipservo.settings.motion_names import DEFAULT_STRATEGY
 from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json, progress_bar
 from lipsync.errors import UserError, check_extra
-from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 
 if TYPE_CHECKING:
     from lipservo_lab.bench.motion_figures import Question
@@ -52,7 +51,7 @@ def measure_video(
         figures = foreign_figures(clips, tracker, model, advance)
     answer = {
         **figures,
-        "default_strategy": LIVE_STRATEGY,
+        "default_strategy": DEFAULT_STRATEGY,
         "machine": machine_class(),
         "wall_s": round(time.perf_counter() - began_s, 1),
     }

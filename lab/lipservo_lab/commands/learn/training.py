@@ -247,6 +247,14 @@ def train_soft(
     output: Annotated[Path, typer.Option("--output", "-o", help="The model file to write.")],
     model: Model = None,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
+    table: Annotated[
+        bool,
+        typer.Option(
+            "--table",
+            help="Then train models without what the folder's splits.json holds out, fit them to "
+            "the same weights, and print how their motion is read, beside the bars.",
+        ),
+    ] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -255,9 +263,15 @@ def train_soft(
     Every sentence is heard as it is and in four other voices and rooms. A model without this part
     is moved by decided phonemes alone, and one that was fitted to other weights goes on with them.
     """
+    from lipservo_lab.bench.readability.soft_table import soft_table
     from lipservo_lab.corpus.grid import read_grid
+    from lipservo_lab.evaluation.readability.reading_scores import reading_parts
     from lipservo_lab.learning.expectation.soft_training import hear_copies
-    from lipservo_lab.learning.motion.model_teacher import taught_sentences, with_soft_expectation
+    from lipservo_lab.learning.motion.model_teacher import (
+        ModelTeacher,
+        taught_sentences,
+        with_soft_expectation,
+    )
     from lipservo_lab.learning.motion.trained_model import load_trained_model, save_model
     from lipsync.face.model import is_model
     from lipsync.recognition.network import find_weights, weights_digest
@@ -273,16 +287,25 @@ def train_soft(
             head_reference_mm=face.head_reference_mm,
             progress=lambda names: progress.track(names, description="reading"),
         ).labelled()
-        copies = hear_copies(
-            network,
-            taught_sentences(face, sentences),
-            lambda what, items: progress.track(items, description=what),
-        )
-        progress.add_task("posteriors to faces", total=None)
+        taught = taught_sentences(face, sentences)
+        parts = reading_parts(corpus, sentences) if table else []
+
+        def track(what: str, items: "Sequence[Utterance]") -> "Iterable[Utterance]":
+            return progress.track(items, description=what)
+
+        def tell(text: str) -> None:
+            progress.update(step, description=text)
+
+        step = progress.add_task("posteriors to faces", total=None)
+        teacher = ModelTeacher(sentences, weights, track, tell) if table else None
+        copies = hear_copies(network, taught, track) if teacher is None else teacher.copies
         made = with_soft_expectation(face, sentences, copies, digest)
-    if made.soft is None:
-        raise UserError(f"{corpus}: too little speech with sound to learn from; record more")
-    save_model(made, output)
+        if made.soft is None:
+            raise UserError(f"{corpus}: too little speech with sound to learn from; record more")
+        save_model(made, output)
+        rows = []
+        if teacher is not None:
+            rows = soft_table(sentences, parts, teacher, weights, track)
     figures: dict[str, object] = {
         "model": str(output),
         "weights": weights,
@@ -291,9 +314,13 @@ def train_soft(
         "bytes": output.stat().st_size,
         "seconds": round(time.perf_counter() - began_s, 1),
     }
+    if table:
+        figures["table"] = rows
     if as_json:
         print_json(figures)
         return
+    for row in rows:
+        RESULTS.print(f"{row['figure']}: {row['measured']} (bar {row['bar']})", highlight=False)
     RESULTS.print(
         f"{output}: fitted to weights {weights} by {figures['sentences']} sentences in "
         f"{figures['seconds']} s",

@@ -79,18 +79,24 @@ class ReadingScore:
 
     score: of known words the mean over slots of the share read right; of new words the mean over
     the set's words of recall less false alarms (the share of a word's places that are read as it,
-    less the share of other words in its slot that are). shares: what `score` is the mean of, by
-    slot or by word. whole_sentences: the share of sentences with every word right; None for new
-    words. gain: how far words go from their slot's mean word, projected on how far recorded ones
-    go, over the latter.
+    less the share of other words in its slot that are). samples: the score on each bootstrap
+    sample, drawn alike for the same sentences, so that two scores may be compared in pairs.
+    shares: what `score` is the mean of, by slot or by word. whole_sentences: the share of sentences
+    with every word right; None for new words. gain: how far words go from their slot's mean word,
+    projected on how far recorded ones go, over the latter.
     """
 
     score: float
-    interval: tuple[float, float]
+    samples: Array
     shares: dict[str, float]
     whole_sentences: float | None
     gain: float
     n_sentences: int
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % of the score."""
+        return percentiles(self.samples)
 
 
 def known_score(readings: Sequence[Reading], *, seed: int = 0) -> ReadingScore:
@@ -104,7 +110,7 @@ def known_score(readings: Sequence[Reading], *, seed: int = 0) -> ReadingScore:
     samples = _draws(len(names), seed) @ right.mean(axis=1) / len(names)
     return ReadingScore(
         float(right.mean()),
-        _interval(samples),
+        samples,
         {
             f"slot {slot + 1}": float(share)
             for slot, share in zip(slots, right.T.mean(axis=1), strict=True)
@@ -133,10 +139,10 @@ def new_word_score(
     totals = counts.sum(axis=0)
     drawn = np.tensordot(_draws(len(names), seed), counts, axes=1)
     samples = _recall_less_false_alarms(drawn)
-    samples = samples[~np.isnan(samples).all(axis=1)]
+    samples = np.nanmean(samples[~np.isnan(samples).all(axis=1)], axis=1)
     return ReadingScore(
         float(_recall_less_false_alarms(totals).mean()),
-        _interval(np.nanmean(samples, axis=1)),
+        samples,
         dict(zip(ordered, map(float, _recall_less_false_alarms(totals)), strict=True)),
         None,
         gain([r for r in readings if r.spoken in words]),
@@ -163,7 +169,8 @@ def _draws(n_sentences: int, seed: int) -> Array:
     return draws.astype(np.float64)
 
 
-def _interval(samples: Array) -> tuple[float, float]:
+def percentiles(samples: Array) -> tuple[float, float]:
+    """The 95 % between."""
     low, high = np.percentile(samples, [2.5, 97.5])
     return float(low), float(high)
 

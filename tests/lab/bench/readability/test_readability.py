@@ -13,11 +13,12 @@ from lipservo_lab.bench.readability.readability_figures import (
     with_line_methods,
 )
 from lipservo_lab.bench.readability.reading_models import given_models, requested_parts
+from lipservo_lab.bench.readability.soft_table import soft_table
 from lipservo_lab.corpus.grid import read_grid
 from lipservo_lab.corpus.utterance import CorpusError
 from lipservo_lab.evaluation.motion.offline_methods import OfflineModels
 from lipservo_lab.learning.motion.face_training import train
-from lipservo_lab.learning.motion.trained_model import save_model
+from lipservo_lab.learning.motion.trained_model import load_trained_model, save_model
 from lipservo_lab.learning.offline.offline_training import train_offline
 from lipservo_lab.learning.offline.state_training import Recipe
 from small_corpus import write_corpus
@@ -85,8 +86,36 @@ def test_every_method_look_ahead_and_reader_has_a_row_and_the_headline_is_that_o
         and (row["lookahead_ms"], row["reader"]) == (100, "components")
     )
     assert found["known_true"] == ours
+    # Paired: a score and its difference are drawn on the same sentences.
+    (without,) = (
+        row["score"]
+        for row in rows
+        if (row["split"], row["strategy"], row["phonemes"]) == ("known", "expected", "true")
+        and (row["lookahead_ms"], row["reader"]) == (100, "components")
+    )
+    differences = [row["less_expected"] for row in rows if row["strategy"] == "animpho"]
+    assert ours - without in differences
+    assert None not in differences
     assert abs(found["gap_r_true"]) <= 1.0  # of two sentences: no more can be said
     assert (tmp_path / "p" / "readability.png").is_file()
+
+
+def test_the_table_of_other_weights_has_a_figure_for_each_bar(folder, models):
+    corpus = read_grid(folder).labelled()
+    trained = load_trained_model(models / "known.npz")
+    rows = soft_table(
+        corpus,
+        requested_parts(folder, corpus, None),
+        lambda _part: trained,
+        "default",
+        lambda _what, items: items,
+    )
+    measured = {row["figure"]: row["measured"] for row in rows}
+    assert {name for name, value in measured.items() if value is None} <= {
+        *("new_b_recognized", "closure_hits", "labiodental_hits", "gap_steps_per_s"),
+    }
+    assert 0.0 <= measured["known_recognized"] <= 1.0
+    assert all(row["bar"][:2] in (">=", "<=") for row in rows)
 
 
 def test_words_may_be_named_and_are_trained_without_where_no_model_is_given(folder):

@@ -48,3 +48,13 @@ def test_sentences_that_did_not_teach_the_model_are_named(face, tmp_path):
     assert answer.exit_code != 0
     assert "8 of the model's 12 sentences are not in it" in str(answer.exception or answer.output)
     assert not (tmp_path / "x.npz").exists()
+
+
+def test_a_table_needs_what_is_held_out_and_says_so_before_anything_is_heard(
+    corpus, face, tmp_path
+):
+    output = tmp_path / "x.npz"
+    answer = invoke("learn", "soft", corpus, "-o", output, "--model", face, "--table", "-q")
+    assert answer.exit_code != 0
+    assert "splits.json: no such file" in str(answer.exception or answer.output)
+    assert not output.exists()

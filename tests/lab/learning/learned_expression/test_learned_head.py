@@ -59,9 +59,9 @@ def test_the_yaml_names_the_model_from_its_own_folder(tmp_path):
     asked = head.expression.model_copy(update={"model": "head.npz"})
     face = head.model_copy(update={"expression": asked})
 
-    layer = make_expression(face, tmp_path)
+    layer = make_expression(face, tmp_path, is_watched=True)
     for _ in range(300):
         layer.advance(0.0, 0.0, is_speaking=True)
     assert abs(layer.expression.neck_yaw_deg) > 0.0
     with pytest.raises(ExpressionModelError, match=r"head\.npz: no such file"):
-        make_expression(face, tmp_path / "elsewhere")
+        make_expression(face, tmp_path / "elsewhere", is_watched=True)

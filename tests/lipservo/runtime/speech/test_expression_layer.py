@@ -11,13 +11,14 @@ from lipservo.runtime.speech.expression import (
     ExpressionRequests,
     expression_servos,
     expression_settings,
+    make_expression,
 )
 from lipservo.runtime.speech.layers import Claim, Layer, ServoLayers
 from lipservo.runtime.speech.phoneme_sources import HeardVoice
 from lipservo.settings.settings import load_shipped_face
 from lipsync.audio_block import AudioBlock
 from lipsync.expression.cue import CUE_PERIOD_S
-from lipsync.face.frame import Expression
+from lipsync.face.frame import NO_EXPRESSION, Expression
 from lipsync.prosody.voice_frame import SILENT_VOICE
 
 HEAD = load_shipped_face("face_head")
@@ -144,6 +145,35 @@ def test_a_face_rests_only_in_silence_and_gets_up_for_whatever_happens(layer, to
     advance(layer, 5.0, is_speaking=False)
     layer.wake()
     assert not layer.is_resting
+
+
+@pytest.mark.parametrize(
+    ("arousal", "gain"), [(0.0, 1.0), (0.5, 1.1), (1.0, 1.2), (-0.5, 0.9), (-1.0, 0.85)]
+)
+def test_a_face_without_servos_for_it_still_opens_its_mouth_wider_when_excited(arousal, gain):
+    mouth = load_shipped_face("face_sim")
+    layer = make_expression(mouth, None, is_watched=False)
+    layer.change({"affect_arousal": arousal, "affect_valence": 0.5, "affect_at_s": 1.0})
+    advance(layer, 0.1, is_speaking=True, now_s=1.0)
+
+    assert layer.mouth_gain == pytest.approx(gain)
+    assert layer.valence == 0.5
+    assert layer.expression is NO_EXPRESSION
+    assert [claim.layer for claim in layer.claims(LIPS)] == [Layer.LIPS]
+
+
+def test_a_face_without_servos_for_it_has_a_head_on_the_page_and_rests_as_others_do():
+    mouth = load_shipped_face("face_sim")
+    watched = make_expression(mouth, None, is_watched=True)
+    advance(watched, 1.0, is_speaking=True)
+    assert watched.expression.neck_yaw_deg is not None
+
+    asked = mouth.expression.model_copy(update={"rest_after_s": 10.0})
+    alone = make_expression(mouth.model_copy(update={"expression": asked}), None, is_watched=False)
+    advance(alone, 9.9, is_speaking=False)
+    assert not alone.is_resting
+    advance(alone, 0.2, is_speaking=False)
+    assert alone.is_resting
 
 
 @pytest.mark.parametrize(

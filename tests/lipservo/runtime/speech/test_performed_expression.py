@@ -5,8 +5,8 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
+from lipservo.runtime.speech.expression import PerformedExpression
 from lipsync.expression.cue import CUE_PERIOD_S
-from lipsync.expression.live_expression import PerformedExpression
 from lipsync.face.frame import NO_EXPRESSION, Expression
 
 LIVE = Expression(-3.0, 8.0, 1.0, 2.0, -5.0, 0.1, 0.1, 0.2, 0.7)
