@@ -93,7 +93,9 @@ def test_every_utterance_of_a_scored_talker_is_fixed():
 @pytest.mark.skipif(not CORPORA.is_dir(), reason="no corpora")
 def test_the_fixed_are_the_utterances_of_the_corpora():
     corpora = (CORPORA / name for name in ("librispeech", "speechocean762", "picovoice_commands"))
-    spoken = {u.name for corpus in corpora for u in read_transcribed(corpus) if u.speaker in scored()}
+    spoken = {
+        u.name for corpus in corpora for u in read_transcribed(corpus) if u.speaker in scored()
+    }
 
     assert read_hashes(SPEAKERS / "scored_alignments.txt").keys() == spoken
 
