@@ -18,8 +18,11 @@ once_more_alone = || { [ $$? = 1 ] && echo "=== what failed beside others, once 
 
 .PHONY: run test traces docs check agents campaign format clean
 
+# Heard where `lipservo devices` finds a loudspeaker; silent where there is none.
 run: $(VENV)/.installed
-	$(BIN)/lipservo run --config face_head --dashboard --open
+	@echo "A page opens: type a sentence at its top, or let an example be said. Ctrl-C here ends it."
+	@echo "Next: docs/hardware.md for servos, docs/agents.md for a voice agent, docs/simulator.md for tests."
+	$(BIN)/lipservo run --config face_head --dashboard --open $$($(BIN)/lipservo devices 2>/dev/null | grep -qx loudspeakers && echo --play)
 
 # Half of what the tests of processes do is waiting: two workers a core.
 test: $(VENV)/.installed-dev

@@ -26,10 +26,22 @@ class CouplingRule:
 
 
 def keep_rules(rules: Sequence[CouplingRule], positions_deg: Array) -> Array:
-    """(n_servos,) within the limits -> the same, scaled towards neutral until no rule is broken.
+    """Return joint angles scaled towards neutral until no rule is broken.
 
     The joints of a broken rule go back by the same share of their way, which stays within limits
     that hold 0. Where that breaks another rule in turn, all joints go back together.
+
+    Parameters
+    ----------
+    rules : Sequence[CouplingRule]
+        Between joints.
+    positions_deg : Array
+        (n_servos,), within the limits.
+
+    Returns
+    -------
+    Array
+        (n_servos,) degrees.
     """
     for rule in rules:
         reached_deg = float(rule.weights @ positions_deg)
@@ -95,7 +107,7 @@ class Origin:
     """Where a calibration comes from: what a person wants to know about a file found later.
 
     method: `simulated face`, `measured` or `guided`; date: ISO 8601; servo_models, servo_memories:
-    one a servo, or none where no servo was asked. not_measured: what whoever saw the markers
+    one a servo, or none where no servo was read. not_measured: what the tracker
     cannot see, `protrusion` for one camera.
     """
 
@@ -123,7 +135,7 @@ class Calibration:
     the file; kept by every pose. centres: (n_centres, n_components), c_k, or none; centre_weights:
     (n_servos, n_centres). grade: None where nothing was measured after the fit. learnt_lips: None
     where no lips were captured; closure: None where it is not known what the lips of this robot do;
-    closing: None where nobody saw whether they meet.
+    closing: None where the lips were not observed.
     """
 
     servo_names: tuple[str, ...]
@@ -152,11 +164,33 @@ class Calibration:
     closing: Closing | None = None
 
     def positions_deg(self, coefficients: Array) -> Array:
-        """(n_components,) -> (n_servos,) joint degrees, in the order of `servo_names`."""
+        """Return the joint angles of a face.
+
+        Parameters
+        ----------
+        coefficients : Array
+            (n_components,).
+
+        Returns
+        -------
+        Array
+            (n_servos,) degrees, in the order of `servo_names`.
+        """
         return np.asarray(self.poses_deg(coefficients[None])[0])
 
     def poses_deg(self, faces: Array) -> Array:
-        """(k, n_components) -> (k, n_servos): `positions_deg` of each, in hardly more time."""
+        """Return `positions_deg` of several faces, in hardly more time than of one.
+
+        Parameters
+        ----------
+        faces : Array
+            (k, n_components).
+
+        Returns
+        -------
+        Array
+            (k, n_servos) degrees.
+        """
         x = np.minimum(np.maximum(faces - self.rest, self.x_range[0]), self.x_range[1])
         free_deg = self.rest_deg + x @ self.weights.T
         if self.quadratic_weights.shape[1]:
@@ -175,7 +209,18 @@ class Calibration:
 
 
 def linear_calibration_parts(n_servos: int, n_components: int) -> tuple[Array, Array, Array]:
-    """quadratic_weights, rest_deg and x_range of a map that is linear and 0 degrees at rest."""
+    """Return quadratic_weights, rest_deg and x_range of a map that is linear and 0 degrees at rest.
+
+    Parameters
+    ----------
+    n_servos,n_components : int
+        Sizes.
+
+    Returns
+    -------
+    tuple[Array, Array, Array]
+        (n_servos, 0), (n_servos,) and (2, n_components).
+    """
     bound = np.full(n_components, np.inf)
     return np.zeros((n_servos, 0)), np.zeros(n_servos), np.array([-bound, bound])
 

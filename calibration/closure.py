@@ -51,22 +51,60 @@ class Closure:
         object.__setattr__(self, "crossed", crossed)
 
     def open_mm(self, poses_deg: Array) -> Array:
-        """(k, n_servos) -> (k, n_gaps): below 0 lips press each other."""
+        """Return how far the lips are open.
+
+        Parameters
+        ----------
+        poses_deg : Array
+            (k, n_servos).
+
+        Returns
+        -------
+        Array
+            (k, n_gaps) mm: below 0 lips press each other.
+        """
         moved = poses_deg - self.at_deg
         first, second = pairs(moved.shape[1])
         bent = (moved[:, first] * moved[:, second]) @ self.bends.T
         return np.asarray(self.gaps_mm + moved @ self.slopes.T + bent)
 
-    def asked_mm(self, from_rest: Array, apart_mm: float) -> Array:
-        """(n_components,) and how far the speaker's lips are apart -> (n_gaps,)."""
+    def wanted_mm(self, from_rest: Array, apart_mm: float) -> Array:
+        """Return the wanted gaps of a face.
+
+        Parameters
+        ----------
+        from_rest : Array
+            (n_components,).
+        apart_mm : float
+            How far the speaker's lips are apart.
+
+        Returns
+        -------
+        Array
+            (n_gaps,) mm.
+        """
         closes = min(max(1.0 - (apart_mm - CLOSED_GAP_MM) / BLEND_MM, 0.0), 1.0)
         opened_mm = np.maximum(self.opens_mm @ from_rest, 0.0)
         return np.asarray((1.0 - closes) * opened_mm - closes * self.press_mm)
 
     def corrected_deg(self, from_rest: Array, poses_deg: Array, low: Array, high: Array) -> Array:
-        """(k, n_components) and their poses (k, n_servos) -> the same with the lips as asked.
+        """Correct poses (k, n_servos) so that the lips are as far apart as planned.
 
         Frame by frame with plain numbers: live there is one, and NumPy takes longer for it.
+
+        Parameters
+        ----------
+        from_rest : Array
+            (k, n_components).
+        poses_deg : Array
+            (k, n_servos).
+        low,high : Array
+            (n_servos,): the range.
+
+        Returns
+        -------
+        Array
+            (k, n_servos) degrees.
         """
         poses_deg = poses_deg.copy()
         for row, x in enumerate(from_rest):
@@ -77,7 +115,7 @@ class Closure:
             share = min((_CORRECTED_MM - apart_mm) / _FADES_MM, 1.0)
             moved = poses_deg[row] - self.at_deg
             open_mm = self.gaps_mm + (self.slopes + self.crossed @ moved) @ moved
-            missing_mm = share * (self.asked_mm(x, apart_mm) - open_mm)
+            missing_mm = share * (self.wanted_mm(x, apart_mm) - open_mm)
             turned_deg = poses_deg[row] + self.turns_deg @ missing_mm
             poses_deg[row] = np.minimum(np.maximum(turned_deg, low), high)
         return poses_deg

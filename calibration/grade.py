@@ -58,9 +58,21 @@ def measure_hold_out(
     joint_errors_deg: Array,
     clipped: NDArray[np.bool_],
 ) -> HoldOutErrors:
-    """From markers (n, 47, 3) of the human, the calibrated face and the best reachable face.
+    """Return the errors of a calibration on held-out frames.
 
-    joint_errors_deg: (n, n_servos); clipped: (n,).
+    Parameters
+    ----------
+    human_mm,robot_mm,nearest_mm : Array
+        (n, 47, 3) markers of the human, the calibrated face and the best reachable face.
+    joint_errors_deg : Array
+        (n, n_servos).
+    clipped : NDArray[np.bool_]
+        (n,).
+
+    Returns
+    -------
+    HoldOutErrors
+        In mm and degrees.
     """
     human_gap_mm, robot_gap_mm = _gap_mm(human_mm), _gap_mm(robot_mm)
     closed = human_gap_mm <= CLOSED_GAP_MM
@@ -82,7 +94,20 @@ def measure_hold_out(
 
 
 def each_marker_rms_mm(marker_names: Sequence[str], off_mm: Array) -> dict[str, float]:
-    """(n, n_markers, 3), how far each marker is off -> rms over the frames, by name."""
+    """Return how far each marker is off, rms over the frames.
+
+    Parameters
+    ----------
+    marker_names : Sequence[str]
+        n_markers.
+    off_mm : Array
+        (n, n_markers, 3).
+
+    Returns
+    -------
+    dict[str, float]
+        mm by name.
+    """
     rms_mm = np.sqrt(np.mean(np.sum(off_mm**2, axis=2), axis=0))
     return dict(zip(marker_names, rms_mm.tolist(), strict=True))
 
@@ -103,12 +128,12 @@ class VisemeReach:
 
     On the face as it was learnt, so estimated: reachable, the part of its frames, 0..1, of which
     the face has opening and width within 1 mm; off_mm, how far the calibrated face is from the
-    shapes wanted, rms over the lips; gap_slope, openings made over openings asked for;
+    wanted shapes, rms over the lips; gap_slope, openings made over openings wanted;
     closed_gap_mm, how far closed lips stay apart in 95 % of the frames in which the speaker's are
     closed; small_gaps_kept, the part of small openings that stay open; at_limit, the part of the
     frames in which a joint stands at a limit. None where the class has no such frames, or an older
     file does not say.
-    Measured: measured_mm, the lips' distance from what was asked for in n_measured graded poses.
+    Measured: measured_mm, the lips' distance from the target in n_measured graded poses.
     """
 
     reachable: float
@@ -171,7 +196,7 @@ class Closing:
         return self.evidence != LIMITS
 
     @property
-    def told(self) -> str:
+    def description(self) -> str:
         """In words, where they do not."""
         return (
             f"does not close: lips stay up to {self.apart_mm:.1f} mm apart, {self.joint} is at its "
@@ -183,10 +208,10 @@ class Closing:
 class Grade:
     """What was measured on the robot at poses of speech that were never fitted.
 
-    Distances from the shapes asked for, without the tracker's noise in lip_rms_mm; each pose counts
+    Distances from the wanted shapes, without the tracker's noise in lip_rms_mm; each pose counts
     by the share of speech that it stands for. closed_gap_mm: how far lips that should be closed
-    were apart, beyond the robot's own closed gap; gap_slope: openings made over openings asked
-    for; small_gaps_kept: the part of small openings that are at least half made, None where none
+    were apart, beyond the robot's own closed gap; gap_slope: openings made over openings wanted;
+    small_gaps_kept: the part of small openings that are at least half made, None where none
     was measured.
     """
 
@@ -201,9 +226,9 @@ class Grade:
 def lips_off_mm(grade: Grade, lips: LearntLips | None) -> float:
     """How far the lips are from the shapes of speech.
 
-    As measured from the shapes asked for, and what those themselves may be off by. Without the
+    As measured from the wanted shapes, and what those themselves may be off by. Without the
     second it would be a fifth too little (elastic robots of seeds 100 to 117, whose true shapes
-    no calibration was told).
+    no calibration has seen).
     """
     if lips is None:
         return grade.lip_rms_mm
@@ -220,7 +245,7 @@ _LEAST_SPREAD_MM = 0.3
 class GapFigures:
     """None where no frame can tell.
 
-    slope: openings made over openings asked for; closed_mm: how far lips stay apart in 95 % of the
+    slope: openings made over openings wanted; closed_mm: how far lips stay apart in 95 % of the
     frames in which the speaker's are closed; small_kept: the part of small openings that are at
     least half made.
     """
@@ -231,19 +256,31 @@ class GapFigures:
 
 
 def gap_figures(
-    asked_mm: Array, made_mm: Array, human_gap_mm: Array, shares: Array | None = None
+    wanted_mm: Array, made_mm: Array, human_gap_mm: Array, shares: Array | None = None
 ) -> GapFigures:
-    """(n,) each: openings beyond the robot's own closed gap, NaN where nobody saw; the speaker's.
+    """Compare made openings with wanted ones.
 
-    shares: (n,), of speech that each frame stands for; None: all the same.
+    Parameters
+    ----------
+    wanted_mm,made_mm : Array
+        (n,): openings beyond the robot's own closed gap, NaN where not measured.
+    human_gap_mm : Array
+        (n,): the speaker's.
+    shares : Array | None
+        (n,), of speech that each frame stands for; None: all the same.
+
+    Returns
+    -------
+    GapFigures
+        Slope, and mm.
     """
     known = np.isfinite(made_mm)
     weights = np.ones(len(made_mm)) if shares is None else shares
-    asked, made, human = asked_mm[known], made_mm[known], human_gap_mm[known]
+    wanted, made, human = wanted_mm[known], made_mm[known], human_gap_mm[known]
     closed, small = human <= CLOSED_GAP_MM, is_small(human)
-    is_told = len(asked) > 2 and float(np.ptp(asked)) > _LEAST_SPREAD_MM
-    slope = np.polyfit(asked, made, 1, w=np.sqrt(weights[known]))[0] if is_told else None
-    kept = made[small] >= _HALF_MADE * asked[small]
+    is_known = len(wanted) > 2 and float(np.ptp(wanted)) > _LEAST_SPREAD_MM
+    slope = np.polyfit(wanted, made, 1, w=np.sqrt(weights[known]))[0] if is_known else None
+    kept = made[small] >= _HALF_MADE * wanted[small]
     return GapFigures(
         slope=None if slope is None else float(slope),
         closed_mm=max(0.0, float(np.quantile(made[closed], 0.95))) if closed.any() else None,
@@ -252,6 +289,17 @@ def gap_figures(
 
 
 def is_small(human_gap_mm: Array) -> NDArray[np.bool_]:
-    """(n,): whether the speaker's lips are a little open."""
+    """Return whether the speaker's lips are a little open.
+
+    Parameters
+    ----------
+    human_gap_mm : Array
+        (n,).
+
+    Returns
+    -------
+    NDArray[np.bool_]
+        (n,).
+    """
     least_mm, most_mm = SMALL_GAPS_MM
     return np.asarray((human_gap_mm >= least_mm) & (human_gap_mm <= most_mm))

@@ -65,11 +65,14 @@ _RULES: Final = (
 
 def joint_motion(name: str, positive: str) -> JointMotion | None:
     """None where name and word do not say what moves, or where."""
-    named, told = words(name), words(positive)
+    named, positive_words = words(name), words(positive)
     for rule in _RULES:
         if not all(named & each for each in rule.named):
             continue
-        forward, backward = bool(told & rule.forward), bool(told & rule.backward)
+        forward, backward = (
+            bool(positive_words & rule.forward),
+            bool(positive_words & rule.backward),
+        )
         if forward != backward:
             return JointMotion(rule.channel, side_of(name), 1 if forward else -1)
     return None

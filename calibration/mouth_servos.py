@@ -34,7 +34,7 @@ class MouthServos:
     """Joints in the order of the YAML, with what belongs to them.
 
     models: one servo model a joint; positive: what a positive angle does, one word a joint, which
-    lets a reversed joint be found. Both may be empty where nobody knows. rules: what the joints
+    lets a reversed joint be found. Both may be empty where unknown. rules: what the joints
     must not do together.
     """
 
@@ -59,7 +59,13 @@ class MouthServos:
 
     @property
     def limits_deg(self) -> tuple[Array, Array]:
-        """Least and most degrees, (n_servos,) each."""
+        """Least and most angle of each joint.
+
+        Returns
+        -------
+        tuple[Array, Array]
+            (n_servos,) degrees each.
+        """
         return (
             np.array([joint.min_deg for joint in self.joints]),
             np.array([joint.max_deg for joint in self.joints]),

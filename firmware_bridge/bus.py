@@ -19,15 +19,36 @@ Array = NDArray[np.float64]
 
 
 def any_set(values: NDArray[np.bool_] | NDArray[np.number]) -> bool:
-    """Whether any is not 0; for as many as a face has joints, ten times as quick as `any()`.
+    """Return whether any value is not 0; ten times as quick as `any()` for a face's few joints.
 
     By their bytes: -0.0, which nothing here counts from, is taken for something else than 0.
+
+    Parameters
+    ----------
+    values : NDArray[np.bool_] | NDArray[np.number]
+        (n,).
+
+    Returns
+    -------
+    bool
+        True where at least one byte is set.
     """
     return bool(values.tobytes().strip(b"\0"))
 
 
 def all_set(flags: NDArray[np.bool_]) -> bool:
-    """Whether all are true, as quickly."""
+    """Return whether all flags are true, by their bytes as in `any_set`.
+
+    Parameters
+    ----------
+    flags : NDArray[np.bool_]
+        (n,).
+
+    Returns
+    -------
+    bool
+        True for an empty array, too.
+    """
     return 0 not in flags.tobytes()
 
 
@@ -74,12 +95,12 @@ class Feedback:
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """What was last heard about each servo's condition; one servo is asked at a time.
+    """The last reading of each servo's condition; one servo is polled at a time.
 
     silent_s: how long nothing has come from it. torque_on: as its register says.
     watchdog_tripped: it stopped by itself since it heard nothing.
     temperature_degc, voltage_v: NaN = never heard, or not measured; room_degc: how far it is below
-    its own limit, infinite where nobody can say.
+    its own limit, infinite where that is unknown.
     effort: share of the stall torque; current_ma: NaN where it is not measured.
     n_unanswered: questions of the tick that it did not answer so far.
     """
@@ -141,14 +162,14 @@ class ServoHealth:
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """What the servos said. Every array is (n_servos,), in the order of the face's servo names.
+    """The newest reply of each servo. Every array is (n_servos,), in the face YAML's order.
 
     positions_deg: where each joint stands; NaN for a servo that has never answered, or cannot.
     goals_deg: where each servo is trying to be, or would with torque on; NaN when it did not say.
     torque_on: whether the servo holds its goal by force.
     errors: number in the last status packet, 0 = none;
         https://emanual.robotis.com/docs/en/dxl/protocol2/#error
-    age_s: how old each servo's part is; 0 = asked and answered just now, infinity = never.
+    age_s: how old each servo's part is; 0 = read just now, infinity = never.
     """
 
     time_s: float
@@ -160,13 +181,28 @@ class Readings:
 
     @property
     def missing(self) -> NDArray[np.bool_]:
-        """Which servos did not answer this time, (n_servos,)."""
+        """Which servos did not answer this time.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n_servos,).
+        """
         return self.age_s > 0.0
 
     def start_deg(self, can: BusCapabilities) -> Array:
-        """From where the joints may be moved, (n_servos,): their places, 0 for one not heard.
+        """Return the places from which the joints may be moved.
 
-        Of those that cannot say that: the goals given last, 0 before the first.
+        Parameters
+        ----------
+        can : BusCapabilities
+            Which servos report their place.
+
+        Returns
+        -------
+        Array
+            (n_joints,) degrees: places, 0 for a servo never heard; of servos without a place their
+            last goals, 0 before the first.
         """
         has_place = [can.of(index).place for index in range(len(self.goals_deg))]
         return np.nan_to_num(np.where(has_place, self.positions_deg, self.goals_deg))
@@ -185,16 +221,30 @@ class ServoBus(Protocol):
         """What its servos can do; known before the port is open, and never another."""
 
     def write_positions(self, positions_deg: Array) -> None:
-        """Give every servo its next goal, (n_servos,); returns before they arrive.
+        """Give every servo its next goal; return before it arrives.
 
         A servo keeps its old goal when the new one lies outside its own range, or is NaN.
-        Raises ValueError for any other shape.
+
+        Parameters
+        ----------
+        positions_deg : Array
+            (n_servos,) joint degrees.
+
+        Raises
+        ------
+        ValueError
+            positions_deg has another shape.
         """
 
     def widen(self, joints: NDArray[np.bool_]) -> None:
-        """Take goals of these, (n_servos,), as far as a person may find limits (`Joint.pulse`).
+        """Take goals of these servos as far as a person may find limits (`Joint.pulse`).
 
         Of all others within their limits. A bus without pulses takes no notice.
+
+        Parameters
+        ----------
+        joints : NDArray[np.bool_]
+            (n_servos,).
         """
 
     def read(self) -> Readings:
@@ -229,10 +279,19 @@ class ServoBus(Protocol):
         """
 
     def disable_torque(self, index: int) -> bool:
-        """Let one servo go limp; whether it was: it confirmed, or was told and cannot confirm."""
+        """Switch one servo's torque off; True.
+
+        It confirmed, or was sent the order and cannot confirm.
+        """
 
     def disable_all(self) -> NDArray[np.bool_]:
-        """Let every servo go limp now; which of them were, (n_servos,), as `disable_torque`."""
+        """Switch the torque of every servo off now.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n_servos,): True where a servo confirmed, or was sent the order and cannot confirm.
+        """
 
     def reboot(self, index: int) -> None:
         """Restart one servo: clears its hardware error; it comes back limp."""

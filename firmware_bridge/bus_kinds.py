@@ -1,7 +1,7 @@
 """Kinds of servo bus: a kind is one entry, found by the name that a face's YAML gives it.
 
 The entry brings the settings, opens the bus, simulates it, and knows what can be done at its port
-while nobody drives it. Kinds of other packages are entry points of the group `lipservo.buses`. A
+while no face drives it. Kinds of other packages are entry points of the group `lipservo.buses`. A
 kind is loaded when its name is first used, and what opens a port when it is opened.
 """
 
@@ -77,17 +77,23 @@ class Finding:
 
 
 class PortRelease(Protocol):
-    """An open port whose servos are let go, whoever held them before. Methods raise PortError."""
+    """An open port whose servos are let go, regardless of what drove them.
+
+    Methods raise PortError.
+    """
 
     @property
     def confirms(self) -> bool:
         """Whether servos can say that they were let go."""
 
     def tell_all(self, addresses: Sequence[int]) -> None:
-        """Let go of these, and of whoever else is there."""
+        """Send torque off to these addresses, and to all others at the port."""
 
     def ask(self, address: int) -> str:
-        """Empty when a servo says that it was let go; else why not, and it is told once more."""
+        """Return "" when a servo confirms torque off.
+
+        Else the reason, and the order is sent once more.
+        """
 
     def find(self, addresses: Sequence[int]) -> Sequence[int]:
         """Let go of everybody, at whatever rate they are spoken to; who there is, and these."""
@@ -131,7 +137,7 @@ class BusKind:
         return None
 
     def allow_first_start(self, _wiring: Wiring) -> None:
-        """A person allows servos of which nobody knows where they stand to jump to neutral."""
+        """Allow servos of unknown position to jump to neutral; a person confirmed it."""
 
     def is_at(self, _port: str) -> bool:
         """Whether what is plugged in at a port says by itself that it is of this kind."""
@@ -199,7 +205,7 @@ def bus_kind(name: str) -> BusKind:
 
 
 def other_kind_at(transport: "Transport", own: str) -> str:
-    """In words, which other kind answers where nobody of the kind `own` does; empty: none.
+    """Name the other kind of bus that answers where no servo of the kind `own` does; empty: none.
 
     Raises PortError when the port fails.
     """

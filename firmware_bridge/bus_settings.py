@@ -93,11 +93,11 @@ class BusServo(Strict):
 
     @property
     def bounds(self) -> Mapping[str, float | None]:
-        """What its model bears, None where nobody says it."""
+        """Limits of its model; None where the maker states none."""
         return {"hottest_degc": None, "least_v": None, "most_v": None}
 
     def strain(self, _effort: float) -> float:
-        """How much of the most that it may draw it draws at an effort; 0 where nobody knows."""
+        """Share of the maximum current drawn at an effort; 0 where it is unknown."""
         return 0.0
 
     @model_validator(mode="after")

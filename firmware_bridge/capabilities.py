@@ -1,4 +1,4 @@
-"""What the servos of a bus can do, and what a stop can do on it: said once, asked everywhere."""
+"""What the servos of a bus can do, and what a stop can do on it: the one place that states it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -10,7 +10,7 @@ LIMP: Final = "limp"
 
 @dataclass(frozen=True, slots=True)
 class BusCapabilities:
-    """What the servos of one kind of bus can do; whoever needs it asks for this, not for the kind.
+    """What the servos of one kind of bus can do; callers test this, not the kind.
 
     What a bus cannot know it reports as NaN (places, load, heat, voltage), and nothing that follows
     from it is claimed for it.

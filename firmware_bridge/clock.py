@@ -17,7 +17,7 @@ class Clock(Protocol):
 
 
 class MonotonicClock:
-    """The computer's own clock, untouched when somebody sets the date."""
+    """The computer's monotonic clock, which setting the date does not move."""
 
     #: Seconds; the function itself, since a tick looks a dozen times.
     now = staticmethod(time.monotonic)
@@ -29,7 +29,7 @@ class MonotonicClock:
 
 
 class ManualClock:
-    """A clock that moves only when told to, so that hours pass in a blink and always alike."""
+    """A clock that moves only when a test or bench sets it: hours pass at once, reproducibly."""
 
     def __init__(self, start_s: float = 0.0) -> None:
         self._now_s = start_s
@@ -52,7 +52,7 @@ class ManualClock:
 def ticks(clock: Clock, rate_hz: float) -> Iterator[tuple[float, int]]:
     """Yield (tick time, ticks missed just before it) on a fixed grid, for ever.
 
-    The grid starts when the first tick is asked for; tick n is at start + n / rate_hz (> 0).
+    The grid starts at the first call for a tick; tick n is at start + n / rate_hz (> 0).
     After a stall comes the newest tick that is due, once, and the missed ones are counted: servos
     want one fresh goal, not a burst of old ones.
     """

@@ -3,9 +3,9 @@
 The exceptions::
 
     BusError
-    ├── PortError       nobody can be talked to
+    ├── PortError       the port, or every servo at it, cannot be reached
     │   └── PortGone    the port was there and is not any more; it may come back
-    └── ServoError      one servo cannot do what is asked of it
+    └── ServoError      one servo cannot do what was ordered
 
 Example scenarios: the adapter is unplugged, its port is held by another program or not permitted,
 or the bus is used outside its `with` block (PortError); the plug is pulled in mid-sentence
@@ -27,4 +27,4 @@ class PortGone(PortError):  # noqa: N818 - a state of the port, as PortError's o
 
 
 class ServoError(BusError):
-    """One servo does not do what is asked of it."""
+    """One servo does not do what was ordered."""

@@ -68,10 +68,18 @@ class PulseController(Protocol):
         """Give it back for good; pulses go on as they are."""
 
     def send(self, pulses_us: Array) -> bool:
-        """The pulse of each servo, (n_servos,), in one write; 0: none.
+        """Send the pulse of each servo in one write.
 
-        False: it has lost all since the last write, as after a break of its supply, and none is
-        made.
+        Parameters
+        ----------
+        pulses_us : Array
+            (n_servos,) us; 0: none.
+
+        Returns
+        -------
+        bool
+            False: it has lost all since the last write, as after a break of its supply, and no
+            pulse is made.
         """
 
     def sending(self, index: int) -> float:
@@ -108,7 +116,15 @@ class KeptPulses:
         self.write({each.address: each.neutral_us for each in servos} | dict(self.read()))
 
     def follow(self, channels: Sequence[int], sent_us: Array) -> None:
-        """Write what stands in `sent_us` whenever it changes, until `close`."""
+        """Write `sent_us` to a file whenever it changes, until `close`.
+
+        Parameters
+        ----------
+        channels : Sequence[int]
+            One a servo.
+        sent_us : Array
+            (n_servos,) us, changed in place by its owner.
+        """
         if self._path is None or self._thread is not None:
             return
 
@@ -159,7 +175,7 @@ class PulseBus:
     ) -> None:
         """kept: the pulses of before.
 
-        may_jump: a servo of which nobody knows where it stands starts at neutral, without asking.
+        may_jump: a servo of unknown position starts at neutral, without a question.
         """
         n = len(servos)
         self.capabilities = capabilities
@@ -195,7 +211,18 @@ class PulseBus:
         self._is_open = self._has_sent = self._is_steady = False
 
     def write_positions(self, positions_deg: Array) -> None:
-        """Give every servo its next goal; those whose turn has come get it as a pulse now."""
+        """Give every servo its next goal; those whose turn has come get it as a pulse now.
+
+        Parameters
+        ----------
+        positions_deg : Array
+            (n_servos,) joint degrees.
+
+        Raises
+        ------
+        ValueError
+            positions_deg has another shape.
+        """
         if positions_deg.shape != self._goal_us.shape:
             raise ValueError(
                 f"expected positions of shape {self._goal_us.shape}, got {positions_deg.shape}"
@@ -214,13 +241,19 @@ class PulseBus:
         self._send()
 
     def widen(self, joints: NDArray[np.bool_]) -> None:
-        """These go beyond min_us..max_us, to 500 and 2500 us."""
+        """Let these servos go beyond min_us..max_us, to 500 and 2500 us.
+
+        Parameters
+        ----------
+        joints : NDArray[np.bool_]
+            (n_servos,).
+        """
         low_us, high_us = self._scale.reach_us.T
         self._low_us = np.where(joints, low_us, self._scale.min_us)
         self._high_us = np.where(joints, high_us, self._scale.max_us)
 
     def read(self) -> Readings:
-        """What they were told; nothing comes back from them."""
+        """The goals that were sent; pulse servos report nothing."""
         self._check_open()
         return Readings(
             time_s=self._clock.now(),
@@ -262,7 +295,7 @@ class PulseBus:
         )
 
     def obstacle(self, index: int) -> str:
-        """Nobody knows where it stands, or its channel does not do what it is told."""
+        """Why torque may not go on: its position is unknown, or its channel does not obey."""
         self._check_open()
         if not self._may_jump and np.isnan(self._last_us[index]):
             return (
@@ -303,13 +336,22 @@ class PulseBus:
         return not self.enable_torque(index)
 
     def disable_torque(self, index: int) -> bool:
-        """No pulses for one servo, as the controller says; what it does then nobody knows."""
+        """Stop the pulses of one servo, as the controller says.
+
+        What the servo then does is unknown.
+        """
         self._check_open()
         self._release(np.arange(len(self._held)) == index)
         return self._controller.sending(index) == 0.0
 
     def disable_all(self) -> NDArray[np.bool_]:
-        """No pulses for anybody; a controller that hangs is not asked again for each servo."""
+        """Stop the pulses of all; a controller that hangs is not called again for each servo.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n_servos,): which channels are off.
+        """
         self._check_open()
         self._release(np.ones_like(self._held))
         off = np.zeros_like(self._held)

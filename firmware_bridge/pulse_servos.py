@@ -83,9 +83,31 @@ class PulseScale:
         self.max_us_s = np.abs(self.us_per_deg) * [each.max_speed_deg_s for each in servos]
 
     def pulses_us(self, joints_deg: Array) -> Array:
-        """Of joint angles; not kept within min_us..max_us."""
+        """Return pulses for joint angles, not kept within min_us..max_us.
+
+        Parameters
+        ----------
+        joints_deg : Array
+            (n_servos,) degrees.
+
+        Returns
+        -------
+        Array
+            (n_servos,) us.
+        """
         return joints_deg * self.us_per_deg + self.neutral_us
 
     def joints_deg(self, pulses_us: Array) -> Array:
-        """Of pulses."""
+        """Return joint angles for pulses.
+
+        Parameters
+        ----------
+        pulses_us : Array
+            (n_servos,) us.
+
+        Returns
+        -------
+        Array
+            (n_servos,) degrees.
+        """
         return (pulses_us - self.neutral_us) / self.us_per_deg

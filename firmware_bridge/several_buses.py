@@ -58,7 +58,7 @@ class BusThread:
     """
 
     def __init__(self, name: str, bus: ServoBus, at: NDArray[np.intp], clock: Clock) -> None:
-        """bus: open, and touched by nobody else from now on."""
+        """bus: open, and used by this thread alone from now on."""
         self.name, self.bus, self.at, self._clock = name, bus, at, clock
         self.lost: PortError | None = None
         self.is_behind = False
@@ -211,7 +211,7 @@ class BusThread:
 class SeveralBuses:
     """See `ServoBus`: all servos of a face, on buses of any kind.
 
-    Goals, places and health pass through in the tick. What a single servo is told (torque on, off,
+    Goals, places and health pass through in the tick. Orders to single servos (torque on, off,
     restart) its bus does meanwhile; where that takes longer, the caller asks again, as it does for
     a servo that did not answer. A port that is lost makes the methods of the tick raise PortGone;
     `disable_all` reaches all others all the same.
@@ -234,7 +234,18 @@ class SeveralBuses:
         self._remarks: list[str] = []
 
     def write_positions(self, positions_deg: Array) -> None:
-        """Hand every bus its goals; one that has not sent its last ones sends these instead."""
+        """Hand every bus its goals; one that has not sent its last ones sends these instead.
+
+        Parameters
+        ----------
+        positions_deg : Array
+            (n_servos,) joint degrees, of all buses.
+
+        Raises
+        ------
+        ValueError
+            positions_deg has another shape.
+        """
         if positions_deg.shape != (self._n_servos,):
             raise ValueError(
                 f"expected positions of shape {(self._n_servos,)}, got {positions_deg.shape}"
@@ -244,7 +255,13 @@ class SeveralBuses:
             each.hand(_WRITE, partial(each.bus.write_positions, positions_deg[each.at]))
 
     def widen(self, joints: NDArray[np.bool_]) -> None:
-        """Have every bus take goals beyond the limits of those of its servos."""
+        """Have every bus take goals beyond the limits of those of its servos.
+
+        Parameters
+        ----------
+        joints : NDArray[np.bool_]
+            (n_servos,), of all buses.
+        """
         for each in self._threads.values():
             each.hand(_WIDEN, partial(each.bus.widen, joints[each.at]))
 
@@ -271,20 +288,20 @@ class SeveralBuses:
         return found
 
     def feedback(self) -> Feedback:
-        """Where every servo stands; of a bus that is behind, what it said last, and its age."""
+        """Where every servo stands; of a bus that is behind, its last reading, and its age."""
         n = self._n_servos
         self._ask_all(_FEEDBACK, BusThread.hear)
         now_s = self._clock.now()
         newest = [each.feedback[0] for each in self._threads.values() if each.feedback is not None]
-        has_turns = any(each.ready is not None for each in newest)
+        has_stopping_order = any(each.ready is not None for each in newest)
         found = Feedback(
             time_s=now_s,
             positions_deg=np.full(n, np.nan),
             effort=np.full(n, np.nan),
             errors=np.zeros(n, dtype=np.uint8),
             age_s=np.full(n, np.inf),
-            ready=np.ones(n, dtype=np.bool_) if has_turns else None,
-            sent_deg=np.full(n, np.nan) if has_turns else None,
+            ready=np.ones(n, dtype=np.bool_) if has_stopping_order else None,
+            sent_deg=np.full(n, np.nan) if has_stopping_order else None,
         )
         for each in self._threads.values():
             if each.feedback is not None:
@@ -355,9 +372,14 @@ class SeveralBuses:
         return bool(each.ask(("disable", n), partial(each.bus.disable_torque, n), wait_s))
 
     def disable_all(self) -> NDArray[np.bool_]:
-        """Every bus lets go of its servos before it does anything else, all at the same time.
+        """Let every bus release its servos before it does anything else, all at the same time.
 
-        Those of a bus that has not done it yet are not counted; it does it as soon as it can.
+        Servos of a bus that has not done it yet are not counted; it does it as soon as it can.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n_servos,): which servos confirmed.
         """
         there = [each for each in self._opened() if each.lost is None]
         for each in there:
@@ -408,7 +430,10 @@ class SeveralBuses:
             each.join(max(0.0, until_s - time.monotonic()))
 
     def _ask_all(self, key: _Key, ask: Callable[[BusThread], None]) -> None:
-        """All are asked, and waited for together; one that is behind is not waited for."""
+        """Run `ask` on all buses and wait for them together.
+
+        One that is behind is not waited for.
+        """
         self._check()
         threads = self._threads.values()
         for each in threads:

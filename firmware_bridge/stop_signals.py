@@ -6,7 +6,7 @@ Three needs, three handlers; all else a program does with these signals is built
   reach them at once: `firmware_bridge.loop.life_cycle.LifeCycle` has its own handler, which only
   notes the first and raises at the second.
 * A process that waits in `select` for others (the supervisor) or runs its own loop without servos
-  (speech) must be woken and told how many came: `SignalCounter`.
+  (speech) must be woken and get their number: `SignalCounter`.
 * A command that waits for a person at the keyboard has no loop that could look. It must be broken
   off at once, unless a servo's register is just being written: `DeferredSignals`.
 """
@@ -19,8 +19,12 @@ from types import FrameType
 from typing import Any, Final, Self
 
 #: What a person, a dropped connection, a service manager or a keyboard ends a program with: Ctrl-C,
-#: `kill` or a service's stop, a closed terminal, Ctrl-backslash.
-STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+#: `kill` or a service's stop, a closed terminal, Ctrl-backslash. Windows has the first two.
+STOP_SIGNALS: Final = tuple(
+    signal.Signals[name]
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+    if name in signal.Signals.__members__ and hasattr(signal, name)
+)
 
 Handler = Callable[[int, FrameType | None], None]
 #: What each signal did before; as `signal.signal` gives it.
@@ -30,7 +34,7 @@ PreviousHandlers = dict[signal.Signals, Any]
 def install_handler(handler: Handler, *, leave_ignored: bool = False) -> PreviousHandlers:
     """Let `handler` take all stop signals from now on; in the main thread only.
 
-    leave_ignored: those that whoever started us asked to be ignored stay so, as `nohup` does.
+    leave_ignored: signals that the parent process ignores stay ignored, as with `nohup`.
     """
     return {
         number: signal.signal(number, handler)
@@ -85,7 +89,7 @@ class SignalCounter:
 
 
 class StopRequested(Exception):  # noqa: N818 - a wish of a person, not an error
-    """Somebody asked the program to end. number: of the signal."""
+    """A signal to end the program. number: of the signal."""
 
     def __init__(self, number: int) -> None:
         super().__init__(signal.Signals(number).name)

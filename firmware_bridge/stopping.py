@@ -49,14 +49,14 @@ class ExitStatus(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class StopReport:
-    """What the servos themselves said at the end; nothing is claimed for the others.
+    """What the servos themselves reported at the end; nothing is claimed for the others.
 
     confirmed: servos, by name, that were read with torque off. unconfirmed: why not, by name.
     released: those that were let go on a bus whose servos cannot confirm it; released_words: what
     is true of them then.
-    at_rest: whether the face had come to neutral before; None: not known, for whoever switched
-    torque off had not moved it. dry_run: nothing was ever switched on. confirms: whether there are
-    servos that can confirm it.
+    at_rest: whether the face had come to neutral before; None: not known, since the process that
+    switched torque off had not moved it. dry_run: nothing was ever switched on. confirms: whether
+    there are servos that can confirm it.
     """
 
     confirmed: tuple[str, ...] = ()
@@ -113,7 +113,10 @@ class StopReport:
         return f"torque off confirmed by {n} servos, NOT by {left}"
 
     def as_dict(self) -> dict[str, object]:
-        """For JSON, and for whoever asked for the stop; `released` only where there are such."""
+        """For JSON, and for the client that requested the stop.
+
+        `released` only where there are such.
+        """
         released = {"released": list(self.released), "released_words": self.released_words}
         return {
             "complete": self.complete,
@@ -133,7 +136,7 @@ def let_go_report(
     dry_run: bool = False,
     confirms: bool = True,
 ) -> StopReport:
-    """What may be said of servos that were let go: by name, what each of them can do."""
+    """Return the report of servos that were let go: by name, what each of them can do."""
     confirmed = tuple(name for name, can in let_go.items() if can.confirmed_limp)
     released = {name: can.released_words for name, can in let_go.items() if name not in confirmed}
     words = "; ".join(dict.fromkeys(released.values()))
@@ -153,7 +156,7 @@ def _servos(n: int) -> str:
 
 
 class ServoSwitch(StrEnum):
-    """What may be asked of one servo."""
+    """Orders to one servo."""
 
     OFF = "off"  # torque off, and it stays off until ON
     ON = "on"  # tried again, also after it was given up

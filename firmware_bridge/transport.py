@@ -1,4 +1,4 @@
-"""An open port to servos, whatever carries the bytes and whoever is at the other end."""
+"""An open port to servos, for any carrier of the bytes and any device at the other end."""
 
 from typing import Protocol, runtime_checkable
 
@@ -11,7 +11,7 @@ class Transport(Protocol):
 
     @property
     def clock(self) -> Clock:
-        """The clock that deadlines are told on."""
+        """The clock of the deadlines."""
 
     @property
     def baud_rate(self) -> int:

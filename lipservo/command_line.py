@@ -8,7 +8,7 @@ import typer
 from firmware_bridge.errors import BusError
 from firmware_bridge.port_names import named_ports
 from firmware_bridge.process import logs
-from firmware_bridge.process.runtime_folder import ControlError
+from firmware_bridge.process.runtime_folder import NEEDS_LINUX, RUNS_FACES, ControlError
 from lipservo.runtime.servos.face_stopped import FaceStopped
 from lipservo.terminal.output import complain
 from lipsync.errors import UserError
@@ -25,7 +25,7 @@ _IN_OUR_WORDS = {
 def main() -> None:
     """Run the command line: status 0, 1 for what the user can mend, 2 for wrong usage.
 
-    Every mistake is told in clear lines on stderr that begin with `lipservo:`.
+    Every mistake is reported in clear lines on stderr that begin with `lipservo:`.
     """
     for stream in (sys.stdin, sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -43,6 +43,11 @@ def main() -> None:
     except (UserError, BusError, ControlError) as error:
         # Notes say what became of the servos.
         complain("\n".join([str(error), *getattr(error, "__notes__", [])]))
+        status = 1
+    except ModuleNotFoundError as error:
+        if RUNS_FACES or error.name not in ("fcntl", "termios", "tty"):
+            raise
+        complain(NEEDS_LINUX)
         status = 1
     except typer.Abort:
         complain("the input ended before all questions were answered; no file was written")
@@ -86,15 +91,15 @@ def _moved_option(error: typer.TyperException) -> str | None:
 
 def _usage_line(error: typer.TyperException) -> str:
     """What is wrong with a command line, in one line, and where to read on."""
-    told = " ".join(error.format_message().split())
+    message = " ".join(error.format_message().split())
     for pydantics, ours in _IN_OUR_WORDS.items():
-        told = told.replace(pydantics, ours)
+        message = message.replace(pydantics, ours)
     context = getattr(error, "ctx", None)
     command = "lipservo" if context is None else context.command_path
     moved = _moved_option(error)
     if moved is not None:
-        told = moved
-    return f"{told.removeprefix('Invalid value: ').rstrip('.')}; see `{command} --help`"
+        message = moved
+    return f"{message.removeprefix('Invalid value: ').rstrip('.')}; see `{command} --help`"
 
 
 def _with_default_microphone(arguments: list[str]) -> list[str]:

@@ -42,7 +42,7 @@ class SimulatedFace:
         assert process.stderr is not None
         self._process = process
         self._messages = process.stderr
-        self._said: list[str] = []
+        self._lines: list[str] = []
         self._trace = folder / "trace.jsonl"
         self._reader = threading.Thread(target=self._read, daemon=True)
         self.url = ""
@@ -58,13 +58,52 @@ class SimulatedFace:
     @property
     def messages(self) -> str:
         """What the face has printed until now."""
-        return "".join(self._said)
+        return "".join(self._lines)
 
     def connect(self) -> "Face":
         """Return `lipservo.connect` to this face: `with simulated_face.connect() as face:`."""
         from lipservo_client import connect
 
         return connect(self.url, self.token)
+
+    def play(self, samples: bytes, rate_hz: int) -> None:
+        """Let the face speak a sound, in the time that the sound takes.
+
+        Parameters
+        ----------
+        samples : bytes
+            16 bit, little endian, one channel.
+        rate_hz : int
+            8,000 to 96,000.
+
+        """
+        duration_s = len(samples) / 2 / rate_hz
+        with self.connect() as face, face.stream(rate_hz, playback="client") as speech:
+            speech.write(samples)
+            began_s = time.monotonic()
+            played_s = 0.0
+            while played_s < duration_s:
+                time.sleep(_POLL_S)
+                played_s = min(time.monotonic() - began_s, duration_s)
+                speech.report_played(played_s)
+
+    def encoders_deg(self) -> dict[str, float]:
+        """Return where each servo is by its encoder, in degrees of its joint, by name.
+
+        NaN where a servo has not answered or cannot say where it is.
+        """
+        from firmware_bridge.process.control_client import running_faces, watch
+        from lipservo.runtime.status.live_board import LiveBoard
+
+        (face,) = running_faces()
+        with LiveBoard.watch(watch(face.path)) as board:
+            _, newest = board.servos_since(0)[-1]
+            return dict(zip(board.layout.servos, newest["encoder_deg"].tolist(), strict=True))
+
+    def stop(self) -> dict[str, Any]:
+        """Switch torque off, as a person would; return the confirmed stop. The daemon waits."""
+        with self.connect() as face:
+            return face.stop("limp")
 
     def end(self) -> list[dict[str, Any]]:
         """Stop the face and return what it did.
@@ -104,10 +143,10 @@ class SimulatedFace:
                 time.sleep(_POLL_S)
 
     def _read(self) -> None:
-        """Keep what it prints: a pipe that nobody empties would hold the face up."""
+        """Keep what it prints: a full pipe would block the face."""
         for line in self._messages:
-            self._said.append(line)
-            del self._said[:-1000]
+            self._lines.append(line)
+            del self._lines[:-1000]
             _, announced, url = line.partition("voice agents: ")
             if announced:
                 self.url = url.strip()

@@ -136,7 +136,20 @@ class ArrayArchive:
 
 
 def arrays_of(file: IO[bytes], most_bytes: int) -> dict[str, NDArray[Any]]:
-    """All arrays of an archive. Raises as `ArrayArchive` does."""
+    """Return all arrays of an archive. Raises as `ArrayArchive` does.
+
+    Parameters
+    ----------
+    file : IO[bytes]
+        Open, an .npz.
+    most_bytes : int
+        The largest that all arrays may be.
+
+    Returns
+    -------
+    dict[str, NDArray[Any]]
+        By name, each of the shape that the file gives it.
+    """
     with ArrayArchive(file, most_bytes) as archive:
         return {name: archive[name] for name in archive.names}
 

@@ -21,7 +21,7 @@ class UserError(ValueError):
 
 
 def shown(value: object) -> str:
-    """A value from somebody's file as a message may show it: short, whatever it holds."""
+    """A value from a user's file as a message may show it: short, whatever it holds."""
     return _SHORT.repr(value)
 
 
@@ -67,7 +67,7 @@ class MissingExtraError(UserError):
 def check_extra(library: str, purpose: str) -> None:
     """Raises MissingExtraError unless `library` is installed, one of `EXTRA_OF`.
 
-    purpose: what needs it, in words. Loads nothing, so that it can be asked before the work.
+    purpose: what needs it, in words. Loads nothing, so that it can be called before the work.
     """
     if find_spec(library) is None:
         raise MissingExtraError(

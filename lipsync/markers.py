@@ -113,7 +113,18 @@ class PointLayout:
         return {self.upper_lip, self.lower_lip} <= set(self.group(INNER_LIP_GROUP))
 
     def gap_vectors_mm(self, markers_mm: NDArray[np.floating]) -> NDArray[np.floating]:
-        """(n_frames, n_points, 3) -> (n_frames, 3), from lower to upper point of the lip gap."""
+        """Return the vectors from lower to upper point of the lip gap.
+
+        Parameters
+        ----------
+        markers_mm : NDArray[np.floating]
+            (n_frames, n_points, 3).
+
+        Returns
+        -------
+        NDArray[np.floating]
+            (n_frames, 3) mm.
+        """
         return markers_mm[:, self.upper_lip] - markers_mm[:, self.lower_lip]
 
     def description(self) -> dict[str, object]:

@@ -19,7 +19,7 @@ _HEAD_BYTES = 4096
 
 
 class OutputError(UserError):
-    """A file cannot be written where it was asked for; one line: which, why, what to do."""
+    """A file cannot be written where the user wants it; one line: which, why, what to do."""
 
 
 def nothing(_head: bytes) -> bool:
@@ -36,9 +36,9 @@ def check_output(
 ) -> None:
     """Refuse a destination that could not be written later; leaves nothing behind.
 
-    replaces: whether a file that is there may be replaced, told by its first 4096 bytes; an empty
-    one always may. kind: what `replaces` accepts, in words, for the message. inputs: files that
-    the command reads, which are never written over. Raises OutputError.
+    replaces: whether a file that is there may be replaced, decided by its first 4096 bytes; an
+    empty one always may. kind: what `replaces` accepts, in words, for the message. inputs: files
+    that the command reads, which are never written over. Raises OutputError.
     """
     try:
         place = _place(path)

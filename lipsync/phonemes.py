@@ -104,7 +104,7 @@ class PhonemeEvent:
 
 @dataclass(frozen=True, slots=True)
 class FramePosteriors:
-    """What a recogniser believes of each phoneme, frame by frame, before anything is decided.
+    """Probabilities of each phoneme, frame by frame, before anything is decided.
 
     values: (n, n_heads, len(PHONEMES)), in their order; the posteriors of a head in a frame sum to
     1. The head that waits d = delays[h] frames speaks, in row i, about frame `first_frame` + i - d,
@@ -123,13 +123,13 @@ class FramePosteriors:
 
 @dataclass(frozen=True, slots=True)
 class PhonemeUpdate:
-    """A source's whole belief from `replace_from_s` on, replacing all it said before about it.
+    """A source's phonemes from `replace_from_s` on, replacing all its earlier ones from there.
 
     Events are in order of time, do not overlap, and only the last may have no end. The first may
     have begun before `replace_from_s`: it is then the one going on there, with its true start. The
     sound was heard until `heard_until_s`; nothing before `final_until_s` changes again.
     posteriors: what it was decided from, of the frames heard since the last update; None where
-    nothing was heard, or what is said is known.
+    nothing was heard, or the phonemes are known.
     """
 
     replace_from_s: float
@@ -143,7 +143,7 @@ class PhonemeScript(Protocol):
     """Phonemes that are known beforehand, let out in time: label file, speech synthesis."""
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
-        """What a listener who has heard until `until_s` learns that was not told before."""
+        """Return what became known by the sound until `until_s` since the last call."""
 
 
 class PhonemeSource(PhonemeScript, Protocol):
@@ -155,7 +155,7 @@ class PhonemeSource(PhonemeScript, Protocol):
 
     @property
     def heard_until_s(self) -> float:
-        """The sound time up to which anything was heard or told."""
+        """The sound time up to which anything was heard or is known, in s."""
 
 
 #: What is believed about the sound: somebody speaks, something else is to be heard, or nothing is.
@@ -164,19 +164,27 @@ Hearing = Literal["speech", "noise", "silence"]
 
 @runtime_checkable
 class Listener(Protocol):
-    """Whoever can say what is believed about the sound that was settled last."""
+    """A recogniser that classifies the sound that was settled last."""
 
     @property
-    def hears(self) -> Hearing | None:
-        """None: nobody listens."""
+    def hearing(self) -> Hearing | None:
+        """Speech, noise or silence; None: no recogniser listens."""
 
 
 @runtime_checkable
 class ServoListener(Protocol):
-    """Whoever hears the robot's own servos, and takes them for what they are when told of them."""
+    """A recogniser that discounts the noise of the robot's own servos, given their speeds."""
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """The servos (n_servos,) turned so fast at a sound time; NaN: not known."""
+        """Note the servos' speeds at a sound time.
+
+        Parameters
+        ----------
+        sound_s : float
+            Seconds.
+        speeds_deg_s : Array
+            (n_servos,); NaN: not known.
+        """
 
 
 class LiveRecognizer(Protocol):

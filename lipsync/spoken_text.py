@@ -1,4 +1,4 @@
-"""What is said in a stream of sound, as far as its sender knows: one type for every sender.
+"""The words or units of a stream of sound, as far as its sender knows: one type for every sender.
 
 Voice agents, speech synthesisers, label files and scripted lines know text, words, phonemes or
 visemes; with times or without; before their sound, with it or after it; and may correct
@@ -32,7 +32,7 @@ _SHORTEST_S: Final = 0.01
 
 
 class SpokenTextError(UserError):
-    """Units that cannot be what is said: which, where, and what to do."""
+    """Units that cannot be the text of a stream: which, where, and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ class PronouncedWord:
 
 @dataclass(frozen=True, slots=True)
 class SpokenText:
-    """Units of one kind in the order in which they are said.
+    """Units of one kind in the order in which they are spoken.
 
     Raises SpokenTextError for a label that is empty, too long or no phoneme, for more than
     `MOST_UNITS` or `MOST_CHARACTERS`, and for times that are negative, overlap or go back.

@@ -1,4 +1,4 @@
-"""What is believed about the phonemes of the last and the next moments."""
+"""The phonemes of the last and the next seconds, as revised by their source."""
 
 import math
 from bisect import bisect_right

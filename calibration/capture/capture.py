@@ -3,7 +3,7 @@
 Every pose is reached by a short last step from a known side of each joint, so that backlash lies on
 a known side too: from below a joint's horn lags by half the backlash, from above it leads by half.
 Poses are thereby independent of one another, and a capture, of which every pose is kept, can stop
-and go on. Knows no bus: `move` and `measure` are functions that somebody else makes.
+and go on. Knows no bus: `move` and `measure` are functions of the caller.
 Loads SciPy; the live path never does.
 """
 
@@ -104,9 +104,21 @@ def plan_around(
     rules: Sequence[CouplingRule] = (),
     seed: int | None = 0,
 ) -> PosePlan:
-    """Given poses (n, n_servos), each joint reached from a side drawn by `seed`.
+    """Plan given poses, each joint reached from a side drawn by `seed`.
 
-    seed: None for all from below.
+    Parameters
+    ----------
+    goals_deg : Array
+        (n, n_servos).
+    joints,rules : Sequence[JointRange]
+        Limits that the plan keeps.
+    seed : int | None
+        None: all from below.
+
+    Returns
+    -------
+    PosePlan
+        A plan of n poses, in degrees.
     """
     side = np.ones_like(goals_deg)
     if seed is not None:
@@ -115,7 +127,20 @@ def plan_around(
 
 
 def ends_alone(joints: Sequence[JointRange], joint: int) -> Array:
-    """(2, n_servos): one joint at either end of its range, with room for the last step."""
+    """Return the poses with one joint at either end of its range, with room for the last step.
+
+    Parameters
+    ----------
+    joints : Sequence[JointRange]
+        Ranges.
+    joint : int
+        Its number.
+
+    Returns
+    -------
+    Array
+        (2, n_servos) degrees.
+    """
     ends_deg = np.zeros((2, len(joints)))
     ends_deg[:, joint] = [end[joint] for end in _inside(joints)]
     return ends_deg
@@ -147,7 +172,22 @@ def joined(first: PosePlan, second: PosePlan) -> PosePlan:
 def reached_from(
     joints: Sequence[JointRange], goals_deg: Array, side: Array, rules: Sequence[CouplingRule]
 ) -> PosePlan:
-    """Within limits and rules, each with the beginning of its last step."""
+    """Plan poses within limits and rules, each with the beginning of its last step.
+
+    Parameters
+    ----------
+    joints,rules : Sequence[JointRange]
+        Limits that the plan keeps.
+    goals_deg : Array
+        (n, n_servos).
+    side : Array
+        (n, n_servos): 1 from below, -1 from above.
+
+    Returns
+    -------
+    PosePlan
+        A plan of n poses, in degrees.
+    """
     limits = np.array([[j.min_deg for j in joints], [j.max_deg for j in joints]])
     goals_deg = np.array([keep_rules(rules, goal) for goal in np.clip(goals_deg, *limits)])
     start_deg = np.clip(goals_deg - LEAD_IN_DEG * side, *limits)
@@ -254,8 +294,8 @@ def capture_poses(
     """Move through the plan, measure every pose, and leave the robot at its neutral.
 
     keep: a file of one line a pose, written at once, so that a capture that was cut short goes on
-    where it stopped; a file of another plan is refused. arrived hears of each pose before it is
-    measured; progress hears the number of poses done.
+    where it stopped; a file of another plan is refused. arrived is called for each pose before it
+    is measured; progress is called with the number of poses done.
     """
     poses = [] if keep is None else read_kept(keep, plan, marker_names)
     on = Robot(move, measure, arrived, progress)
@@ -267,7 +307,7 @@ class Robot:
     """All that a capture knows of a robot and its tracker.
 
     strained: which servo pulls with all the current that it may draw, None where none does or
-    nobody measures.
+    the load is not measured.
     """
 
     move: Move

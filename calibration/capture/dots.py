@@ -1,6 +1,6 @@
 """Coloured dots on a face, found in a folder of pictures from the front, one a pose.
 
-A dot is told by its colour and its shape: a disc, seen at an angle an ellipse, and as large as the
+A dot is known by its colour and its shape: a disc, seen at an angle an ellipse, and as large as the
 others. A shirt of that colour is none. A single camera sees across and up; forward is given as 0,
 so the calibration learns nothing of it. `dots.csv` in the folder names every dot where it is in one
 of the pictures, in pixels from the top left: `marker,column_px,row_px`. Its size comes from a
@@ -195,11 +195,25 @@ def _two_dots(pixels: Array) -> Array:
 def name_dots(
     dots_px: Array, expected_px: Mapping[str, Array], *, furthest_px: float, sure_px: float
 ) -> dict[str, Array]:
-    """Each expected dot's place (2,), by the assignment with the least sum of squared ways.
+    """Assign dots of a picture to expected dots, with the least sum of squared ways.
 
     Dots in a row keep their order so. NaN for one that nothing is near enough to, within
-    `furthest_px`; and for all, when one is hidden while others moved farther than `sure_px`: a
-    row with a gap may have moved up by one place, and a wrong name is worse than none.
+    `furthest_px`; and for all, when one is hidden while others moved farther than `sure_px`: a row
+    with a gap may have moved up by one place, and a wrong name is worse than none.
+
+    Parameters
+    ----------
+    dots_px : Array
+        (n, 2).
+    expected_px : Mapping[str, Array]
+        (2,) by name.
+    furthest_px,sure_px : float
+        Pixels.
+
+    Returns
+    -------
+    dict[str, Array]
+        (2,) pixels by name.
     """
     names = list(expected_px)
     places = {name: np.full(2, np.nan) for name in names}
@@ -220,7 +234,22 @@ def name_dots(
 
 
 def dots_mm(places_px: Mapping[str, Array], origin_px: Array, mm_per_px: float) -> dict[str, Array]:
-    """(3,) each: across to the robot's left, which is right in its picture, up, and 0 forward."""
+    """Return places in mm: across to the robot's left (right in its picture), up, and 0 forward.
+
+    Parameters
+    ----------
+    places_px : Mapping[str, Array]
+        (2,) by name.
+    origin_px : Array
+        (2,).
+    mm_per_px : float
+        Scale.
+
+    Returns
+    -------
+    dict[str, Array]
+        (3,) mm by name.
+    """
     return {
         name: np.array([place[0] - origin_px[0], origin_px[1] - place[1], 0.0 * place[0]])
         * mm_per_px
@@ -255,14 +284,14 @@ class DotsFolder:
     """Pictures as they come; all of one size, for `dots.csv` counts in pixels."""
 
     def __init__(self, folder: Path, tell: Callable[[str], None] = lambda _: None) -> None:
-        """tell: hears of dots that touch, or that no picture shows, a line for each picture.
+        """tell: called for dots that touch, or that no picture shows, with a line for each picture.
 
         Raises CalibrationError for a `dots.csv` that is not as described above.
         """
         self._folder, self._tell = folder, tell
         self._names = read_names(folder / NAMES_FILE)
         self._first: tuple[str, tuple[int, int]] | None = None
-        self._told: set[str] = set()
+        self._warned: set[str] = set()
 
     def readings(self, pose: int) -> list[Reading]:
         """What is seen of one pose. Raises CalibrationError."""
@@ -316,8 +345,8 @@ class DotsFolder:
             remarks.append(f"{n_lost} dots are not seen")
         for remark in remarks:
             line = f"{picture}: {remark}"
-            if line not in self._told:
-                self._told.add(line)
+            if line not in self._warned:
+                self._warned.add(line)
                 self._tell(line)
 
 

@@ -43,7 +43,20 @@ class NoFaceError(CalibrationError):
 
 
 def one_face(tracker: FaceTracker, picture: Picture) -> Array:
-    """Points (478, 3) of the only face, in pixels. Raises NoFaceError."""
+    """Return the points of the only face in a picture. Raises NoFaceError.
+
+    Parameters
+    ----------
+    tracker : FaceTracker
+        Finds faces.
+    picture : Picture
+        (height, width, 3).
+
+    Returns
+    -------
+    Array
+        (478, 3) pixels.
+    """
     faces = tracker.faces(picture)
     if not faces:
         raise NoFaceError(NO_FACE)
@@ -64,10 +77,20 @@ class MeshFrame:
         self._rigid_mm = (face[list(_RIGID)] - (left + right) / 2) * scale
 
     def markers_mm(self, points_px: Array) -> Array:
-        """(47, 3), in the order of `MARKERS_47`.
+        """Return markers in the frame of the first picture.
 
         The similarity that lays what is rigid on the first picture takes away how the camera was
         held: Umeyama (IEEE PAMI 13(4), 1991), eqs. (39)-(42).
+
+        Parameters
+        ----------
+        points_px : Array
+            (478, 3).
+
+        Returns
+        -------
+        Array
+            (47, 3) mm, in the order of `MARKERS_47`.
         """
         face = (points_px * _TO_FACE_AXES)[None]
         fit = fit_similarity(face[:, list(_RIGID)], self._rigid_mm)
@@ -75,7 +98,18 @@ class MeshFrame:
 
 
 def median_markers_mm(seen_mm: Sequence[Array]) -> Array:
-    """Of several pictures of one pose (47, 3) each: the median."""
+    """Return the median of several pictures of one pose.
+
+    Parameters
+    ----------
+    seen_mm : Sequence[Array]
+        (47, 3) each.
+
+    Returns
+    -------
+    Array
+        (47, 3).
+    """
     return np.asarray(np.median(np.array(seen_mm), axis=0))
 
 
@@ -101,7 +135,7 @@ class MeshFolder:
         eye_distance_mm: float,
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """tell: hears why a photograph is of no use."""
+        """tell: called with the reason why a photograph is of no use."""
         self._folder, self._tracker = folder, tracker
         self._eye_distance_mm = eye_distance_mm
         self._tell = tell
@@ -212,13 +246,29 @@ class CameraTracker:
         self._pose = self._n_lost = 0
 
     def arrived(self, pose: int, _reached_deg: Array) -> None:
-        """Remember which pose stands."""
+        """Store the number of the pose that the robot holds.
+
+        Parameters
+        ----------
+        pose : int
+            Counted from 0.
+        _reached_deg : Array
+            (n_servos,), not used.
+        """
         self._pose = pose + 1
 
     def measure(self) -> Array:
-        """(47, 3) mm; NaN in a pose without a face, which is told.
+        """Measure the markers in some pictures of the pose.
 
-        Raises CalibrationError after five such poses in a row.
+        Returns
+        -------
+        Array
+            (47, 3) mm; NaN in a pose without a face, which is reported.
+
+        Raises
+        ------
+        CalibrationError
+            After five poses without a face in a row.
         """
         points_px, why = self._pictures()
         if points_px:

@@ -29,7 +29,7 @@ _DEAD, WEAK = 12.0, 40.0
 #: to 13 at most, the weakest healthy ones to 31 in a second look.
 _BY_CHANCE = 0.033
 #: Looks at a joint that seems dead still, beyond the first: a worse tracker needs more.
-MOST_LOOKS = 3
+MOST_FRAMES = 3
 #: A second look is taken up to here: dead joints come as far because the others are not straight.
 _DOUBT = 20.0
 #: Each end so many times in a second look; so many are needed to judge by: more than there are of
@@ -60,7 +60,7 @@ def unseen_alone(capture: Capture) -> list[int]:
     ]
 
 
-def second_look(
+def extra_poses(
     joints: Sequence[JointRange],
     doubtful: Sequence[int],
     *,
@@ -100,7 +100,20 @@ def is_dead(capture: Capture, lines: StraightLines, joint: int) -> bool:
 
 
 def moved_alone_mm(capture: Capture, joint: int) -> Array:
-    """(n_markers, 3): from its lower to its upper end with all others at 0; NaN where not seen."""
+    """Return the motion of the markers from a joint's lower to its upper end, with all others at 0.
+
+    Parameters
+    ----------
+    capture : Capture
+        Has such poses.
+    joint : int
+        Its number.
+
+    Returns
+    -------
+    Array
+        (n_markers, 3) mm; NaN where not seen.
+    """
     upper, lower = (capture.markers_mm[rows] for rows in _ends_alone(capture, joint))
     return _apart_mm(np.ma.masked_invalid(upper), np.ma.masked_invalid(lower))
 
@@ -149,7 +162,7 @@ class JointFault:
     joint: int
     pose: int
 
-    def told(self, names: tuple[str, ...]) -> str:
+    def description(self, names: tuple[str, ...]) -> str:
         """One line, with what to do."""
         if self.joint < 0:
             return (
@@ -195,7 +208,7 @@ def _left(inputs: Array, y: Array) -> float:
 def _stops(
     base: Array, x: Array, y: Array, healthy: float, sure: float
 ) -> list[tuple[float, JointFault]]:
-    """The joint that best counts as standing still from some pose on."""
+    """The joint whose loss of motion from some pose on explains the capture best."""
     n, n_servos = x.shape
     freedom = n - base.shape[1]
     best = []

@@ -30,10 +30,21 @@ _AXIS = re.compile(r"^([+-]?)([xyz])$")
 
 
 def read_c3d_folder(folder: Path, axes: str = "x y z") -> list[tuple[int, str, Array]]:
-    """Pose, marker and median position (3,) in mm, of every `*.c3d`; its last number is the pose.
+    """Read every `*.c3d` of a folder; the last number in its name is the pose.
 
-    axes: which of the file's axes point to the robot's left, up and forward, such as `x z -y`.
     Points that the system marks as lost are NaN. Raises CalibrationError for other files.
+
+    Parameters
+    ----------
+    folder : Path
+        Of C3D files.
+    axes : str
+        Which of the file's axes point to the robot's left, up and forward, such as `x z -y`.
+
+    Returns
+    -------
+    list[tuple[int, str, Array]]
+        Pose, marker and median position (3,) in mm.
     """
     turn = _axes_matrix(axes)
     files = sorted(folder.glob("*.c3d"))
@@ -50,9 +61,24 @@ def read_c3d_folder(folder: Path, axes: str = "x y z") -> list[tuple[int, str, A
 
 
 def read_c3d(path: Path) -> dict[str, Array]:
-    """Median position (3,) in mm of each labelled point; NaN for one never seen.
+    """Read the median position of each labelled point of a C3D file.
 
-    Raises CalibrationError for what is no C3D file, MissingExtraError without ezc3d.
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    dict[str, Array]
+        (3,) mm by label; NaN for one never seen.
+
+    Raises
+    ------
+    CalibrationError
+        The file is no C3D file.
+    MissingExtraError
+        ezc3d is not installed.
     """
     check_extra("ezc3d", f"{path}: reading C3D")
     import ezc3d
@@ -130,11 +156,30 @@ def read_capture(
     axes: str = "x y z",
     read: Callable[[], list[tuple[int, str, Array]]] | None = None,
 ) -> Capture:
-    """The poses of the plan that markers were recorded for.
+    """Read the poses of a plan that markers were recorded for.
 
-    markers_path: as of `read_readings`, or what `read` reads; axes of C3D files are named as in
-    `c3d_markers`.
-    Raises CalibrationError, with file and line, for anything that is not as described above.
+    Parameters
+    ----------
+    plan_path : Path
+        As `write_plan` wrote it.
+    markers_path : Path
+        As of `read_readings`, or what `read` reads.
+    servo_names : tuple[str, ...]
+        Of the face.
+    axes : str
+        Of C3D files, named as in `read_c3d_folder`.
+    read : Callable[[], list[tuple[int, str, Array]]] | None
+        Reads the markers in another way; None: by `read_readings`.
+
+    Returns
+    -------
+    Capture
+        Markers are (n, n_markers, 3) mm.
+
+    Raises
+    ------
+    CalibrationError
+        With file and line, for anything that is not as the module describes.
     """
     return read_recorded(plan_path, markers_path, servo_names, axes=axes, read=read)[1]
 
@@ -147,7 +192,18 @@ def read_recorded(
     axes: str = "x y z",
     read: Callable[[], list[tuple[int, str, Array]]] | None = None,
 ) -> tuple[list[int], Capture]:
-    """The same with the row of the plan, counted from 0, that each pose of the capture is."""
+    """Read a capture as `read_capture` does, with the row of the plan of each of its poses.
+
+    Parameters
+    ----------
+    plan_path,markers_path,servo_names,axes,read : Path
+        As of `read_capture`.
+
+    Returns
+    -------
+    tuple[list[int], Capture]
+        Rows, counted from 0, and the capture, whose markers are (n, n_markers, 3) mm.
+    """
     poses, goals_deg, from_below, ladders = _read_plan(plan_path, servo_names)
     readings = read_readings(markers_path, axes) if read is None else read()
     if not readings:
@@ -189,7 +245,18 @@ def _left_out(poses: list[int], n_poses: int) -> tuple[str, ...]:
 
 
 def median_place(places_mm: list[Array]) -> Array:
-    """(3,): of the readings that are whole, one wild one among several counts for nothing."""
+    """Return the median of the whole readings: one wild one among several counts for nothing.
+
+    Parameters
+    ----------
+    places_mm : list[Array]
+        (3,) each.
+
+    Returns
+    -------
+    Array
+        (3,) mm; NaN without a whole reading.
+    """
     whole = [place for place in places_mm if np.isfinite(place).all()]
     return np.asarray(np.median(whole, axis=0)) if whole else np.full(3, np.nan)
 
@@ -217,9 +284,21 @@ def _read_plan(path: Path, servo_names: tuple[str, ...]) -> tuple[list[int], Arr
 
 
 def read_readings(path: Path, axes: str = "x y z") -> list[tuple[int, str, Array]]:
-    """Pose, marker and place (3,) of every reading in a file or folder, NaN where lost.
+    """Read every reading in a file or folder.
 
     A folder holds C3D files, or pictures of coloured dots with a `dots.csv`.
+
+    Parameters
+    ----------
+    path : Path
+        CSV, JSON or a folder.
+    axes : str
+        Of C3D files, named as in `read_c3d_folder`.
+
+    Returns
+    -------
+    list[tuple[int, str, Array]]
+        Pose, marker and place (3,) in mm, NaN where lost.
     """
     if path.is_dir():
         return read_dots_folder(path) if is_dots_folder(path) else read_c3d_folder(path, axes)

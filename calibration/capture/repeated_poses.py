@@ -1,6 +1,6 @@
 """What changed on a face between a pose and the same pose later: horns, rods, all of it.
 
-A face that is asked for the same pose, from the same side, looks the same, however crooked its skin
+A face in the same pose, from the same side, looks the same, however crooked its skin
 is: nothing has to be learnt first. The first part of a plan, neutral and every joint alone, is
 taken again at the end. What all of these poses are off by alike, and along what one joint does, is
 a horn that slipped; where a joint alone does less than it did, it stopped, or its rod is torn. Of
@@ -48,7 +48,7 @@ class FaceChange:
     first: int
     last: int
 
-    def told(self, names: tuple[str, ...]) -> str:
+    def description(self, names: tuple[str, ...]) -> str:
         """One line, with what to do."""
         where = f"between poses {self.first} and {self.last}"
         if self.joint < 0:
@@ -98,7 +98,7 @@ def is_repeated(capture: Capture) -> bool:
 class ChangedPoses:
     """What repeated poses say, (n_servos,) each.
 
-    did_mm: how far each joint took the face along its own way when it was alone, early; does_mm:
+    did_mm: how far each joint moved the face along its own way when it was alone, early; does_mm:
     the same late; lost_error_mm: what noise makes of the difference; turned_deg: by turning so far.
     slid_mm: how far all poses alike are off along that way, and what noise makes of it in
     slid_error_mm; alike: the cosine between the two, without the noise. common_mm: (n_markers, 3),
@@ -121,12 +121,24 @@ class ChangedPoses:
 
     @property
     def lost(self) -> Array:
-        """The share of what each joint did that it does no more."""
+        """The share of each joint's early motion that it lacks late.
+
+        Returns
+        -------
+        Array
+            (n_joints,), 0 to 1.
+        """
         return np.asarray(1.0 - self.does_mm / self.did_mm)
 
     @property
     def slipped_deg(self) -> Array:
-        """How far each horn would have slipped, were it alone to blame."""
+        """How far each horn would have slipped, were it alone to blame.
+
+        Returns
+        -------
+        Array
+            (n_joints,) degrees.
+        """
         return np.asarray(self.slid_mm / self.did_mm * self.turned_deg)
 
     @property
@@ -162,7 +174,7 @@ def changed_poses(capture: Capture, lines: StraightLines) -> ChangedPoses | None
         return np.asarray(np.sum(ways * _filled(seen_alone_mm - still_mm), axis=(1, 2)))
 
     did_mm, does_mm = alone_mm(early), alone_mm(late)
-    looks = np.array([1.0 / len(rows) + 1.0 / len(neutral) for rows in alone])
+    variances = np.array([1.0 / len(rows) + 1.0 / len(neutral) for rows in alone])
     slid_mm = np.sum(ways * common_mm, axis=(1, 2))
     error_mm2 = common_mm.size * (1.25 * noise_mm) ** 2 / n
     # A pose whose markers are all off together, as where they are counted from a noisy nose.
@@ -173,7 +185,7 @@ def changed_poses(capture: Capture, lines: StraightLines) -> ChangedPoses | None
     return ChangedPoses(
         did_mm=np.maximum(did_mm, 1e-6),
         does_mm=does_mm,
-        lost_error_mm=along_noise_mm * np.sqrt(looks),
+        lost_error_mm=along_noise_mm * np.sqrt(variances),
         slid_error_mm=1.25 * along_noise_mm / math.sqrt(n),
         turned_deg=turned_deg,
         slid_mm=slid_mm,

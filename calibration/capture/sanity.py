@@ -31,11 +31,11 @@ from calibration.capture.straight_lines import (
     without_far_points,
 )
 from calibration.capture.swaps import (
+    described_swaps,
     exchanged,
     refuse_swaps,
     swapped_everywhere,
     swapped_in_poses,
-    told_swaps,
 )
 from calibration.joint_motion import Channel, joint_motion
 from lipsync.arrays import Array
@@ -64,7 +64,22 @@ _NAMES: dict[tuple[int, ...], str] = {
 def frame_faults(
     marker_names: tuple[str, ...], usual_mm: Array, model: FaceModel
 ) -> tuple[str | None, str | None]:
-    """usual_mm: (n_markers, 3) -> what is wrong with the axes, and with the size; or None."""
+    """Return what is wrong with the axes, and with the size, of a capture's usual markers.
+
+    Parameters
+    ----------
+    marker_names : tuple[str, ...]
+        n_markers.
+    usual_mm : Array
+        (n_markers, 3).
+    model : FaceModel
+        A person's face in mm.
+
+    Returns
+    -------
+    tuple[str | None, str | None]
+        A line each, or None.
+    """
     known = [i for i, name in enumerate(marker_names) if name in MARKERS_47.names]
     known = [i for i in known if np.isfinite(usual_mm[i]).all()]
     if len(known) < _LEAST_MARKERS:
@@ -116,7 +131,29 @@ def is_flat(capture: Capture) -> bool:
 def check_frame(
     marker_names: tuple[str, ...], usual_mm: Array, model: FaceModel, *, accept: bool
 ) -> tuple[str, ...]:
-    """Warnings; raises CalibrationError for axes that are wrong, and for a size unless accepted."""
+    """Check axes and size of a capture's usual markers.
+
+    Parameters
+    ----------
+    marker_names : tuple[str, ...]
+        n_markers.
+    usual_mm : Array
+        (n_markers, 3).
+    model : FaceModel
+        A person's face in mm.
+    accept : bool
+        Whether an odd size is only a warning.
+
+    Returns
+    -------
+    tuple[str, ...]
+        Warnings.
+
+    Raises
+    ------
+    CalibrationError
+        Wrong axes, or an odd size that is not accepted.
+    """
     axes, size = frame_faults(marker_names, usual_mm, model)
     if axes is not None:
         raise CalibrationError(f"{axes}; correct the tracker's axes and capture again")
@@ -195,15 +232,15 @@ def check_capture(
     if swaps:
         capture = replace(capture, markers_mm=exchanged(capture, swaps))
         lines = straight_lines(capture)
-        renamed = (f"markers {told_swaps(swaps)}: exchanged there",)
+        renamed = (f"markers {described_swaps(swaps)}: exchanged there",)
     capture, far = without_far_points(capture, lines)
     # Lips that press each other are no fault of a joint.
-    judged = outside_ladders(capture)
-    joints = _judged_joints(judged, straight_lines(judged), positive)
+    conditions = outside_ladders(capture)
+    joints = _joint_warnings(conditions, straight_lines(conditions), positive)
     if joints.certain and not accept:
         raise CalibrationError(f"{joints.certain[0]}. If it is as it should be, add --accept")
-    said = (*joints.certain, *joints.doubtful)
-    warnings = (*stalled, *lost, *sizes, *moved, *renamed, *far, *said)
+    all_faults = (*joints.certain, *joints.doubtful)
+    warnings = (*stalled, *lost, *sizes, *moved, *renamed, *far, *all_faults)
     return CheckedCapture(capture, warnings, tuple(joints.still))
 
 
@@ -219,14 +256,14 @@ def _check_range(capture: Capture) -> None:
 
 @dataclass(slots=True)
 class _JointFindings:
-    """What is said of joints: what is certain is refused unless accepted. still: the dead ones."""
+    """Findings about joints: certain ones are refused unless accepted. still: the dead ones."""
 
     certain: list[str] = field(default_factory=list)
     doubtful: list[str] = field(default_factory=list)
     still: list[int] = field(default_factory=list)
 
 
-def _judged_joints(
+def _joint_warnings(
     capture: Capture, lines: StraightLines, positive: Sequence[str]
 ) -> _JointFindings:
     """Poses that were taken twice know best what happened on the way, and bear out the rest."""
@@ -242,13 +279,13 @@ def _judged_joints(
             # It knows at which pose, and a joint that stands still from one that slipped.
             fault = suspected if fault is None or fault.joint == suspected.joint else fault
     if fault is not None:
-        told = fault.told(capture.servo_names)
-        (found.certain if fault.joint >= 0 else found.doubtful).append(told)
+        description = fault.description(capture.servo_names)
+        (found.certain if fault.joint >= 0 else found.doubtful).append(description)
     n_servos = len(capture.servo_names)
     found.still += [joint for joint in range(n_servos) if is_dead(capture, lines, joint)]
     # Where something happened on the way, what joints seem to do is not what they do.
-    judged = capture.servo_names if fault is None else ()
-    for joint, name in enumerate(judged):
+    conditions = capture.servo_names if fault is None else ()
+    for joint, name in enumerate(conditions):
         word = positive[joint] if positive else ""
         if joint in found.still and positive and not word:
             found.doubtful.append(
@@ -311,7 +348,7 @@ def _lost_points(capture: Capture) -> tuple[str, ...]:
 
 
 def _check_doubles(capture: Capture) -> None:
-    """One dot under two names: nobody else is in the same place in every pose."""
+    """Refuse one dot under two names: no other marker is in the same place in every pose."""
     for a, b in combinations(range(len(capture.marker_names)), 2):
         apart_mm = np.linalg.norm(capture.markers_mm[:, a] - capture.markers_mm[:, b], axis=1)
         if np.nanmax(apart_mm, initial=0.0) < _SAME_DOT_MM:

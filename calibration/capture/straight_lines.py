@@ -88,12 +88,12 @@ def without_far_points(capture: Capture, lines: StraightLines) -> tuple[Capture,
         return capture, ()
     by_marker = left_out.sum(axis=0)
     most = sorted(zip(by_marker, capture.marker_names, strict=True), reverse=True)[:5]
-    told = ", ".join(f"{name} {count}" for count, name in most if count)
+    counted = ", ".join(f"{name} {count}" for count, name in most if count)
     others = ", ..." if (by_marker > 0).sum() > len(most) else ""
     markers_mm = np.where(left_out[..., None], np.nan, capture.markers_mm)
     return (
         replace(capture, markers_mm=markers_mm),
-        (f"{left_out.sum()} readings were far off and left out: {told}{others}",),
+        (f"{left_out.sum()} readings were far off and left out: {counted}{others}",),
     )
 
 
@@ -140,27 +140,40 @@ def in_head_frame(capture: Capture, lines: StraightLines) -> tuple[Capture, tupl
 def on_head(
     markers_mm: Array, usual_mm: Array, marker_names: tuple[str, ...]
 ) -> tuple[Array, bool]:
-    """(n, n_markers, 3) laid on the head as it was: where the nose is elsewhere than in usual_mm.
+    """Lay markers on the head as it was, where the nose is elsewhere than in `usual_mm`.
 
-    usual_mm: (n, n_markers, 3), where rigid markers were. First as one piece, as a tripod that
-    stands elsewhere wants it, then pose by pose where the nose still moves. The second part:
-    whether it was needed.
+    First as one piece, as a tripod that was moved needs it, then pose by pose where the nose still
+    moves.
+
+    Parameters
+    ----------
+    markers_mm : Array
+        (n, n_markers, 3).
+    usual_mm : Array
+        (n, n_markers, 3), where rigid markers were.
+    marker_names : tuple[str, ...]
+        n_markers.
+
+    Returns
+    -------
+    tuple[Array, bool]
+        (n, n_markers, 3), and whether it was needed.
     """
     nose = [i for i, name in enumerate(marker_names) if name.startswith("nose")]
     rigid = [i for i, name in enumerate(marker_names) if name.startswith(_RIGID)]
     if len(nose) < _LEAST_MARKERS or _nose_moves_mm(markers_mm - usual_mm, nose) < _MOVES_MM:
         return markers_mm, False
     known = np.asarray(np.isfinite(markers_mm[:, rigid]).all(axis=2))
-    turns = len(rigid) >= _LEAST_TO_TURN
+    may_turn = len(rigid) >= _LEAST_TO_TURN
     seen_mm, wanted_mm = markers_mm[:, rigid][known], usual_mm[:, rigid][known]
     flat_mm = markers_mm.reshape(-1, 3)
-    laid = _laid_on(flat_mm, seen_mm, wanted_mm, turns=turns).reshape(markers_mm.shape)
+    laid = _laid_on(flat_mm, seen_mm, wanted_mm, may_turn=may_turn).reshape(markers_mm.shape)
     if _nose_moves_mm(laid - usual_mm, nose) < _MOVES_MM:
         return laid, True
     for pose in np.flatnonzero(known.sum(axis=1) >= _LEAST_MARKERS):
         own = [i for i, is_known in zip(rigid, known[pose], strict=True) if is_known]
         points_mm, at_mm = laid[pose], usual_mm[pose, own]
-        laid[pose] = _laid_on(points_mm, points_mm[own], at_mm, turns=turns)
+        laid[pose] = _laid_on(points_mm, points_mm[own], at_mm, may_turn=may_turn)
     return laid, True
 
 
@@ -178,10 +191,10 @@ def _middle_of(points_mm: Array) -> Array:
     return np.asarray(np.median(points_mm, axis=1, keepdims=True))
 
 
-def _laid_on(points_mm: Array, rigid_mm: Array, usual_mm: Array, *, turns: bool = True) -> Array:
+def _laid_on(points_mm: Array, rigid_mm: Array, usual_mm: Array, *, may_turn: bool = True) -> Array:
     """(n, 3) by the rotation and shift that bring rigid_mm nearest to usual_mm, or the shift."""
     centre, target = rigid_mm.mean(axis=0), usual_mm.mean(axis=0)
-    if not turns:
+    if not may_turn:
         return np.asarray(points_mm - centre + target)
     left, _, right = np.linalg.svd((rigid_mm - centre).T @ (usual_mm - target))
     turn = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])

@@ -1,4 +1,4 @@
-"""Two markers whose names changed places: in every pose, or in some, found, put right and told.
+"""Two markers whose names were exchanged: in every pose, or in some, found, corrected and reported.
 
 A tracker that follows dots takes one for its neighbour now and then. Which two and in which pose is
 plain from what the other poses say; so the pose is looked at again, and where three looks agree the
@@ -53,29 +53,42 @@ class Swap:
         """Both."""
         return self.one, self.other
 
-    def told(self) -> str:
+    def description(self) -> str:
         """Half a line."""
         where = "in every pose" if self.pose is None else f"in pose {self.pose + 1}"
         return f"{self.one!r} and {self.other!r} have changed places {where}"
 
 
-def told_swaps(swaps: Sequence[Swap]) -> str:
+def described_swaps(swaps: Sequence[Swap]) -> str:
     """All of them in half a line."""
-    return "; ".join(swap.told() for swap in swaps)
+    return "; ".join(swap.description() for swap in swaps)
 
 
 def refuse_swaps(swaps: Sequence[Swap]) -> None:
     """Raises CalibrationError with all of them in one line."""
     if swaps:
-        told = told_swaps(swaps)
+        described = described_swaps(swaps)
         raise CalibrationError(
-            f"markers {told}; name them the other way round in the tracker and capture again, or "
+            f"markers {described}; name them the other way round in the tracker, capture again, or "
             "add --accept where it was in single poses, and they are exchanged there"
         )
 
 
 def exchanged(capture: Capture, swaps: Sequence[Swap]) -> Array:
-    """(n, n_markers, 3): the markers with the names of these poses put right."""
+    """Return the markers of a capture with the names of these swaps corrected.
+
+    Parameters
+    ----------
+    capture : Capture
+        n poses.
+    swaps : Sequence[Swap]
+        Pose and two names each.
+
+    Returns
+    -------
+    Array
+        (n, n_markers, 3) mm.
+    """
     markers_mm, names = capture.markers_mm.copy(), capture.marker_names
     for swap in swaps:
         pair = [names.index(swap.one), names.index(swap.other)]
@@ -123,7 +136,20 @@ def _swapped_lips(capture: Capture) -> list[Swap]:
 
 
 def swapped_in_poses(capture: Capture, expected_mm: Array | None = None) -> list[Swap]:
-    """expected_mm: as captured; None: by joint, in lines."""
+    """Find poses in which the names of two markers were exchanged.
+
+    Parameters
+    ----------
+    capture : Capture
+        n poses.
+    expected_mm : Array | None
+        (n, n_markers, 3) as captured; None: by joint, in lines.
+
+    Returns
+    -------
+    list[Swap]
+        One a pose at most.
+    """
     if expected_mm is None:
         expected_mm = straight_lines(capture).expected_mm
     names, found = capture.marker_names, []
@@ -176,13 +202,33 @@ def put_right(
     on: Robot,
     poses: list[CapturedPose],
     keep: Path | None = None,
-    told: Callable[[str], None] = lambda _: None,
+    report: Callable[[str], None] = lambda _: None,
     expected_mm: Array | None = None,
 ) -> list[CapturedPose]:
-    """The same poses; one in which two names changed places is taken again, and that is told.
+    """Return the poses; one in which two names were exchanged is captured again, and reported.
 
     Where all of three readings agree, the names are exchanged. expected_mm: (n, n_markers, 3), of
     the plan; None: by what the other poses say.
+
+    Where all of three readings agree, the names are exchanged.
+
+    Parameters
+    ----------
+    plan,marker_names,on : PosePlan
+        As of the capture.
+    poses : list[CapturedPose]
+        All that were captured.
+    keep : Path | None
+        File of the poses.
+    report : Callable[[str], None]
+        Called with a line for each such pose.
+    expected_mm : Array | None
+        (n, n_markers, 3), of the plan; None: by the other poses.
+
+    Returns
+    -------
+    list[CapturedPose]
+        As many poses.
     """
     seen = gather(plan, marker_names, poses)
     rows = seen.rows
@@ -202,11 +248,11 @@ def put_right(
             )
             swaps = swapped_in_poses(one, wanted_mm[[row]])
             if [swap.names for swap in swaps] != names:
-                told(f"pose {index + 1}: the tracker exchanged {pairs}: taken again")
+                report(f"pose {index + 1}: the tracker exchanged {pairs}: taken again")
                 break
         else:
             pose = replace(pose, markers_mm=exchanged(one, swaps)[0])
-            told(f"pose {index + 1}: the tracker exchanged {pairs} {_LOOKS} times: named anew")
+            report(f"pose {index + 1}: the tracker exchanged {pairs} {_LOOKS} times: named anew")
         again[index] = pose
         if keep is not None:
             keep_pose(keep, pose, plan, marker_names)

@@ -1,6 +1,6 @@
-"""Where markers come from while a robot holds a pose: a file or folder somebody fills, or keys.
+"""Where markers come from while a robot holds a pose: a file or folder that is filled, or keys.
 
-A tracker is told of every pose (`arrived`) and then asked for its markers (`measure`). It waits by
+A tracker gets every pose (`arrived`) and then returns its markers (`measure`). It waits by
 a function that it is given, so that the servos are held meanwhile.
 """
 
@@ -37,17 +37,31 @@ POSE_FILE = "pose.json"
 
 
 class Tracker(Protocol):
-    """What a capture asks of whoever sees the markers."""
+    """What a capture needs of a source of markers."""
 
     @property
     def marker_names(self) -> tuple[str, ...]:
         """In the order of `measure`."""
 
     def arrived(self, pose: int, reached_deg: Array, /) -> None:
-        """A pose stands, counted from 0; where the encoders are."""
+        """Note that the robot holds a pose.
+
+        Parameters
+        ----------
+        pose : int
+            Counted from 0.
+        reached_deg : Array
+            (n_servos,), by the encoders.
+        """
 
     def measure(self) -> Array:
-        """(n_markers, 3) millimetres, NaN for lost points."""
+        """Return the markers of the pose.
+
+        Returns
+        -------
+        Array
+            (n_markers, 3) mm, NaN for lost points.
+        """
 
 
 class FileTracker:
@@ -55,7 +69,7 @@ class FileTracker:
 
     Poses count from 1, as in a plan; pose 0 is the robot in neutral, a test before anything else:
     it says which markers there are. `pose.json` (for a file `FILE.pose.json`) says which pose
-    stands now, so that a program needs nobody to tell it.
+    the robot holds, so that a recording program knows it.
     """
 
     def __init__(
@@ -78,7 +92,7 @@ class FileTracker:
         self._axes, self._read = axes, read
         self._names: tuple[str, ...] = ()
         self._pose = 0
-        self._asked: set[int] = set()
+        self._requested: set[int] = set()
         try:
             if not self._readings(0):
                 self._announce(0, np.zeros(len(servo_names)))
@@ -93,14 +107,23 @@ class FileTracker:
         return self._names
 
     def arrived(self, pose: int, reached_deg: Array) -> None:
-        """Tell whoever records. Raises CalibrationError where the pose was recorded before.
+        """Announce a pose to the recorder.
 
-        A pose that stands a second time shows what was recorded at the first.
+        Raises CalibrationError where the pose was recorded before.
+
+        A pose that the robot holds a second time keeps its first recording.
+
+        Parameters
+        ----------
+        pose : int
+            Counted from 0.
+        reached_deg : Array
+            (n_servos,), by the encoders.
         """
-        if pose + 1 in self._asked:
+        if pose + 1 in self._requested:
             self._pose = pose + 1
             return
-        self._asked.add(pose + 1)
+        self._requested.add(pose + 1)
         if self._readings(pose + 1):
             raise CalibrationError(
                 f"{self._path}: pose {pose + 1} is there already, from an earlier capture; "
@@ -109,7 +132,13 @@ class FileTracker:
         self._announce(pose + 1, reached_deg)
 
     def measure(self) -> Array:
-        """Wait until the pose was recorded."""
+        """Wait until the pose was recorded.
+
+        Returns
+        -------
+        Array
+            (n_markers, 3) mm, NaN for lost points.
+        """
         found = self._wait_for(self._pose)
         return np.array([found.get(name, np.full(3, np.nan)) for name in self._names])
 
@@ -167,7 +196,7 @@ class FileTracker:
         return {name: median_place(seen) for name, seen in places.items()}
 
     def _is_in_mid_line(self) -> bool:
-        """Whether somebody is writing a CSV file just now: its last line has no end."""
+        """Whether a CSV file is being written just now: its last line has no end."""
         is_csv = self._path.suffix.lower() == ".csv"
         return is_csv and not self._path.read_bytes().endswith(b"\n")
 
@@ -186,11 +215,25 @@ class TypedTracker:
         return self._names
 
     def arrived(self, pose: int, _reached_deg: Array) -> None:
-        """Remember which pose to ask for."""
+        """Store the number of the pose.
+
+        Parameters
+        ----------
+        pose : int
+            Counted from 0.
+        _reached_deg : Array
+            (n_servos,), not used.
+        """
         self._pose = pose + 1
 
     def measure(self) -> Array:
-        """Ask until every answer is three numbers or empty."""
+        """Ask the user until every answer is three numbers or empty.
+
+        Returns
+        -------
+        Array
+            (n_markers, 3) mm, NaN for an empty answer.
+        """
         return np.array([self._typed(name) for name in self._names])
 
     def _typed(self, name: str) -> Array:
@@ -221,9 +264,23 @@ class SeenByComputation:
         return self._names
 
     def arrived(self, _pose: int, reached_deg: Array) -> None:
-        """Remember where the encoders are."""
+        """Store where the encoders are.
+
+        Parameters
+        ----------
+        _pose : int
+            Not used.
+        reached_deg : Array
+            (n_servos,).
+        """
         self._reached_deg = reached_deg
 
     def measure(self) -> Array:
-        """One look."""
+        """Compute the markers of the last pose.
+
+        Returns
+        -------
+        Array
+            (n_markers, 3) mm.
+        """
         return self._look(self._reached_deg)

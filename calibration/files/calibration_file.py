@@ -314,7 +314,7 @@ def _parse_origin(file: Place, servos: list[Place]) -> Origin:
 
 
 def _parse_memories(servos: list[Place]) -> tuple[ServoMemory, ...]:
-    """None unless some servo was asked; then all were."""
+    """None unless some servo was read; then all were."""
     if not any(servo.has("memory") for servo in servos):
         return ()
     keys = [field.name for field in fields(ServoMemory)]

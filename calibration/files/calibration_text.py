@@ -281,8 +281,8 @@ def coverage_lines(coverage: Mapping[str, VisemeReach]) -> list[str]:
     lines = [_HEAD]
     for viseme, reach in coverage.items():
         parts = [(n, v) for n, v in _known(reach) if reach.n_measured or n != "n_measured"]
-        told = ", ".join(f"{name}: {_shown(value)}" for name, value in parts)
-        lines.append(f"  {viseme}: {{{told}}}  # {phonemes.get(viseme, '')}")
+        listed = ", ".join(f"{name}: {_shown(value)}" for name, value in parts)
+        lines.append(f"  {viseme}: {{{listed}}}  # {phonemes.get(viseme, '')}")
     return lines
 
 

@@ -3,7 +3,7 @@
 A ladder begins with the lips open in one of the shapes in which the speaker closes them, and goes
 on in small steps by all joints that close, as far as their limits. How far the lips should come in
 each step says the face as learnt about the open end, by a straight line: so a joint at its limit is
-a step of nothing, not lips that have met. Contact is a ladder that goes on closing while the dots
+step of nothing, not lips that touch. Contact is a ladder that goes on closing while the dots
 of upper and lower lip, all of them, come no nearer: the far lip is pushed along. One kink in all
 ladders must explain what was seen far better than none, and leave little of the slope.
 Loads scikit-learn; the live path never does.
@@ -56,7 +56,22 @@ class Ladder:
 
 
 def plan_ladders(retargeting: Retargeting, from_rest: Array, n_steps: int) -> list[Ladder]:
-    """from_rest: (n, n_components), frames in which the speaker's lips are closed."""
+    """Plan ladders of poses that close the lips step by step, one for each usual closed shape.
+
+    Parameters
+    ----------
+    retargeting : Retargeting
+        The learnt face.
+    from_rest : Array
+        (n, n_components), frames in which the speaker's lips are closed.
+    n_steps : int
+        Of each ladder.
+
+    Returns
+    -------
+    list[Ladder]
+        Ladders of goals in degrees.
+    """
     n_shapes = min(_N_SHAPES, len(np.unique(from_rest, axis=0)))
     shapes = KMeans(n_shapes, n_init=2, random_state=0).fit(from_rest).cluster_centers_
     begin_mm = float(retargeting.closed_mm[0]) + _BEGIN_MM
@@ -82,7 +97,22 @@ def _ladder(retargeting: Retargeting, base_deg: Array, n_steps: int) -> Ladder:
 
 
 def pair_slopes(markers_of: _MarkersOf, base_deg: Array, pairs: Sequence[tuple[int, int]]) -> Array:
-    """(n_pairs, n_servos): millimetres of each pair's height for a degree of each joint."""
+    """Return the change of each pair's height by each joint.
+
+    Parameters
+    ----------
+    markers_of : _MarkersOf
+        Poses (k, n_servos) to markers (k, n_markers, 3).
+    base_deg : Array
+        (n_servos,).
+    pairs : Sequence[tuple[int, int]]
+        Marker numbers.
+
+    Returns
+    -------
+    Array
+        (n_pairs, n_servos) mm / degree.
+    """
     steps = _DIFFERENCE_DEG * np.eye(len(base_deg))
     more = gap_heights_mm(markers_of(base_deg + steps), tuple(pairs))
     less = gap_heights_mm(markers_of(base_deg - steps), tuple(pairs))
@@ -120,7 +150,22 @@ class Kink:
 
 
 def find_kink(closes_mm: Sequence[Array], apertures_mm: Sequence[Array], noise_mm: float) -> Kink:
-    """closes_mm: how far each ladder's steps should have come, (n,), ascending from 0."""
+    """Find where apertures stop to follow the steps of ladders, one kink in all.
+
+    Parameters
+    ----------
+    closes_mm : Sequence[Array]
+        (n,) each: how far the ladder's steps should have come, ascending from 0.
+    apertures_mm : Sequence[Array]
+        (n,) each.
+    noise_mm : float
+        Standard error of an aperture.
+
+    Returns
+    -------
+    Kink
+        In mm of the ladders, with its evidence.
+    """
     found = [_kink(x, y / noise_mm, noise_mm) for x, y in zip(closes_mm, apertures_mm, strict=True)]
     weights = np.array([each[3] for each in found])
     lefts = np.array([each[2] for each in found])
@@ -150,9 +195,23 @@ def _kink(x: Array, y: Array, noise_mm: float) -> tuple[float, float, float, flo
 
 
 def bent_line(x: Array, y: Array, at: float, noise_mm: float) -> tuple[float, Array, Array]:
-    """A line that bends at `at`: cost, parameters (height, both slopes) and their variance.
+    """Fit a line that bends at `at`.
 
-    y: in standard errors.
+    Parameters
+    ----------
+    x : Array
+        (n,).
+    y : Array
+        (n,), in standard errors.
+    at : float
+        Where it bends, mm.
+    noise_mm : float
+        Standard error.
+
+    Returns
+    -------
+    tuple[float, Array, Array]
+        Cost, parameters (3,) (height, both slopes) and their variance.
     """
     before, beyond = np.minimum(x, at), np.maximum(x - at, 0.0)
     return _left(np.column_stack([np.ones_like(x), -before / noise_mm, -beyond / noise_mm]), y)
@@ -189,7 +248,18 @@ class SeenLadders:
 
 
 def begins(capture: Capture) -> NDArray[np.bool_]:
-    """(n,): poses without those steps of a ladder in which lips may touch."""
+    """Return which poses are no steps of a ladder in which lips may touch.
+
+    Parameters
+    ----------
+    capture : Capture
+        n poses.
+
+    Returns
+    -------
+    NDArray[np.bool_]
+        (n,).
+    """
     of = ladders_of(capture)
     earlier = np.array([(of[:row] == ladder).sum() for row, ladder in enumerate(of)])
     return np.asarray((of == 0) | (earlier < _OPEN_STEPS))

@@ -105,11 +105,32 @@ def fit_guided(
     *,
     date: str = "",
 ) -> Calibration:
-    """made_deg: for each landmark pose that the person made, the angles (n_servos,).
+    """Fit the map to poses that a person made.
 
-    Exact at the closed mouth; elsewhere ridge regression. `joint_rms_deg` of its errors is what
-    each pose looks like to the map made without it; millimetres are unknown without a tracker, and
-    are given as 0 frames. Raises CalibrationError without the closed mouth or with too few poses.
+    Exact at the closed mouth; elsewhere ridge regression. `joint_rms_deg` of its errors is each
+    pose's distance from the map made without it; millimetres are unknown without a tracker, and are
+    given as 0 frames.
+
+    Parameters
+    ----------
+    model : FaceWithAnimPhos
+        The face.
+    servos : MouthServos
+        Of the robot.
+    made_deg : Mapping[str, Array]
+        (n_servos,) for each landmark pose made.
+    date : str
+        ISO 8601.
+
+    Returns
+    -------
+    Calibration
+        Its limits in degrees are those of the joints.
+
+    Raises
+    ------
+    CalibrationError
+        Without the closed mouth, or with too few poses.
     """
     poses = [pose for pose in landmark_poses(model) if pose.name in made_deg]
     if CLOSED not in made_deg:
@@ -215,13 +236,38 @@ class GuidedSession:
 def start_session(
     joints: Sequence[JointRange], poses: Sequence[LandmarkPose], kept: Mapping[str, Array]
 ) -> GuidedSession:
-    """At neutral, before the first pose that was not made yet."""
+    """Begin at neutral, before the first pose that was not made yet.
+
+    Parameters
+    ----------
+    joints : Sequence[JointRange]
+        Ranges.
+    poses : Sequence[LandmarkPose]
+        To be made.
+    kept : Mapping[str, Array]
+        (n_servos,) degrees, by the pose's name.
+
+    Returns
+    -------
+    GuidedSession
+        A session at 0 degrees.
+    """
     first = next((i for i, pose in enumerate(poses) if pose.name not in kept), len(poses))
     return GuidedSession(tuple(joints), tuple(poses), dict(kept), first, 0, np.zeros(len(joints)))
 
 
 def keep_poses(made_deg: Mapping[str, Array], servo_names: Sequence[str], path: Path) -> None:
-    """Write what was made so far, whole or not at all. Raises OutputError."""
+    """Write the poses made so far, whole or not at all. Raises OutputError.
+
+    Parameters
+    ----------
+    made_deg : Mapping[str, Array]
+        (n_servos,), by the pose's name.
+    servo_names : Sequence[str]
+        n_servos.
+    path : Path
+        JSON.
+    """
     content = {
         name: dict(zip(servo_names, degrees.tolist(), strict=True))
         for name, degrees in made_deg.items()
@@ -230,9 +276,24 @@ def keep_poses(made_deg: Mapping[str, Array], servo_names: Sequence[str], path: 
 
 
 def kept_poses(servo_names: Sequence[str], path: Path) -> dict[str, Array]:
-    """What an earlier session made; nothing where there is no file.
+    """Read the poses of an earlier session.
 
-    Raises CalibrationError for a damaged file or one of other servos.
+    Parameters
+    ----------
+    servo_names : Sequence[str]
+        n_servos.
+    path : Path
+        JSON.
+
+    Returns
+    -------
+    dict[str, Array]
+        (n_servos,) degrees by the pose's name; {} without a file.
+
+    Raises
+    ------
+    CalibrationError
+        The file is damaged, or one of other servos.
     """
     if not path.exists():
         return {}

@@ -48,14 +48,35 @@ class JawBlend:
     open_mm: Array
 
     def cost_mm2(self, alpha: Array, points_mm: Array) -> Array:
-        """(n,) and (n, n_points, 3) -> (n,): sum of squared distances from the blend."""
+        """Return the sum of squared distances of points from the blend.
+
+        Parameters
+        ----------
+        alpha : Array
+            (n,).
+        points_mm : Array
+            (n, n_points, 3).
+
+        Returns
+        -------
+        Array
+            (n,).
+        """
         blend = self.closed_mm + alpha[:, None, None] * (self.open_mm - self.closed_mm)
         return np.asarray(np.sum((points_mm - blend) ** 2, axis=(1, 2)))
 
     def alpha(self, points_mm: Array) -> Array:
-        """(n, n_points, 3) -> (n,): 0 closed, 1 open, beyond either where the jaw is.
+        """Return how far the jaw is open, by Newton's method with central differences from 0.
 
-        Newton with central differences from 0.
+        Parameters
+        ----------
+        points_mm : Array
+            (n, n_points, 3).
+
+        Returns
+        -------
+        Array
+            (n,): 0 closed, 1 open, beyond either where the jaw is.
         """
         alpha = np.zeros(len(points_mm))
         for _ in range(_STEPS):
@@ -82,7 +103,23 @@ def speakers_jaw(model: FaceWithAnimPhos) -> JawBlend:
 
 
 def jaw_blend(closed_mm: Array, open_mm: Array) -> JawBlend:
-    """Raises CalibrationError where the two hardly differ."""
+    """Make the blend between closed and open jaw lines.
+
+    Parameters
+    ----------
+    closed_mm,open_mm : Array
+        (n_points, 3).
+
+    Returns
+    -------
+    JawBlend
+        The blend.
+
+    Raises
+    ------
+    CalibrationError
+        The two hardly differ.
+    """
     apart_mm = float(np.linalg.norm(open_mm - closed_mm, axis=1).max())
     if apart_mm < _LEAST_MOTION_MM:
         raise CalibrationError(
@@ -100,14 +137,42 @@ class JawDegrees:
     degrees: Array
 
     def degrees_at(self, alpha: Array) -> Array:
-        """(n,) -> (n,), straight between what was measured, held beyond."""
+        """Return the jaw's angle, straight between measured ones, held beyond.
+
+        Parameters
+        ----------
+        alpha : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n,) degrees.
+        """
         return np.asarray(np.interp(alpha, self.alphas, self.degrees))
 
 
 def jaw_degrees(blend: JawBlend, degrees: Array, points_mm: Array) -> JawDegrees:
-    """From a sweep: degrees (n,), ascending, and the robot's jaw line there, (n, n_points, 3).
+    """Return the table of a sweep of the jaw.
 
-    Raises CalibrationError where the jaw does not open steadily with its angle.
+    Parameters
+    ----------
+    blend : JawBlend
+        Of closed and open.
+    degrees : Array
+        (n,), ascending.
+    points_mm : Array
+        (n, n_points, 3), the robot's jaw line there.
+
+    Returns
+    -------
+    JawDegrees
+        Angles by opening.
+
+    Raises
+    ------
+    CalibrationError
+        The jaw does not open steadily with its angle.
     """
     alphas = blend.alpha(points_mm)
     if len(degrees) < 2 or (np.diff(degrees) <= 0).any() or (np.diff(alphas) <= 0).any():

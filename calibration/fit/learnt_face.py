@@ -75,9 +75,21 @@ def fit_calibration(
 
 
 def ridge_weights(from_rest: Array, positions_deg: Array) -> Array:
-    """(n, n_components), (n, n_servos) -> (n_servos, n_components), rounded as the file rounds.
+    """Return ridge weights, rounded as the file rounds.
 
     The strength is chosen by leave-one-out errors within these frames.
+
+    Parameters
+    ----------
+    from_rest : Array
+        (n, n_components).
+    positions_deg : Array
+        (n, n_servos).
+
+    Returns
+    -------
+    Array
+        (n_servos, n_components).
     """
     ridge = RidgeCV(_RIDGE_STRENGTHS, fit_intercept=False).fit(from_rest, positions_deg)
     coefficients = np.asarray(ridge.coef_, dtype=np.float64).reshape(positions_deg.shape[1], -1)

@@ -1,6 +1,6 @@
 """From captured poses to a calibration, with its errors: the measured way, from end to end.
 
-Errors are how well it makes the shapes it was asked for, on the learnt face, not the real one: what
+Errors are how well it makes the wanted shapes, on the learnt face, not the real one: what
 that got wrong everywhere alike does not show there. The error of poses left out of its fit, noise
 included, is reported beside these.
 Loads scikit-learn; the live path never does.
@@ -68,29 +68,77 @@ class ShapeErrors:
     stay_apart_mm: float = 0.0
 
     def reached(self, from_rest: Array) -> NDArray[np.bool_]:
-        """(n, n_components) -> (n,): whether the best pose has the opening and width asked for."""
-        asked_mm, best_mm = self.openings_and_widths_mm(from_rest)
-        return np.asarray((np.abs(best_mm - asked_mm) <= REACHABLE_MM).all(axis=1))
+        """Return whether the best pose has opening and width within 1 mm.
+
+        Parameters
+        ----------
+        from_rest : Array
+            (n, n_components).
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n,).
+        """
+        wanted_mm, best_mm = self.openings_and_widths_mm(from_rest)
+        return np.asarray((np.abs(best_mm - wanted_mm) <= REACHABLE_MM).all(axis=1))
 
     def openings_and_widths_mm(self, from_rest: Array) -> tuple[Array, Array]:
-        """(n, 2) asked for, and (n, 2) of the best poses."""
+        """Return wanted openings and widths, and those of the best poses.
+
+        Parameters
+        ----------
+        from_rest : Array
+            (n, n_components).
+
+        Returns
+        -------
+        tuple[Array, Array]
+            (n, 2) mm each.
+        """
         right, left = self.mouth.names.corners
         poses_deg = self.retargeting.poses_deg(from_rest)
         copies_mm, gaps_mm = self.retargeting.copies_mm(from_rest)
         best_mm = self.mouth.markers_of(poses_deg)
         opening_mm = gap_heights_mm(best_mm, self.mouth.names.shape_features.gaps[:1])[:, 0]
-        asked = [gaps_mm[:, 0, 1], copies_mm[:, left, 0] - copies_mm[:, right, 0]]
+        wanted = [gaps_mm[:, 0, 1], copies_mm[:, left, 0] - copies_mm[:, right, 0]]
         best = [opening_mm, best_mm[:, left, 0] - best_mm[:, right, 0]]
-        return np.stack(asked, axis=1), np.stack(best, axis=1)
+        return np.stack(wanted, axis=1), np.stack(best, axis=1)
 
     def apart_mm(self, poses_deg: Array, targets_mm: Array) -> Array:
-        """(n,): distance of the face's lips from the targets, rms over the lip markers."""
+        """Return the distance of the face's lips from targets, rms over the lip markers.
+
+        Parameters
+        ----------
+        poses_deg : Array
+            (n, n_servos).
+        targets_mm : Array
+            (n, n_markers, 3).
+
+        Returns
+        -------
+        Array
+            (n,) mm.
+        """
         lips = list(self.mouth.names.shape_features.lips)
         return lips_apart_mm(self.mouth.seen_mm(poses_deg), targets_mm, lips)
 
 
 def lips_apart_mm(markers_mm: Array, targets_mm: Array, lips: list[int]) -> Array:
-    """(n, n_markers, 3) twice -> (n,): rms over the lip markers of their distance in space."""
+    """Return the distance of lip markers in space, rms over them.
+
+    Parameters
+    ----------
+    markers_mm,targets_mm : Array
+        (n, n_markers, 3).
+    lips : list[int]
+        Marker numbers.
+
+    Returns
+    -------
+    Array
+        (n,) mm.
+    """
     squares = np.sum((markers_mm - targets_mm)[:, lips] ** 2, axis=2)
     return np.asarray(np.sqrt(squares.mean(axis=1)))
 
@@ -98,7 +146,22 @@ def lips_apart_mm(markers_mm: Array, targets_mm: Array, lips: list[int]) -> Arra
 def measure_shapes(
     on: ShapeErrors, run: RunTimeMap, held_out: Array
 ) -> tuple[HoldOutErrors, Mapping[str, VisemeReach]]:
-    """Errors on held-out frames (n, n_components), and the coverage of every viseme class."""
+    """Return errors on held-out frames, and the coverage of every viseme class.
+
+    Parameters
+    ----------
+    on : ShapeErrors
+        Measures shapes.
+    run : RunTimeMap
+        The map.
+    held_out : Array
+        (n, n_components).
+
+    Returns
+    -------
+    tuple[HoldOutErrors, Mapping[str, VisemeReach]]
+        In mm, and shares 0 to 1 by viseme.
+    """
     return _errors(on, run, held_out), _coverage(on, run)
 
 
@@ -111,7 +174,7 @@ def _errors(on: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors:
     human_gap_mm = on.model.lip_gaps_mm(on.model.markers_mm(held_out))
     gap_mm = _opening_mm(on, robot_mm)
     closed = human_gap_mm <= CLOSED_GAP_MM
-    gaps = gap_figures(on.retargeting.asked_open_mm(from_rest)[:, 0], gap_mm, human_gap_mm)
+    gaps = gap_figures(on.retargeting.wanted_open_mm(from_rest)[:, 0], gap_mm, human_gap_mm)
     moves = min(human_gap_mm.std(), gap_mm.std()) > 0.0
     return HoldOutErrors(
         n_frames=len(held_out),
@@ -130,9 +193,9 @@ def _errors(on: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors:
 
 
 def _coverage(on: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
-    """By the first phoneme of each class the speaker ever said.
+    """By the first phoneme of each class that the speaker uttered.
 
-    Within reach: opening and width of the best pose are those asked for.
+    Within reach: opening and width of the best pose are the wanted ones.
     """
     rows = {viseme[0]: _rows_of(on.model, viseme) for viseme in VISEME_CLASSES}
     rows = {viseme: chosen for viseme, chosen in rows.items() if len(chosen)}
@@ -141,7 +204,7 @@ def _coverage(on: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
     targets_mm = on.retargeting.targets_mm(from_rest)
     poses_deg = run.poses_deg(from_rest, on.mouth)
     off_mm = on.apart_mm(poses_deg, targets_mm)
-    asked_mm = on.retargeting.asked_open_mm(from_rest)[:, 0]
+    wanted_mm = on.retargeting.wanted_open_mm(from_rest)[:, 0]
     made_mm = _opening_mm(on, on.mouth.seen_mm(poses_deg))
     human_mm = on.model.lip_gaps_mm(on.model.markers_mm(from_rest + on.model.rest))
     at_limit = _at_limit(poses_deg, on.mouth)
@@ -149,7 +212,7 @@ def _coverage(on: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
     begin = 0
     for viseme, chosen in rows.items():
         own = slice(begin, begin + len(chosen))
-        gaps = gap_figures(asked_mm[own], made_mm[own], human_mm[own])
+        gaps = gap_figures(wanted_mm[own], made_mm[own], human_mm[own])
         reach[viseme] = VisemeReach(
             reachable=float(reached[own].mean()),
             off_mm=_rms(off_mm[own]),
@@ -193,10 +256,22 @@ _LOOSE_DEG, _LOOSE_TIMES, _AHEAD, _FEWEST_JOINTS = 2.0, 1.8, 1.25, 3
 
 
 def loose_joint(servo_names: tuple[str, ...], backlash_deg: Array) -> tuple[str, ...]:
-    """A line where one joint, and no other, has far more play than is usual for its face.
+    """Return a warning where one joint, and no other, has far more play than is usual for its face.
 
     Play beyond the last step of a pose (3 degrees) is not seen whole, and joints that hardly move
-    the skin are not told from their neighbours: of them nothing is said.
+    the skin are not distinguished from their neighbours: they are left out.
+
+    Parameters
+    ----------
+    servo_names : tuple[str, ...]
+        n_servos.
+    backlash_deg : Array
+        (n_servos,).
+
+    Returns
+    -------
+    tuple[str, ...]
+        One line, or none.
     """
     if len(backlash_deg) < _FEWEST_JOINTS:
         return ()
@@ -339,7 +414,20 @@ def _doubt_mm_per_deg(capture: Capture, names: Correspondence) -> Array:
 
 
 def split_frames(model: FaceWithAnimPhos, seed: int) -> tuple[Array, Array]:
-    """Frames (n, n_components) to fit and to hold out, of different AnimPhos drawn by `seed`."""
+    """Return frames to fit and to hold out, of different AnimPhos drawn by `seed`.
+
+    Parameters
+    ----------
+    model : FaceWithAnimPhos
+        Has the AnimPhos.
+    seed : int
+        Of the draw.
+
+    Returns
+    -------
+    tuple[Array, Array]
+        (n, n_components) each.
+    """
     order = np.random.default_rng(seed).permutation(len(model.animphos))
     if len(order) < 2:
         raise CalibrationError("a calibration needs a model with at least 2 AnimPhos")
@@ -350,7 +438,18 @@ def split_frames(model: FaceWithAnimPhos, seed: int) -> tuple[Array, Array]:
 
 
 def backlash_only(backlash_deg: Array) -> Following:
-    """Nothing known of lags and speeds yet: no lag, no limit."""
+    """Return a response with backlash alone: lags and speeds are not known yet.
+
+    Parameters
+    ----------
+    backlash_deg : Array
+        (n_servos,).
+
+    Returns
+    -------
+    Following
+        No lag, no limit; backlash in degrees.
+    """
     unknown = np.full(len(backlash_deg), np.inf)
     return Following(np.zeros(len(backlash_deg)), backlash_deg, unknown, unknown)
 
@@ -363,9 +462,9 @@ def mouth_of(face: RobotFace, names: Correspondence, servos: MouthServos) -> Rob
 def retargeting_of(
     model: FaceWithAnimPhos, mouth: RobotMouth, face: RobotFace, capture: Capture
 ) -> Retargeting:
-    """What is asked of a learnt face: by where its lips stop, where they were seen to.
+    """The targets of a learnt face: by where its lips stop, where that was seen.
 
-    Its scale is by all that the speaker said: a fiftieth of a few hundred frames is chance.
+    Its scale is by all recorded speech: a fiftieth of a few hundred frames is chance.
     """
     frames = model.animphos.frames
     heights_mm = gap_heights_mm(capture.markers_mm, mouth.names.shape_features.gaps)
@@ -384,7 +483,20 @@ def retargeting_of(
 
 
 def nearest_gaps(face: RobotFace, capture: Capture) -> tuple[Array, Array]:
-    """The pose (n_servos,) in which a ladder brought the lips nearest, and the gaps (n_gaps,)."""
+    """Return the pose in which a ladder brought the lips nearest, and the gaps there.
+
+    Parameters
+    ----------
+    face : RobotFace
+        Has the ladders.
+    capture : Capture
+        Its poses.
+
+    Returns
+    -------
+    tuple[Array, Array]
+        (n_servos,) degrees and (n_gaps,) mm.
+    """
     assert face.ladders is not None
     rows = [own[-1] for own in face.ladders.rows]
     ends_deg = capture.goals_deg[rows]

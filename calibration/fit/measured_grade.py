@@ -1,12 +1,12 @@
 """What a calibration is worth, measured: poses of speech that nothing was fitted to.
 
-The learnt face asked about itself knows nothing of what it got wrong. So the robot goes to where
+The learnt face cannot show its own errors. So the robot goes to where
 the fresh map sends it for frames that were left out, is measured there, and compared with the
-shapes asked for; what the tracker's own noise adds is taken off. Where the poses go and what should
+wanted shapes; what the tracker's own noise adds is taken off. Where the poses go and what should
 be seen there is all that this needs, so a second visit to the robot can be weeks later: a check
 plan is their file, with the columns of a plan, so that whatever moves a robot through one moves it
 through this; then, of each pose, the viseme class, the speaker's gap, the share of speech that it
-stands for, the opening asked for, the robot's own closed gap and the tracker's noise; which map it
+it represents, the wanted opening, the robot's own closed gap and the tracker's noise; which map it
 belongs to; and where each marker should be, `<marker>_x_mm`, `_y_mm`, `_z_mm`.
 Loads scikit-learn; the live path never does.
 """
@@ -63,7 +63,7 @@ class GradedPoses:
     plan: PosePlan
     marker_names: tuple[str, ...]
     targets_mm: Array
-    asked_open_mm: Array
+    wanted_open_mm: Array
     visemes: tuple[str, ...]
     human_gap_mm: Array
     shares: Array
@@ -91,7 +91,7 @@ def graded_poses(fit: MeasuredFit, servos: MouthServos, seed: int = 0) -> Graded
         plan=replace(plan, goals_deg=np.clip(led_deg, *servos.limits_deg)),
         marker_names=fit.names.marker_names,
         targets_mm=targets_mm,
-        asked_open_mm=retargeting.asked_open_mm(from_rest).mean(axis=1),
+        wanted_open_mm=retargeting.wanted_open_mm(from_rest).mean(axis=1),
         visemes=tuple(_viseme(model.animphos, frame) for frame in frames),
         human_gap_mm=model.lip_gaps_mm(model.markers_mm(frames)),
         shares=shares,
@@ -104,9 +104,28 @@ def graded_poses(fit: MeasuredFit, servos: MouthServos, seed: int = 0) -> Graded
 def graded(
     calibration: Calibration, poses: GradedPoses, seen: Capture, rows: NDArray[np.int64]
 ) -> tuple[Calibration, tuple[str, ...]]:
-    """The same with the grade that `seen` gives it, and what there is to say about it.
+    """Return the calibration with the grade of a capture, and lines about it.
 
-    rows: which of the poses `seen` shows. Raises CalibrationError for fewer than half of them.
+    Parameters
+    ----------
+    calibration : Calibration
+        To be graded.
+    poses : GradedPoses
+        Planned ones.
+    seen : Capture
+        The capture.
+    rows : NDArray[np.int64]
+        (n,): which of the poses `seen` shows.
+
+    Returns
+    -------
+    tuple[Calibration, tuple[str, ...]]
+        Errors in mm.
+
+    Raises
+    ------
+    CalibrationError
+        `seen` has fewer than half of the poses.
     """
     if len(seen) < len(poses) // 2 or len(rows) != len(seen):
         raise CalibrationError(
@@ -127,7 +146,7 @@ def graded(
     each_mm2[known] = np.nanmean(lips_mm2[known], axis=1) - 3 * poses.noise_mm**2
     open_mm = gap_heights_mm(seen_mm, of.gaps).mean(axis=1) - poses.own_gap_mm
     target_mm = gap_heights_mm(targets_mm, of.gaps).mean(axis=1) - poses.own_gap_mm
-    gaps = gap_figures(poses.asked_open_mm[rows], open_mm, human_mm, shares)
+    gaps = gap_figures(poses.wanted_open_mm[rows], open_mm, human_mm, shares)
     closed = (human_mm <= CLOSED_GAP_MM) & np.isfinite(open_mm)
     apart_mm = 0.0 if calibration.closing is None else calibration.closing.apart_mm
     # Ten poses are few: so what is known of all frames left out, the map's own error, and what the
@@ -169,7 +188,7 @@ def too_bad(calibration: Calibration) -> str | None:
     if slope < _WORST_SLOPE:
         return f"only {max(slope, 0.0):.0%} of an opening is made{how}"
     if closed_mm > _TOUCH_MM and closing is not None and not closing.closes:
-        return f"the mouth {closing.told}"
+        return f"the mouth {closing.description}"
     if closed_mm > _TOUCH_MM:
         return f"closed lips stay {closed_mm:.1f} mm apart{how}"
     return None
@@ -214,7 +233,7 @@ def _viseme(units: AnimPhoUnits, frame: Array) -> str:
 def _without_far(
     seen_mm: Array, targets_mm: Array, lips: Sequence[int], names: tuple[str, ...]
 ) -> tuple[Array, tuple[str, ...]]:
-    """Single readings of lips that nobody can believe, left out and counted by marker."""
+    """Remove implausible single readings of lips, counted by marker."""
     far = np.zeros(seen_mm.shape[:2], dtype=bool)
     off_mm = np.linalg.norm((seen_mm - targets_mm)[:, lips], axis=2)
     for pose, own_mm in enumerate(off_mm):
@@ -224,10 +243,10 @@ def _without_far(
     if not far.any():
         return seen_mm, ()
     counts = far.sum(axis=0)
-    told = ", ".join(f"{names[i]} {counts[i]}" for i in np.argsort(-counts)[:5] if counts[i])
+    counted = ", ".join(f"{names[i]} {counts[i]}" for i in np.argsort(-counts)[:5] if counts[i])
     return (
         np.where(far[..., None], np.nan, seen_mm),
-        (f"{far.sum()} readings were far off and left out: {told}",),
+        (f"{far.sum()} readings were far off and left out: {counted}",),
     )
 
 
@@ -264,7 +283,7 @@ def write_check_plan(poses: GradedPoses, calibration: Calibration, path: Path) -
         numbers = (
             poses.human_gap_mm[i],
             poses.shares[i],
-            poses.asked_open_mm[i],
+            poses.wanted_open_mm[i],
             poses.expected_mm[i],
             poses.own_gap_mm,
             poses.noise_mm,
@@ -310,7 +329,7 @@ def read_check_plan(path: Path, calibration: Calibration) -> GradedPoses:
         plan=plan,
         marker_names=names,
         targets_mm=np.array(targets_mm).transpose(2, 0, 1),
-        asked_open_mm=numbers("asked_open_mm"),
+        wanted_open_mm=numbers("asked_open_mm"),
         visemes=tuple(str(row[_VISEME]) for _, row in rows),
         human_gap_mm=numbers("human_gap_mm"),
         shares=numbers("share"),

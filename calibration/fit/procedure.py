@@ -36,9 +36,9 @@ from calibration.capture.capture import (
     usual_poses,
 )
 from calibration.capture.joint_health import (
-    MOST_LOOKS,
+    MOST_FRAMES,
     doubtful_joints,
-    second_look,
+    extra_poses,
     unseen_alone,
 )
 from calibration.capture.repeated_poses import first_part
@@ -130,13 +130,13 @@ class Procedure:
         """
         unsure = [j for j in unseen_alone(capture) if not positive or positive[j]]
         if unsure:
-            looks = second_look(self.joints, unsure, rules=self.rules)
+            extras = extra_poses(self.joints, unsure, rules=self.rules)
             names = ", ".join(repr(self.joints[joint].name) for joint in unsure)
-            told = (
-                f"the markers hardly tell yet what {names} does: {len(looks)} poses in which it "
+            reason = (
+                f"the markers hardly tell yet what {names} does: {len(extras)} poses in which it "
                 "moves alone; record them and refine once more"
             )
-            return looks, (told,)
+            return extras, (reason,)
         checked = check_capture(capture, self.model, positive, accept=accept)
         return self.speech_plan(checked, max(1, self.n_of_speech)), checked.warnings
 
@@ -190,14 +190,14 @@ class Procedure:
         arrived: Arrived = lambda *_: None,
         progress: Callable[[int], None] = lambda _: None,
         strained: Callable[[], str | None] = lambda: None,
-        told: Callable[[str], None] = lambda _: None,
+        report: Callable[[str], None] = lambda _: None,
     ) -> Capture:
         """Both parts, one after the other; arguments as of `capture_poses` and `Robot`.
 
-        Axes and size are judged by the first pose. Beyond `n_poses` a joint that may be dead is
+        Axes and size are checked by the first pose. Beyond `n_poses` a joint that may be dead is
         looked at again in between, and the first part of the plan at the end; a pose in which the
-        tracker exchanged two names is taken again. told hears of each. Lips are closed no farther
-        once a servo is strained.
+        tracker exchanged two names is captured again. report gets a line for each. Lips are closed
+        no farther once a servo is strained.
         """
         on = Robot(move, measure, arrived, progress, strained)
         poses: list[CapturedPose] = []
@@ -205,7 +205,7 @@ class Procedure:
         def take(plan: PosePlan, pressing: Sequence[int] = (), *, goes_on: bool) -> Capture:
             kept = poses if keep is None else read_kept(keep, plan, marker_names, goes_on=goes_on)
             poses[:] = take_poses(plan, marker_names, on, kept, keep, pressing)
-            poses[:] = put_right(plan, marker_names, on, poses, keep, told)
+            poses[:] = put_right(plan, marker_names, on, poses, keep, report)
             return gather(plan, marker_names, poses)
 
         plan = self.range_plan()
@@ -213,13 +213,13 @@ class Procedure:
         check_frame(marker_names, poses[0].markers_mm, self.model, accept=self.accept)
         captured = take(plan, goes_on=True)
         doubtful = doubtful_joints(captured)
-        for _ in range(MOST_LOOKS):
+        for _ in range(MOST_FRAMES):
             if not doubtful:
                 break
             names = ", ".join(repr(self.joints[joint].name) for joint in doubtful)
-            looks = second_look(self.joints, doubtful, rules=self.rules)
-            told(f"the markers hardly tell yet what {names} does: {len(looks)} poses more")
-            plan = joined(plan, looks)
+            extras = extra_poses(self.joints, doubtful, rules=self.rules)
+            report(f"the markers hardly tell yet what {names} does: {len(extras)} poses more")
+            plan = joined(plan, extras)
             captured = take(plan, goes_on=True)
             doubtful = doubtful_joints(captured, doubtful)
         if not self.n_of_speech:
@@ -264,16 +264,16 @@ def take_grade(
     fit: MeasuredFit, servos: MouthServos, marker_names: tuple[str, ...], on: Robot
 ) -> MeasuredFit:
     """Move to ten poses of speech, measure, and grade the fit by them."""
-    asked = graded_poses(fit, servos)
-    plan = asked.plan
+    posed = graded_poses(fit, servos)
+    plan = posed.plan
     poses = take_poses(plan, marker_names, on, [], None)
-    poses = put_right(plan, marker_names, on, poses, expected_mm=asked.targets_mm)
+    poses = put_right(plan, marker_names, on, poses, expected_mm=posed.targets_mm)
     seen = gather(plan, marker_names, poses)
     stood = [
         p.index for p in poses if np.abs(p.reached_deg - plan.goals_deg[p.index]).max() <= STALL_DEG
     ]
     rows = np.array(sorted(stood), dtype=np.int64)
-    calibration, lines = graded(fit.calibration, asked, seen, rows)
+    calibration, lines = graded(fit.calibration, posed, seen, rows)
     return replace(fit, calibration=calibration, warnings=(*fit.warnings, *lines))
 
 

@@ -7,7 +7,7 @@ robot's neutral. A skin drawn by a few horns cannot copy a speaker's point by po
 aim for is that of the robot's own nearest pose, found by bounded least squares, many at once; lip
 gaps weigh most.
 
-Only where the speaker closes are lips asked to go past contact, by as much as the learnt gap may be
+Only where the speaker closes do lips go past contact, by as much as the learnt gap may be
 wrong there: more is force, not closure.
 """
 
@@ -48,9 +48,19 @@ class ShapeFeatures:
     gaps: tuple[tuple[int, int], ...]
 
     def of(self, markers_mm: Array, gaps_mm: Array | None = None) -> Array:
-        """(n, n_markers, 3) -> (n, n_features): weighted positions, then weighted lip gaps.
+        """Return features of shapes: weighted positions, then weighted lip gaps.
 
-        gaps_mm: (n, n_gaps, 3), where other gaps are wanted than those of the markers.
+        Parameters
+        ----------
+        markers_mm : Array
+            (n, n_markers, 3).
+        gaps_mm : Array | None
+            (n, n_gaps, 3), wanted gaps; None: those of the markers.
+
+        Returns
+        -------
+        Array
+            (n, n_features).
         """
         weight = np.full((markers_mm.shape[1], 1), _SKIN_WEIGHT)
         weight[list(self.lips)] = _LIP_WEIGHT
@@ -66,13 +76,37 @@ class ShapeFeatures:
         return float(np.sqrt(3 * (n_lips * _LIP_WEIGHT**2 + skin + 2 * n_gaps * _GAP_WEIGHT**2)))
 
     def gaps_mm(self, markers_mm: Array) -> Array:
-        """(n, n_markers, 3) -> (n, n_gaps, 3): upper minus lower."""
+        """Return lip gaps: upper minus lower marker.
+
+        Parameters
+        ----------
+        markers_mm : Array
+            (n, n_markers, 3).
+
+        Returns
+        -------
+        Array
+            (n, n_gaps, 3) mm.
+        """
         upper, lower = ([pair[i] for pair in self.gaps] for i in (0, 1))
         return np.asarray(markers_mm[:, upper] - markers_mm[:, lower])
 
 
 def gap_heights_mm(markers_mm: Array, gaps: tuple[tuple[int, int], ...]) -> Array:
-    """(n, n_markers, 3) -> (n, n_gaps): upper above lower."""
+    """Return how far upper markers are above lower ones.
+
+    Parameters
+    ----------
+    markers_mm : Array
+        (n, n_markers, 3).
+    gaps : tuple[tuple[int, int], ...]
+        Upper and lower marker numbers.
+
+    Returns
+    -------
+    Array
+        (n, n_gaps) mm.
+    """
     upper, lower = ([pair[i] for pair in gaps] for i in (0, 1))
     return np.asarray(markers_mm[:, upper, 1] - markers_mm[:, lower, 1])
 
@@ -86,10 +120,27 @@ def nearest_poses_deg(
     rules: Sequence[CouplingRule] = (),
     doubt_mm_per_deg: Array | None = None,
 ) -> Array:
-    """Features (n, n_features) of shapes -> (n, n_servos) within the limits, keeping the rules.
+    """Find the poses whose shapes are nearest to wanted ones, by Gauss-Newton from neutral.
 
-    Gauss-Newton from neutral. doubt_mm_per_deg: (n_servos,), what a degree of each may do that is
-    not known, and therefore costs; None: all is known.
+    Parameters
+    ----------
+    markers_of : MarkersOf
+        Poses (n, n_servos) to markers (n, n_markers, 3).
+    wanted : Array
+        (n, n_features).
+    shape_features : ShapeFeatures
+        Makes features.
+    limits_deg : tuple[Array, Array]
+        Least and most, (n_servos,) each.
+    rules : Sequence[CouplingRule]
+        Between joints.
+    doubt_mm_per_deg : Array | None
+        (n_servos,): error that a degree of each may bring, and therefore costs; None: 0.
+
+    Returns
+    -------
+    Array
+        (n, n_servos) degrees within the limits, keeping the rules.
     """
     n_servos = len(limits_deg[0])
     angles_deg = np.zeros((len(wanted), n_servos))
@@ -113,7 +164,24 @@ def nearest_poses_deg(
 def shape_slopes(
     markers_of: MarkersOf, shape_features: ShapeFeatures, angles_deg: Array, reached: Array
 ) -> Array:
-    """(n, n_features, n_servos): change of the features by degree, as forward differences."""
+    """Return the change of features by degree, as forward differences.
+
+    Parameters
+    ----------
+    markers_of : MarkersOf
+        Poses to markers.
+    shape_features : ShapeFeatures
+        Makes features.
+    angles_deg : Array
+        (n, n_servos).
+    reached : Array
+        (n, n_features), there.
+
+    Returns
+    -------
+    Array
+        (n, n_features, n_servos).
+    """
     n, n_servos = angles_deg.shape
     stepped_deg = angles_deg[:, None] + _DIFFERENCE_DEG * np.eye(n_servos)
     features = shape_features.of(markers_of(stepped_deg.reshape(-1, n_servos)))
@@ -122,10 +190,24 @@ def shape_slopes(
 
 
 def bounded_minimum(matrices: Array, rights: Array, lower: Array, upper: Array) -> Array:
-    """The x that minimises x'Ax/2 - b'x with lower <= x <= upper, for n problems at once.
+    """Return the x that minimises x'Ax/2 - b'x with lower <= x <= upper, for n problems at once.
 
-    matrices: (n, k, k), positive definite; rights: (n, k); lower, upper: (k,). Coordinate descent:
-    each coordinate in turn goes to its own bounded minimum, which converges for such problems.
+    Coordinate descent: each coordinate in turn goes to its own bounded minimum, which converges for
+    such problems.
+
+    Parameters
+    ----------
+    matrices : Array
+        (n, k, k), positive definite.
+    rights : Array
+        (n, k).
+    lower,upper : Array
+        (k,).
+
+    Returns
+    -------
+    Array
+        (n, k).
     """
     free = np.linalg.solve(matrices, rights[..., None])[..., 0]
     x = np.clip(free, lower, upper)
@@ -209,15 +291,38 @@ class RobotMouth:
     doubt_mm_per_deg: Array | None = None
 
     def seen_mm(self, poses_deg: Array) -> Array:
-        """(n, n_servos) -> (n, n_markers, 3), where a tracker would see them."""
+        """Return where a tracker would see the markers.
+
+        Parameters
+        ----------
+        poses_deg : Array
+            (n, n_servos).
+
+        Returns
+        -------
+        Array
+            (n, n_markers, 3) mm.
+        """
         return (self.stopped_of or self.markers_of)(poses_deg)
 
     def neutral_mm(self) -> Array:
-        """(n_markers, 3), all joints at 0."""
+        """Return the markers with all joints at 0.
+
+        Returns
+        -------
+        Array
+            (n_markers, 3) mm.
+        """
         return np.asarray(self.markers_of(np.zeros((1, len(self.limits_deg[0]))))[0])
 
     def nearest_deg(self, wanted: Array) -> Array:
-        """Features (n, n_features) of shapes -> (n, n_servos), the poses that come nearest."""
+        """Return the poses whose shapes come nearest, (n, n_servos) degrees.
+
+        Parameters
+        ----------
+        wanted : Array
+            (n, n_features).
+        """
         shape_features = self.names.shape_features
         return nearest_poses_deg(
             self.markers_of,
@@ -229,7 +334,13 @@ class RobotMouth:
         )
 
     def kept_deg(self, free_deg: Array) -> Array:
-        """(n, n_servos) -> the same within limits and rules, as the live path keeps them."""
+        """Return poses within limits and rules, as the live path keeps them, (n, n_servos) degrees.
+
+        Parameters
+        ----------
+        free_deg : Array
+            (n, n_servos).
+        """
         within_deg: Array = np.clip(free_deg, *self.limits_deg)
         if not self.rules:
             return within_deg
@@ -251,7 +362,7 @@ _LEAST_WIDTH_MM, LEAST_OPENING_MM = 10.0, 1.5
 
 @dataclass(frozen=True, slots=True)
 class Retargeting:
-    """What is asked of a mouth. closed_mm: (n_gaps,), heights between dots of lips that touch.
+    """Targets of a mouth. closed_mm: (n_gaps,), heights between dots of lips that touch.
 
     scale: robot over speaker; press_mm: how far past contact where the speaker closes.
     """
@@ -263,35 +374,60 @@ class Retargeting:
     press_mm: float
 
     def wanted(self, from_rest: Array) -> Array:
-        """(n, n_components) -> (n, n_features): literal copies with the wanted gaps."""
+        """Return features of literal copies with the wanted gaps, (n, n_features).
+
+        Parameters
+        ----------
+        from_rest : Array
+            (n, n_components).
+        """
         copies_mm, gaps_mm = self.copies_mm(from_rest)
         return self.mouth.names.shape_features.of(copies_mm, gaps_mm)
 
     def poses_deg(self, from_rest: Array) -> Array:
-        """(n, n_components) -> (n, n_servos): nearest, and closed where the speaker closes."""
+        """Return the nearest poses, closed where the speaker closes, (n, n_servos) degrees.
+
+        Parameters
+        ----------
+        from_rest : Array
+            (n, n_components).
+        """
         copies_mm, gaps_mm = self.copies_mm(from_rest)
         of = self.mouth.names.shape_features
         poses_deg = self.mouth.nearest_deg(of.of(copies_mm, gaps_mm))
         closes = self.closing(from_rest) >= 1.0
         if closes.any():
-            asked_mm = gaps_mm[closes].copy()
+            wanted_mm = gaps_mm[closes].copy()
             for _ in range(_CLOSING_ROUNDS):
                 reached_mm = gap_heights_mm(self.mouth.markers_of(poses_deg[closes]), of.gaps)
-                asked_mm[..., 1] += gaps_mm[closes][..., 1] - reached_mm
-                poses_deg[closes] = self.mouth.nearest_deg(of.of(copies_mm[closes], asked_mm))
+                wanted_mm[..., 1] += gaps_mm[closes][..., 1] - reached_mm
+                poses_deg[closes] = self.mouth.nearest_deg(of.of(copies_mm[closes], wanted_mm))
         return poses_deg
 
     def targets_mm(self, from_rest: Array) -> Array:
-        """(n, n_components) -> (n, n_markers, 3): the robot's own shapes there.
+        """Return the robot's own shapes at `poses_deg`, (n, n_markers, 3) mm.
 
         Closed lips just meet in them: what pressing does to a shape is an error of it.
+
+        Parameters
+        ----------
+        from_rest : Array
+            (n, n_components).
         """
         return self.mouth.seen_mm(replace(self, press_mm=0.0).poses_deg(from_rest))
 
     def held_back_mm(self, from_rest: Array) -> float:
-        """How far lips stay behind because joints are moved no farther than they are known to pay.
+        """Return how far lips stay behind because of joints held back by `doubt_mm_per_deg`.
 
-        rms over frames (n, n_components) and lips, by the learnt face.
+        Parameters
+        ----------
+        from_rest : Array
+            (n, n_components).
+
+        Returns
+        -------
+        float
+            mm, rms over frames and lips, by the learnt face.
         """
         free = replace(self, mouth=replace(self.mouth, doubt_mm_per_deg=None))
         lips = list(self.mouth.names.shape_features.lips)
@@ -299,21 +435,62 @@ class Retargeting:
         return float(np.sqrt(np.mean(np.sum(behind_mm**2, axis=2))))
 
     def at_gap(self, from_rest: Array, gap_mm: float) -> Array:
-        """(1, n_components) -> (1, n_servos): the shape, its lips so high apart in the middle."""
+        """Return the pose of a shape with its lips a given height apart in the middle.
+
+        Parameters
+        ----------
+        from_rest : Array
+            (1, n_components).
+        gap_mm : float
+            The height.
+
+        Returns
+        -------
+        Array
+            (1, n_servos) degrees.
+        """
         shifted = replace(self, closed_mm=self.closed_mm - self.closed_mm[0] + gap_mm, press_mm=0.0)
         return shifted.poses_deg(from_rest)
 
     def closing(self, from_rest: Array) -> Array:
-        """(n,): 1 where the speaker's lips are closed, 0 where they are open."""
+        """Return how far the speaker's lips are closed.
+
+        Parameters
+        ----------
+        from_rest : Array
+            (n, n_components).
+
+        Returns
+        -------
+        Array
+            (n,): 1 closed, 0 open.
+        """
         gaps_mm = self.model.lip_gaps_mm(self.model.markers_mm(from_rest + self.model.rest))
         return np.asarray(np.clip(1.0 - (gaps_mm - CLOSED_GAP_MM) / BLEND_MM, 0.0, 1.0))
 
-    def asked_open_mm(self, from_rest: Array) -> Array:
-        """(n, n_components) -> (n, n_gaps): the openings wanted beyond the robot's closed gap."""
+    def wanted_open_mm(self, from_rest: Array) -> Array:
+        """Return the openings wanted beyond the robot's closed gap, (n, n_gaps) mm.
+
+        Parameters
+        ----------
+        from_rest : Array
+            (n, n_components).
+        """
         return np.maximum(self.copies_mm(from_rest)[1][..., 1] - self.closed_mm, 0.0)
 
     def copies_mm(self, from_rest: Array) -> tuple[Array, Array]:
-        """(n, n_components) -> literal copies (n, n_markers, 3), and gaps (n, n_gaps, 3)."""
+        """Return literal copies of the speaker's motion, and the wanted gaps.
+
+        Parameters
+        ----------
+        from_rest : Array
+            (n, n_components).
+
+        Returns
+        -------
+        tuple[Array, Array]
+            (n, n_markers, 3) and (n, n_gaps, 3) mm.
+        """
         names = self.mouth.names
         rest_mm = self.model.markers_mm(self.model.rest[None])
         moved_mm = self.model.markers_mm(from_rest + self.model.rest) - rest_mm
@@ -330,9 +507,30 @@ class Retargeting:
 def fit_retargeting(
     model: FaceModel, frames: Array, mouth: RobotMouth, closed_mm: Array, press_mm: float = PRESS_MM
 ) -> Retargeting:
-    """frames: (n, n_components), speech to serve; closed_mm: (n_gaps,), as in `Retargeting`.
+    """Fit the scale between speaker and robot.
 
-    Raises CalibrationError for points that are not those of a mouth which opens.
+    Parameters
+    ----------
+    model : FaceModel
+        The speaker's face.
+    frames : Array
+        (n, n_components), speech to serve.
+    mouth : RobotMouth
+        The learnt robot.
+    closed_mm : Array
+        (n_gaps,), as in `Retargeting`.
+    press_mm : float
+        How far past contact closures go.
+
+    Returns
+    -------
+    Retargeting
+        Targets in mm.
+
+    Raises
+    ------
+    CalibrationError
+        The points are not those of a mouth which opens.
     """
     widest_mm = _check_a_mouth(mouth, closed_mm)
     speakers_mm = np.quantile(model.lip_gaps_mm(model.markers_mm(frames)), _RANGE_QUANTILE)
@@ -370,7 +568,18 @@ def no_opening(mouth: RobotMouth, opening_mm: float) -> CalibrationError:
 
 
 def widest_pose_deg(mouth: RobotMouth) -> Array:
-    """(n_servos,): middle gap as high as it goes, each joint in turn at its better end, twice."""
+    """Return the pose with the highest middle gap, each joint in turn at its better end, twice.
+
+    Parameters
+    ----------
+    mouth : RobotMouth
+        The learnt robot.
+
+    Returns
+    -------
+    Array
+        (n_servos,) degrees.
+    """
     limits_deg = mouth.limits_deg
     n_servos = len(limits_deg[0])
     pose_deg = np.zeros((1, n_servos))

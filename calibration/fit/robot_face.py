@@ -57,22 +57,52 @@ class LipContact:
     sure_mm: float
 
     def overlap_mm(self, free_gaps_mm: Array) -> Array:
-        """(n, n_gaps) heights -> how far lips would overlap, >= 0."""
+        """Return how far lips would overlap, (n, n_gaps) mm, >= 0.
+
+        Parameters
+        ----------
+        free_gaps_mm : Array
+            (n, n_gaps) heights.
+        """
         return np.maximum(self.closed_mm - free_gaps_mm, 0.0)
 
     def seen_mm(self, free_mm: Array, free_gaps_mm: Array) -> Array:
-        """(n, n_markers, 3) of the free face -> where the markers really are."""
+        """Return where the markers are when lips stop each other, (n, n_markers, 3) mm.
+
+        Parameters
+        ----------
+        free_mm : Array
+            (n, n_markers, 3) of the free face.
+        free_gaps_mm : Array
+            (n, n_gaps).
+        """
         pushed = np.tensordot(self.overlap_mm(free_gaps_mm), self.pushed, axes=1)
         return np.asarray(free_mm + pushed)
 
 
 def poses_in_contact(free_gaps_mm: Array, closed_mm: Array) -> NDArray[np.bool_]:
-    """(n,): poses whose middle gap would be narrower than the closed one."""
+    """Return which poses would have a middle gap narrower than the closed one, (n,).
+
+    Parameters
+    ----------
+    free_gaps_mm : Array
+        (n, n_gaps).
+    closed_mm : Array
+        (n_gaps,).
+    """
     return np.asarray(free_gaps_mm[:, 0] < closed_mm[0])
 
 
 def first_closed_mm(seen_gaps_mm: Array, contact: NDArray[np.bool_]) -> Array:
-    """(n_gaps,): the usual gap of poses in contact; as near as ever seen where those hide a dot."""
+    """Return the usual gap of poses in contact, (n_gaps,) mm; the least where those hide a dot.
+
+    Parameters
+    ----------
+    seen_gaps_mm : Array
+        (n, n_gaps).
+    contact : NDArray[np.bool_]
+        (n,).
+    """
     is_seen = np.isfinite(seen_gaps_mm[contact]).any(axis=0)
     closing_mm = np.where(is_seen, seen_gaps_mm[contact], np.nanmin(seen_gaps_mm, axis=0))
     return np.asarray(np.nanmedian(closing_mm, axis=0))
@@ -81,10 +111,19 @@ def first_closed_mm(seen_gaps_mm: Array, contact: NDArray[np.bool_]) -> Array:
 def closed_gaps_mm(
     seen_gaps_mm: Array, free_gaps_mm: Array, contact: NDArray[np.bool_], closed_mm: Array
 ) -> Array:
-    """(n_gaps,): where the gaps of poses in contact begin to stand still.
+    """Return where the gaps of poses in contact begin to stand still, (n_gaps,) mm.
 
-    Soft lips still give way: a line through the gaps by overlap, whose beginning is the closed
-    gap, and which falls by nothing at least and half a millimetre a millimetre at most.
+    Soft lips still give way: a line through the gaps by overlap, whose beginning is the closed gap,
+    and which falls by nothing at least and half a millimetre a millimetre at most.
+
+    Parameters
+    ----------
+    seen_gaps_mm,free_gaps_mm : Array
+        (n, n_gaps).
+    contact : NDArray[np.bool_]
+        (n,).
+    closed_mm : Array
+        (n_gaps,), a first estimate.
     """
     overlap = np.maximum(closed_mm[0] - free_gaps_mm[contact, 0], 0.0)
     begins = np.empty(seen_gaps_mm.shape[1])
@@ -101,7 +140,20 @@ def closed_gaps_mm(
 
 
 def touching_gaps_mm(seen_gaps_mm: Array, free_gaps_mm: Array, closed_mm: Array) -> Array:
-    """(n_gaps,): the mean gap where lips touch without being pressed hard, each gap for itself."""
+    """Return the mean gap where lips touch without being pressed hard, each gap for itself.
+
+    Parameters
+    ----------
+    seen_gaps_mm,free_gaps_mm : Array
+        (n, n_gaps).
+    closed_mm : Array
+        (n_gaps,).
+
+    Returns
+    -------
+    Array
+        (n_gaps,) mm.
+    """
     overlap_mm = closed_mm - free_gaps_mm
     lightly = (overlap_mm > _TOUCHES_MM[0]) & (overlap_mm < _TOUCHES_MM[1])
     seen_mm = np.where(lightly, seen_gaps_mm, np.nan)
@@ -111,7 +163,20 @@ def touching_gaps_mm(seen_gaps_mm: Array, free_gaps_mm: Array, closed_mm: Array)
 
 
 def is_stopped(seen_gaps_mm: Array, free_gaps_mm: Array, closed_mm: Array) -> bool:
-    """Whether the lips stop, rather than just go on: which explains their gaps better."""
+    """Return whether lips that stop explain the gaps better than lips that go on.
+
+    Parameters
+    ----------
+    seen_gaps_mm,free_gaps_mm : Array
+        (n, n_gaps).
+    closed_mm : Array
+        (n_gaps,).
+
+    Returns
+    -------
+    bool
+        False where no pose is far enough beyond, in mm.
+    """
     beyond = free_gaps_mm[:, 0] < closed_mm[0] - _SURE_MM
     seen, free = seen_gaps_mm[beyond, 0], free_gaps_mm[beyond, 0]
     known = np.isfinite(seen)
@@ -129,7 +194,24 @@ def fit_contact(
     closed_mm: Array,
     gaps: tuple[tuple[int, int], ...],
 ) -> LipContact:
-    """missed_mm: (n, n_markers, 3), captured less free, NaN where lost."""
+    """Fit how lips in contact push the markers.
+
+    Parameters
+    ----------
+    missed_mm : Array
+        (n, n_markers, 3), captured less free, NaN where lost.
+    seen_gaps_mm,free_gaps_mm : Array
+        (n, n_gaps).
+    closed_mm : Array
+        (n_gaps,).
+    gaps : tuple[tuple[int, int], ...]
+        Upper and lower marker numbers.
+
+    Returns
+    -------
+    LipContact
+        Motion of markers by mm of overlap.
+    """
     overlap = np.maximum(closed_mm - free_gaps_mm, 0.0)
     touched = overlap[:, 0] > 0.0
     o, r = overlap[touched], np.nan_to_num(missed_mm[touched])
@@ -164,14 +246,33 @@ class Learnt(Protocol):
     """A fitted regression of either kind."""
 
     def predict(self, inputs: Array) -> Array:
-        """(n, n_servos) -> (n, n_markers, 3) off the centre."""
+        """Predict the markers of poses, (n, n_markers, 3) mm off the centre.
+
+        Parameters
+        ----------
+        inputs : Array
+            (n, n_servos).
+        """
 
 
 class Learner(Protocol):
     """Something that learns from poses, as the baselines below do."""
 
     def fit(self, inputs: Array, from_centre_mm: Array) -> Learnt:
-        """Learn (n, n_servos) -> (n, n_markers, 3)."""
+        """Learn markers of poses.
+
+        Parameters
+        ----------
+        inputs : Array
+            (n, n_servos).
+        from_centre_mm : Array
+            (n, n_markers, 3).
+
+        Returns
+        -------
+        Learnt
+            Predicts mm.
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,16 +300,35 @@ class RobotFace:
     ladders: SeenLadders | None = None
 
     def free_mm(self, output_deg: Array) -> Array:
-        """(n, n_servos), degrees in the middle of the backlash -> (n, n_markers, 3).
+        """Return markers as if lips did not stop each other, (n, n_markers, 3) mm.
 
-        As if lips did not stop each other: how far they would overlap says how hard they press.
+        Parameters
+        ----------
+        output_deg : Array
+            (n, n_servos), in the middle of the backlash.
+
+        Returns
+        -------
+        Array
+            (n, n_markers, 3) mm.
         """
         inputs = (output_deg - self.middle_deg) / self.half_range_deg
         warm = np.ones((len(inputs), 1))
         return np.asarray(self.centre_mm + self.learnt.predict(np.hstack([inputs, warm])))
 
     def markers_mm(self, output_deg: Array) -> Array:
-        """The same with lips that stop each other, where they were seen to."""
+        """Return the markers with lips that stop each other, where they were seen to.
+
+        Parameters
+        ----------
+        output_deg : Array
+            (n, n_servos), in the middle of the backlash.
+
+        Returns
+        -------
+        Array
+            (n, n_markers, 3) mm.
+        """
         free_mm = self.free_mm(output_deg)
         if self.contact is None:
             return free_mm

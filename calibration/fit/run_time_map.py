@@ -47,7 +47,20 @@ class RunTimeMap:
     closure: Closure | None = None
 
     def poses_deg(self, from_rest: Array, mouth: RobotMouth) -> Array:
-        """(n, n_components) -> (n, n_servos), within limits and rules, as live."""
+        """Return the live map's poses within limits and rules.
+
+        Parameters
+        ----------
+        from_rest : Array
+            (n, n_components).
+        mouth : RobotMouth
+            Has limits and rules.
+
+        Returns
+        -------
+        Array
+            (n, n_servos) degrees.
+        """
         poses_deg = np.clip(self.free_deg(from_rest), *mouth.limits_deg)
         if self.closure is not None:
             x = np.clip(from_rest, *self.x_range)
@@ -55,7 +68,7 @@ class RunTimeMap:
         return mouth.kept_deg(poses_deg)
 
     def without(self, still: Sequence[int]) -> "RunTimeMap":
-        """The same with these joints, by number, at 0 whatever is said."""
+        """Return the map with these joints, by number, at 0 for all faces."""
         if not still:
             return self
         moves = np.ones(len(self.rest_deg))
@@ -73,7 +86,18 @@ class RunTimeMap:
         )
 
     def free_deg(self, from_rest: Array) -> Array:
-        """(n, n_components) -> (n, n_servos), before the limits."""
+        """Return the live map's poses before the limits.
+
+        Parameters
+        ----------
+        from_rest : Array
+            (n, n_components).
+
+        Returns
+        -------
+        Array
+            (n, n_servos) degrees.
+        """
         x = np.clip(from_rest, *self.x_range)
         first, second = pairs(x.shape[1])
         products = (
@@ -92,15 +116,32 @@ def fit_run_time_map(
     centres: Array | None = None,
     counts: Array | None = None,
 ) -> RunTimeMap:
-    """from_rest: (n, n_components); poses_deg: (n, n_servos), the pose wanted at each.
+    """Fit the live map by generalised least squares.
 
-    centres: (n_centres, n_components) of bends that are not quadratic, or none. counts: (n,), how
-    much each frame counts; None: all alike.
+    The metric of angle errors is the mean of J'J over the poses, J the slope of the shape features.
+    With one metric for all frames and one ridge for all features the solution does not depend on
+    the metric but for the ridge, so each principal direction of the metric is regressed on its own,
+    with a ridge in inverse proportion to how much it shows.
 
-    Generalised least squares: the metric of angle errors is the mean of J'J over the poses, J the
-    slope of the shape features. With one metric for all frames and one ridge for all features the
-    solution does not depend on the metric but for the ridge, so each principal direction of the
-    metric is regressed on its own, with a ridge in inverse proportion to how much it shows.
+    Parameters
+    ----------
+    from_rest : Array
+        (n, n_components).
+    poses_deg : Array
+        (n, n_servos), the pose wanted at each.
+    markers_of : MarkersOf
+        Poses to markers.
+    shape_features : ShapeFeatures
+        Makes features.
+    centres : Array | None
+        (n_centres, n_components) of bends that are not quadratic; None: no such bends.
+    counts : Array | None
+        (n,), how much each frame counts; None: all alike.
+
+    Returns
+    -------
+    RunTimeMap
+        Rounded as the file keeps it.
     """
     first, second = pairs(from_rest.shape[1])
     n = from_rest.shape[1]
@@ -143,7 +184,18 @@ def _distances(from_rest: Array, centres: Array) -> Array:
 
 
 def rounded(values: Array) -> Array:
-    """As the file keeps them."""
+    """Return values rounded to the digits of the file.
+
+    Parameters
+    ----------
+    values : Array
+        Any shape.
+
+    Returns
+    -------
+    Array
+        The same shape.
+    """
     kept = [float(f"{value:.{SIGNIFICANT_DIGITS}g}") for value in values.ravel()]
     return np.array(kept).reshape(values.shape)
 
@@ -174,9 +226,19 @@ _TURN_MM_PER_DEG = 0.1
 
 
 def choose_map(retargeting: Retargeting, from_rest: Array) -> RunTimeMap:
-    """from_rest: (n, n_components), speech, AnimPhos by AnimPhos.
+    """Choose the kind of map: kinds are compared on the last fifth, in gap and shape.
 
-    Kinds are compared on the last fifth, in gap and shape, as far as the face is learnt.
+    Parameters
+    ----------
+    retargeting : Retargeting
+        The learnt face.
+    from_rest : Array
+        (n, n_components), speech, AnimPhos by AnimPhos.
+
+    Returns
+    -------
+    RunTimeMap
+        Fitted to all frames, in degrees.
     """
     poses_deg = retargeting.poses_deg(from_rest)
     closure = fit_closure(retargeting, from_rest, poses_deg)
@@ -192,7 +254,22 @@ def choose_map(retargeting: Retargeting, from_rest: Array) -> RunTimeMap:
 
 
 def fit_closure(retargeting: Retargeting, from_rest: Array, poses_deg: Array) -> Closure | None:
-    """None where the speaker never closes. The learnt face is a quadratic of its joints: exact."""
+    """Fit the correction of closures, exact as the learnt face is a quadratic of its joints.
+
+    Parameters
+    ----------
+    retargeting : Retargeting
+        The learnt face.
+    from_rest : Array
+        (n, n_components).
+    poses_deg : Array
+        (n, n_servos).
+
+    Returns
+    -------
+    Closure | None
+        None where the speaker never closes.
+    """
     closes = retargeting.closing(from_rest) >= 1.0
     if not closes.any():
         return None

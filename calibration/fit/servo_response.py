@@ -29,12 +29,25 @@ _PERIODS = 3.0
 
 
 def chirp_deg(amplitude_deg: float, rate_hz: float = RATE_HZ) -> Array:
-    """(n,): a sine whose frequency grows evenly over the chirp, after a rest."""
+    """Return a sine whose frequency grows evenly over the chirp, between two rests.
+
+    Parameters
+    ----------
+    amplitude_deg : float
+        Of the sine.
+    rate_hz : float
+        Goals a second.
+
+    Returns
+    -------
+    Array
+        (n,) degrees.
+    """
     times_s = np.arange(0.0, _CHIRP_S, 1.0 / rate_hz)
     low, high = _CHIRP_HZ
-    turns = low * times_s + (high - low) * times_s**2 / (2 * _CHIRP_S)
+    phase_turns = low * times_s + (high - low) * times_s**2 / (2 * _CHIRP_S)
     rest = np.zeros(round(_REST_S * rate_hz))
-    return np.concatenate([rest, amplitude_deg * np.sin(2 * np.pi * turns), rest])
+    return np.concatenate([rest, amplitude_deg * np.sin(2 * np.pi * phase_turns), rest])
 
 
 def chirp_amplitude_deg(joint: JointRange) -> float:
@@ -52,8 +65,28 @@ def identify(
 ) -> Following:
     """Move one joint after another by a chirp and two steps, the others resting at 0.
 
-    rate_hz: at least 50, or the fastest part of the chirp is lost; progress hears the number of
-    joints done. Raises CalibrationError for a joint whose encoder does not follow.
+    Parameters
+    ----------
+    drive : Drive
+        Sends goals and returns encoders.
+    joints : Sequence[JointRange]
+        Ranges.
+    backlash_deg : Array
+        (n_servos,).
+    rate_hz : float
+        At least 50, or the fastest part of the chirp is lost.
+    progress : Callable[[int], None]
+        Called with the number of joints done.
+
+    Returns
+    -------
+    Following
+        Lags in s, speeds in deg/s and bandwidths in Hz.
+
+    Raises
+    ------
+    CalibrationError
+        A joint's encoder does not follow.
     """
     found = []
     for joint in range(len(joints)):
@@ -89,9 +122,21 @@ def _drive_one(drive: Drive, goals_deg: Array, joint: int, n_servos: int, rate_h
 
 
 def lag_between_s(goal: Array, seen: Array, rate_hz: float, *, until: int | None = None) -> float:
-    """By how much `seen` (n,) comes after `goal` (n,): the best correlation, between samples too.
+    """Return by how much one signal comes after another: the best correlation, between samples too.
 
-    until: only goals before this sample count.
+    Parameters
+    ----------
+    goal,seen : Array
+        (n,).
+    rate_hz : float
+        Samples a second.
+    until : int | None
+        Only goals before this sample count; None: all.
+
+    Returns
+    -------
+    float
+        Seconds.
     """
     longest = min(round(_LONGEST_LAG_S * rate_hz), len(goal) // 2)
     n = min(until or len(goal), len(goal) - longest)

@@ -55,12 +55,34 @@ class Poses:
     half_range_deg: Array
 
     def inputs(self, backlash_deg: Array) -> Array:
-        """(n, n_servos): where the horns stood, behind the backlash."""
+        """Return where the horns stood, behind the backlash, from -1 to 1 of the range.
+
+        Parameters
+        ----------
+        backlash_deg : Array
+            (n_servos,).
+
+        Returns
+        -------
+        Array
+            (n, n_servos).
+        """
         reached_deg = self.goals_deg - self.from_below * backlash_deg / 2
         return np.asarray((reached_deg - self.middle_deg) / self.half_range_deg)
 
     def of(self, rows: NDArray[np.bool_]) -> "Poses":
-        """Some of them."""
+        """Return some of the poses.
+
+        Parameters
+        ----------
+        rows : NDArray[np.bool_]
+            (n,).
+
+        Returns
+        -------
+        Poses
+            (k, n_servos) degrees.
+        """
         return replace(self, goals_deg=self.goals_deg[rows], from_below=self.from_below[rows])
 
 
@@ -76,17 +98,47 @@ class Hyperparameters:
     own: float
 
     def logarithms(self) -> Array:
-        """Reaches, curvature, noise, width and own part, as they are searched for."""
+        """Return reaches, curvature, noise, width and own part, as they are searched for.
+
+        Returns
+        -------
+        Array
+            (n_inputs + 4,).
+        """
         others = [self.curvature, self.noise_mm2, self.width_mm, self.own]
         return np.asarray(np.log(np.maximum(np.concatenate([self.reach_mm2, others]), 1e-8)))
 
     def joints(self, one: Array, other: Array) -> Array:
-        """(n, n_servos) and (m, n_servos) -> K, (n, m)."""
+        """Return the covariance K of poses.
+
+        Parameters
+        ----------
+        one : Array
+            (n, n_servos).
+        other : Array
+            (m, n_servos).
+
+        Returns
+        -------
+        Array
+            (n, m) mm^2.
+        """
         straight = (one * self.reach_mm2) @ other.T
         return np.asarray(_CONSTANT_MM2 + straight + self.curvature * straight**2)
 
     def skin(self, apart_mm2: Array) -> Array:
-        """Squared distances (n_markers, n_markers) -> S."""
+        """Return the covariance S of markers.
+
+        Parameters
+        ----------
+        apart_mm2 : Array
+            (n_markers, n_markers).
+
+        Returns
+        -------
+        Array
+            (n_markers, n_markers).
+        """
         alike = np.exp(-0.5 * apart_mm2 / self.width_mm**2)
         return np.asarray(alike + self.own * np.eye(len(apart_mm2)))
 
@@ -103,13 +155,37 @@ class SkinProcess:
     solved: Array
 
     def predict(self, inputs: Array) -> Array:
-        """(m, n_servos) -> (m, n_markers, 3), off the centre."""
+        """Predict the markers of poses.
+
+        Parameters
+        ----------
+        inputs : Array
+            (m, n_servos).
+
+        Returns
+        -------
+        Array
+            (m, n_markers, 3) mm, off the centre.
+        """
         weights = self.hyperparameters.joints(inputs, self.inputs)
         return np.asarray(np.tensordot(weights, self.solved, axes=1))
 
 
 def squared_distances_mm2(marker_names: Sequence[str], rest_mm: Array) -> Array:
-    """(n_markers, n_markers): along the skin, which is slit at the mouth. rest_mm: (n, 3)."""
+    """Return squared distances along the skin, which is slit at the mouth.
+
+    Parameters
+    ----------
+    marker_names : Sequence[str]
+        n_markers.
+    rest_mm : Array
+        (n_markers, 3).
+
+    Returns
+    -------
+    Array
+        (n_markers, n_markers).
+    """
     beyond_slit_mm = np.array([_SLIT_MM * _side(name) for name in marker_names])
     places_mm = np.column_stack([rest_mm, beyond_slit_mm])
     return np.asarray(np.sum((places_mm[:, None] - places_mm) ** 2, axis=2))
@@ -129,9 +205,23 @@ def fit_hyperparameters(
     apart_mm2: Array,
     begin: Hyperparameters | None = None,
 ) -> Hyperparameters:
-    """from_centre_mm: (n, n_markers, axes), without gaps; apart_mm2 as from above.
+    """Find the likeliest hyperparameters, and backlash.
 
-    begin: where the search begins, with the backlash as it is there.
+    Parameters
+    ----------
+    poses : Poses
+        n poses.
+    from_centre_mm : Array
+        (n, n_markers, axes), without gaps.
+    apart_mm2 : Array
+        Of `squared_distances_mm2`.
+    begin : Hyperparameters | None
+        Where the search begins, with the backlash as it is there; None: at usual values.
+
+    Returns
+    -------
+    Hyperparameters
+        Lengths in mm.
     """
     n_servos = poses.goals_deg.shape[1]
     likelihood = _NegativeLogLikelihood(poses, from_centre_mm, apart_mm2)
@@ -182,7 +272,24 @@ def _believed_deg(parameters: Array, likelihood: "_NegativeLogLikelihood", n_ser
 def fit_process(
     hyperparameters: Hyperparameters, inputs: Array, from_centre_mm: Array, apart_mm2: Array
 ) -> SkinProcess:
-    """The process conditioned on the captured poses."""
+    """Condition the process on the captured poses.
+
+    Parameters
+    ----------
+    hyperparameters : Hyperparameters
+        Of the process.
+    inputs : Array
+        (n, n_servos).
+    from_centre_mm : Array
+        (n, n_markers, 3).
+    apart_mm2 : Array
+        Of `squared_distances_mm2`.
+
+    Returns
+    -------
+    SkinProcess
+        Predicts mm.
+    """
     on = _Solution(
         hyperparameters.joints(inputs, inputs),
         hyperparameters.skin(apart_mm2),

@@ -85,9 +85,26 @@ def touched_by_markers(calibration: Calibration, seen: Capture) -> tuple[Calibra
 def touched_by_current(
     calibration: Calibration, plan: PosePlan, efforts: Array
 ) -> tuple[Calibration, float]:
-    """The same by what the servos draw, efforts (n, n_servos), in any one unit.
+    """Move the contact of a calibration to where the servos' current rises.
 
-    Raises CalibrationError where no rise is seen.
+    Parameters
+    ----------
+    calibration : Calibration
+        With a closure.
+    plan : PosePlan
+        Poses that close the lips.
+    efforts : Array
+        (n, n_servos), in any one unit.
+
+    Returns
+    -------
+    tuple[Calibration, float]
+        The calibration, and by how many mm its contact moved.
+
+    Raises
+    ------
+    CalibrationError
+        No rise is seen.
     """
     closure = _closure_of(calibration)
     total = np.abs(efforts).sum(axis=1)

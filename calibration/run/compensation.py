@@ -31,9 +31,19 @@ class BacklashCompensation:
         self._furthest_deg: Array | None = None
 
     def feed(self, poses_deg: Array) -> Array:
-        """Where the horns should be now and later, (k, n_servos) -> goals (k, n_servos).
+        """Return the goals that bring the horns to poses, behind the backlash.
 
-        Of what comes later nothing is remembered: it may be revised.
+        Poses that come later are not stored: they may be revised.
+
+        Parameters
+        ----------
+        poses_deg : Array
+            (k, n_servos), where the horns should be now and later.
+
+        Returns
+        -------
+        Array
+            (k, n_servos) degrees.
         """
         if not self._any:
             return poses_deg
@@ -71,7 +81,18 @@ class LagCompensation:
         self._newest = 0
 
     def feed(self, positions_deg: Array) -> Array:
-        """The pose (n_servos,) to show `advance_s` from now -> what to ask of the servos now."""
+        """Return the goals of now that make the servos show a later pose in time.
+
+        Parameters
+        ----------
+        positions_deg : Array
+            (n_servos,), the pose to show `advance_s` from now.
+
+        Returns
+        -------
+        Array
+            (n_servos,) degrees.
+        """
         if self._recent is None:
             self._recent = np.tile(positions_deg, (self._length, 1))
         self._newest = (self._newest + 1) % self._length
@@ -119,7 +140,18 @@ class VisemeTrim:
         self._added_deg = self._nothing
 
     def feed(self, phoneme: str) -> Array:
-        """(n_servos,): what to add for this period."""
+        """Return what to add to the pose for this period.
+
+        Parameters
+        ----------
+        phoneme : str
+            That is shown.
+
+        Returns
+        -------
+        Array
+            (n_servos,) degrees.
+        """
         if not self._idle:
             wanted = self._wanted[VISEME_OF[phoneme]]
             self._added_deg = self._added_deg + self._share * (wanted - self._added_deg)

@@ -2,7 +2,7 @@
 
 What the joints are called and what a positive angle does is enough to make a robot that is built
 so; what that leaves open is shared out among the places that are left. All else is drawn from a
-seed, and none of it is told to what fits.
+seed, and none of it is known to the fit.
 """
 
 from collections.abc import Mapping, Sequence
@@ -97,9 +97,9 @@ def pulls_of(names: Sequence[str], positive: Sequence[str]) -> tuple[Pull, ...]:
 
     The first joint that opens is the jaw. Two joints may pull at one place.
     """
-    said = positive or [""] * len(names)
-    known = [joint_motion(name, word) for name, word in zip(names, said, strict=True)]
-    read = [motion or _by_word(word) for motion, word in zip(known, said, strict=True)]
+    positives = positive or [""] * len(names)
+    known = [joint_motion(name, word) for name, word in zip(names, positives, strict=True)]
+    read = [motion or _by_word(word) for motion, word in zip(known, positives, strict=True)]
     taken: list[str] = []
     pulls = []
     for motion, was_known in zip(read, known, strict=True):
@@ -112,10 +112,10 @@ def pulls_of(names: Sequence[str], positive: Sequence[str]) -> tuple[Pull, ...]:
 
 def _by_word(word: str) -> JointMotion | None:
     """What goes up is the upper lip, what goes down the lower one."""
-    told = words(word)
-    if bool(told & UP) == bool(told & (DOWN | CLOSE)):
+    word_parts = words(word)
+    if bool(word_parts & UP) == bool(word_parts & (DOWN | CLOSE)):
         return None
-    return JointMotion("upper_lip" if told & UP else "lower_lip", "both", 1)
+    return JointMotion("upper_lip" if word_parts & UP else "lower_lip", "both", 1)
 
 
 def _kind_of(
@@ -144,9 +144,23 @@ _BEHIND_MM, _ABOVE_MM = 85.0, 36.0
 
 
 def elastic_robot_of(rest_mm: Array, servos: MouthServos, seed: int) -> ElasticDraw:
-    """A robot of a seed that is built as a face's YAML says: its joints, by their names and words.
+    """Draw a robot that is built as a face's YAML says: its joints, by their names and words.
 
-    rest_mm: (47, 3), a closed mouth. What the YAML leaves open pull_kinds.py says.
+    What the YAML leaves open pull_kinds.py says.
+
+    Parameters
+    ----------
+    rest_mm : Array
+        (47, 3), a closed mouth.
+    servos : MouthServos
+        Of the YAML.
+    seed : int
+        Of the draw.
+
+    Returns
+    -------
+    ElasticDraw
+        Lengths in mm.
     """
     pulls = pulls_of(servos.names, servos.positive)
     kinds = [pull.kind for pull in pulls]
@@ -164,7 +178,24 @@ def elastic_robot_of(rest_mm: Array, servos: MouthServos, seed: int) -> ElasticD
 def robot_of_kinds(
     rest_mm: Array, kinds: Sequence[str], names: tuple[str, ...], rng: np.random.Generator
 ) -> tuple[ElasticDraw, Array]:
-    """A robot of these kinds of joints, none mounted mirrored, and its limits (n_servos, 2)."""
+    """Draw a robot of these kinds of joints, none mounted mirrored.
+
+    Parameters
+    ----------
+    rest_mm : Array
+        (47, 3), a closed mouth.
+    kinds : Sequence[str]
+        One a joint.
+    names : tuple[str, ...]
+        Of the servos.
+    rng : np.random.Generator
+        Draws everything.
+
+    Returns
+    -------
+    tuple[ElasticDraw, Array]
+        The robot, and its limits (n_servos, 2) in degrees.
+    """
     middle_mm = rest_mm.mean(axis=0)
     rest_mm = middle_mm + (rest_mm - middle_mm) * rng.uniform(*_SIZE, size=3)
     bow = np.sin(np.linspace(0.0, np.pi, N_PAIRS + 2)[1:-1])

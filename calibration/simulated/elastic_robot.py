@@ -40,11 +40,33 @@ class FourBar:
     start_deg: float
 
     def jaw_deg(self, servo_deg: Array) -> Array:
-        """How far the jaw is turned from where it is at 0 (Freudenstein 1955, equation 1)."""
+        """Return how far the jaw is turned from where it is at 0 (Freudenstein 1955, equation 1).
+
+        Parameters
+        ----------
+        servo_deg : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n,) degrees.
+        """
         return np.asarray(self._rocker_deg(servo_deg) - self._rocker_deg(np.zeros(1)))
 
     def can_turn(self, servo_deg: Array) -> bool:
-        """Whether rod and rocker reach the crank's end at all these angles and those between."""
+        """Return whether rod and rocker reach the crank's end at these angles and all between.
+
+        Parameters
+        ----------
+        servo_deg : Array
+            (n,).
+
+        Returns
+        -------
+        bool
+            True where they do, and the rocker turns steadily.
+        """
         most, least = float(servo_deg.max()), float(servo_deg.min())
         between = np.linspace(least, most, max(2, round(most - least)))
         reach = self._reach_mm(between)[2]
@@ -109,7 +131,20 @@ class ElasticSkin:
     off_edge_mm: Array
 
     def patch(self, place_mm: Array, below_slit: bool | None) -> Array:
-        """(n,) weights that add up to 1: where a rod holds; below_slit: the lip it leaves alone."""
+        """Return the weights of the skin where a rod holds.
+
+        Parameters
+        ----------
+        place_mm : Array
+            (3,).
+        below_slit : bool | None
+            True: the lower lip alone is moved; False: the upper alone; None: both.
+
+        Returns
+        -------
+        Array
+            (n,), with sum 1.
+        """
         apart_mm = np.linalg.norm(self.places_mm[:, :2] - place_mm[:2], axis=1)
         weight = np.exp(-0.5 * (apart_mm / _ROD_PATCH_MM) ** 2)
         if below_slit is not None:
@@ -118,9 +153,21 @@ class ElasticSkin:
 
 
 def elastic_skin(rest_mm: Array, gaps_mm: Array, off_edge_mm: Array) -> ElasticSkin:
-    """The skin of a closed mouth (47, 3), its lips apart by gaps_mm (N_PAIRS,).
+    """Make the skin of a closed mouth.
 
-    off_edge_mm: (6,), how far each dot of the inner lips lies beside the edge, upper lip first.
+    Parameters
+    ----------
+    rest_mm : Array
+        (47, 3).
+    gaps_mm : Array
+        (N_PAIRS,): how far its lips are apart.
+    off_edge_mm : Array
+        (6,), how far each dot of the inner lips lies beside the edge, upper lip first.
+
+    Returns
+    -------
+    ElasticSkin
+        Places in mm and stiffness.
     """
     seam = rest_mm[[_at(_INNER_CORNERS[0]), *map(_at, _UPPER_INNER), _at(_INNER_CORNERS[1])]].copy()
     seam[1:4] = (seam[1:4] + rest_mm[[_at(n) for n in _LOWER_INNER]]) / 2
@@ -338,7 +385,20 @@ class ElasticFace:
         self._compliance = self._push_answer[-N_PAIRS:] + _LIP_MM_PER_N * np.eye(N_PAIRS)
 
     def state(self, output_deg: Array, warmth: float = 1.0) -> LipState:
-        """(n, n_servos), behind the play -> markers (n, 47, 3), gaps and closing force."""
+        """Return markers, gaps and closing force of poses.
+
+        Parameters
+        ----------
+        output_deg : Array
+            (n, n_servos), behind the play.
+        warmth : float
+            0 cold to 1 warm.
+
+        Returns
+        -------
+        LipState
+            Markers (n, 47, 3) mm, gaps (n, N_PAIRS) mm, force (n,) N.
+        """
         draw = self.draw
         horns_deg = draw.signs * output_deg + draw.zero_deg + warmth * draw.drift_deg
         values = self._free(horns_deg, self._jaw_rad(horns_deg))
@@ -350,11 +410,35 @@ class ElasticFace:
         return LipState(draw.skin.dots_mm + moved, np.maximum(gaps_mm, 0.0), force_n.sum(axis=1))
 
     def markers_mm(self, output_deg: Array) -> Array:
-        """(n, n_servos) -> (n, 47, 3), warm."""
+        """Return the markers of the warm robot.
+
+        Parameters
+        ----------
+        output_deg : Array
+            (n, n_servos), behind the play.
+
+        Returns
+        -------
+        Array
+            (n, 47, 3) mm.
+        """
         return self.state(output_deg).markers_mm
 
     def seen_mm(self, output_deg: Array, n_moves: int) -> Array:
-        """(n_servos,), behind the play, after so many moves since it was cold -> (47, 3)."""
+        """Return the markers after so many moves since it was cold.
+
+        Parameters
+        ----------
+        output_deg : Array
+            (n_servos,), behind the play.
+        n_moves : int
+            Since the start.
+
+        Returns
+        -------
+        Array
+            (47, 3) mm.
+        """
         warmth = 1.0 - np.exp(-n_moves / (2 * _WARMING_MOVES))
         return np.asarray(self.state(output_deg[None], warmth).markers_mm[0])
 
@@ -371,8 +455,8 @@ class ElasticFace:
 
     def _free(self, horns_deg: Array, jaw_rad: Array) -> Array:
         """(n, n_seen): dots and gaps, the lips not stopping each other."""
-        turns = np.stack([np.cos(jaw_rad) - 1.0, np.sin(jaw_rad)], axis=1)
-        values = turns @ self._jaw_answers
+        rotations = np.stack([np.cos(jaw_rad) - 1.0, np.sin(jaw_rad)], axis=1)
+        values = rotations @ self._jaw_answers
         for rod, answer in zip(self.draw.rods, self._rod_answers, strict=True):
             angle = np.deg2rad(horns_deg[:, rod.joint])[:, None]
             pulled = rod.arm_mm * (np.sin(angle) * rod.along + (1.0 - np.cos(angle)) * rod.over)

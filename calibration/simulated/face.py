@@ -111,9 +111,24 @@ class SimulatedFace:
 
 
 def simulated_face(neutral_mm: Array, servo_names: Sequence[str]) -> SimulatedFace:
-    """The face whose skin has the shape `neutral_mm` (47, 3), lips closed.
+    """Make the face whose skin has the shape `neutral_mm`, lips closed.
 
-    Raises ValueError for a servo that has no place in this geometry, or a wrong shape.
+    Parameters
+    ----------
+    neutral_mm : Array
+        (47, 3).
+    servo_names : Sequence[str]
+        n_servos.
+
+    Returns
+    -------
+    SimulatedFace
+        Pulls in mm.
+
+    Raises
+    ------
+    ValueError
+        A servo has no place in this geometry, or the shape is wrong.
     """
     if neutral_mm.shape != (len(MARKERS_47.landmarks), 3):
         raise ValueError(f"neutral_mm has shape {neutral_mm.shape}, expected (47, 3)")
@@ -132,7 +147,20 @@ def simulated_face(neutral_mm: Array, servo_names: Sequence[str]) -> SimulatedFa
 
 
 def marker_positions_mm(face: SimulatedFace, positions_deg: Array) -> Array:
-    """(n, n_servos) joint degrees, in the order of `face.servo_names` -> (n, 47, 3)."""
+    """Return the markers of poses.
+
+    Parameters
+    ----------
+    face : SimulatedFace
+        The simulated face.
+    positions_deg : Array
+        (n, n_servos), in the order of `face.servo_names`.
+
+    Returns
+    -------
+    Array
+        (n, 47, 3) mm.
+    """
     angles_rad = np.deg2rad(positions_deg)
     travel_mm = HORN_ARM_MM * np.sin(angles_rad)
     skin_mm = face.neutral_mm + np.tensordot(travel_mm, face.pulls, axes=1)

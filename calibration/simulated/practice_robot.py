@@ -24,10 +24,28 @@ def family_of(servos: MouthServos) -> RobotFamily:
 def practice_robot(
     rest_mm: Array, servos: MouthServos, seed: int, family: RobotFamily | None = None
 ) -> SimulatedRobot:
-    """The robot of a seed that has the joints of this face. rest_mm: (47, 3), a closed mouth.
+    """Make the robot of a seed that has the joints of this face.
 
-    family: None for `family_of`. Raises CalibrationError without joints, and for a family that
-    does not know them.
+    Parameters
+    ----------
+    rest_mm : Array
+        (47, 3), a closed mouth.
+    servos : MouthServos
+        Of the face.
+    seed : int
+        Of the draw.
+    family : RobotFamily | None
+        None for `family_of`.
+
+    Returns
+    -------
+    SimulatedRobot
+        Measures in mm.
+
+    Raises
+    ------
+    CalibrationError
+        There are no joints, or the family does not know them.
     """
     _check_joints(servos)
     if (family or family_of(servos)) is RobotFamily.ELASTIC:
@@ -39,9 +57,24 @@ def practice_robot(
 
 
 def markers_of_face(rest_mm: Array, servos: MouthServos) -> Callable[[Array], Array]:
-    """(n, n_servos) joint degrees -> (n, 47, 3): a robot with the joints of this face, exactly.
+    """Return the exact model of a robot with the joints of this face.
 
-    Raises CalibrationError without joints.
+    Parameters
+    ----------
+    rest_mm : Array
+        (47, 3), a closed mouth.
+    servos : MouthServos
+        Of the face.
+
+    Returns
+    -------
+    Callable[[Array], Array]
+        (n, n_servos) joint degrees to (n, 47, 3) mm.
+
+    Raises
+    ------
+    CalibrationError
+        There are no joints.
     """
     _check_joints(servos)
     if family_of(servos) is RobotFamily.ELASTIC:

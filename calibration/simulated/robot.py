@@ -1,4 +1,4 @@
-"""A robot mouth to practise on: geometry, backlash and noise drawn from a seed, none of it told.
+"""A robot mouth to practise on: geometry, backlash and noise drawn from a seed, all hidden.
 
 What calibrates it sees `move` and `measure` only, as with a real robot before a tracker. Scores are
 taken against `true_markers_mm`, which knows no noise.
@@ -41,14 +41,44 @@ class RobotDraw:
     noise_stream: tuple[int, ...] = ()
 
     def seen_mm(self, output_deg: Array, _n_moves: int) -> Array:
-        """(n_servos,), angles behind the backlash -> (47, 3), without noise."""
+        """Return the markers without noise.
+
+        Parameters
+        ----------
+        output_deg : Array
+            (n_servos,), behind the backlash.
+        _n_moves : int
+            Not used.
+
+        Returns
+        -------
+        Array
+            (47, 3) mm.
+        """
         return np.asarray(true_markers_mm(self, output_deg[None])[0])
 
 
 def draw_robot(rest_mm: Array, servo_names: Sequence[str], seed: int) -> RobotDraw:
-    """A face like the simulated one, but of other size, strength, direction and skin.
+    """Draw a face like the simulated one, but of other size, strength, direction and skin.
 
-    rest_mm: (47, 3), a closed mouth. Raises ValueError for a servo unknown to the simulated face.
+    Parameters
+    ----------
+    rest_mm : Array
+        (47, 3), a closed mouth.
+    servo_names : Sequence[str]
+        n_servos.
+    seed : int
+        Of the draw.
+
+    Returns
+    -------
+    RobotDraw
+        Lengths in mm.
+
+    Raises
+    ------
+    ValueError
+        A servo is unknown to the simulated face.
     """
     rng = np.random.default_rng(seed)
     middle_mm = rest_mm.mean(axis=0)
@@ -84,14 +114,33 @@ class Skin(Protocol):
 
     @property
     def backlash_deg(self) -> Array:
-        """(n_servos,), of its gears."""
+        """The backlash of its gears.
+
+        Returns
+        -------
+        Array
+            (n_servos,) degrees.
+        """
 
     @property
     def noise_stream(self) -> tuple[int, ...]:
         """With the seed of a tracker's noise: families do not share it."""
 
     def seen_mm(self, output_deg: Array, n_moves: int) -> Array:
-        """(n_servos,), angles behind the backlash, after so many moves -> (47, 3), exact."""
+        """Return the exact markers after so many moves.
+
+        Parameters
+        ----------
+        output_deg : Array
+            (n_servos,), behind the backlash.
+        n_moves : int
+            Since the start.
+
+        Returns
+        -------
+        Array
+            (47, 3) mm.
+        """
 
 
 class SimulatedRobot:
@@ -112,7 +161,18 @@ class SimulatedRobot:
         self._n_moves = 0
 
     def move(self, positions_deg: Array) -> Array:
-        """Go there and settle; the encoders then, (n_servos,). Backlash: the horn lags behind."""
+        """Move to a pose and settle; the horn lags behind by the backlash.
+
+        Parameters
+        ----------
+        positions_deg : Array
+            (n_servos,).
+
+        Returns
+        -------
+        Array
+            (n_servos,) degrees: the encoders then.
+        """
         half_deg = self._skin.backlash_deg / 2
         self._output_deg = np.clip(
             self._output_deg, positions_deg - half_deg, positions_deg + half_deg
@@ -122,18 +182,49 @@ class SimulatedRobot:
 
     @property
     def output_deg(self) -> Array:
-        """(n_servos,): where the horns stand, for the bench."""
+        """Where the horns stand, for the bench.
+
+        Returns
+        -------
+        Array
+            (n_servos,) degrees.
+        """
         return self._output_deg.copy()
 
     def measure(self) -> Array:
-        """(47, 3): one look of the tracker."""
+        """Return one noisy measurement of the tracker.
+
+        Returns
+        -------
+        Array
+            (47, 3) mm.
+        """
         return self.true_markers_mm() + self._noise.normal(0.0, self._noise_mm, (47, 3))
 
     def true_markers_mm(self) -> Array:
-        """(47, 3): where the markers are, which nobody who calibrates is told."""
+        """Return the true marker positions, which no calibration may use.
+
+        Returns
+        -------
+        Array
+            (47, 3) mm.
+        """
         return self._skin.seen_mm(self._output_deg, self._n_moves)
 
 
 def true_markers_mm(draw: RobotDraw, output_deg: Array) -> Array:
-    """(n, n_servos), angles behind the backlash -> (n, 47, 3), without noise."""
+    """Return the markers of a drawn robot without noise.
+
+    Parameters
+    ----------
+    draw : RobotDraw
+        The robot.
+    output_deg : Array
+        (n, n_servos), behind the backlash.
+
+    Returns
+    -------
+    Array
+        (n, 47, 3) mm.
+    """
     return marker_positions_mm(draw.face, output_deg + draw.zero_deg)

@@ -36,9 +36,21 @@ class SimulatedServos:
         )
 
     def shafts_deg(self, goals_deg: Array, rate_hz: float) -> Array:
-        """Goals (n, n_servos), one each 1 / rate_hz -> where the shafts are at the same instants.
+        """Return where the shafts are at the instants of goals.
 
         Before the first goal everything has rested there for long.
+
+        Parameters
+        ----------
+        goals_deg : Array
+            (n, n_servos), one each 1 / rate_hz.
+        rate_hz : float
+            Goals a second.
+
+        Returns
+        -------
+        Array
+            (n, n_servos) degrees.
         """
         step_s = 1.0 / rate_hz / _SUBSTEPS
         late = self._delayed(goals_deg, rate_hz)
@@ -54,7 +66,20 @@ class SimulatedServos:
         return shafts
 
     def encoders_deg(self, goals_deg: Array, rate_hz: float) -> Array:
-        """What the encoders say of `shafts_deg`."""
+        """Return the encoder readings of `shafts_deg`.
+
+        Parameters
+        ----------
+        goals_deg : Array
+            (n, n_servos), one each 1 / rate_hz.
+        rate_hz : float
+            Goals a second.
+
+        Returns
+        -------
+        Array
+            (n, n_servos) degrees.
+        """
         steps = np.rint(self.shafts_deg(goals_deg, rate_hz) / _ENCODER_STEP_DEG)
         return np.asarray(steps * _ENCODER_STEP_DEG)
 

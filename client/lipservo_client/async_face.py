@@ -15,11 +15,11 @@ from lipservo_client.protocol import (
     FaceError,
     Pcm,
     Played,
-    Told,
+    SpeechUnits,
     error_of,
     pcm_bytes,
     played_of,
-    told_messages,
+    unit_messages,
 )
 from lipservo_client.wire import PATIENCE_S, Wire, connected
 
@@ -46,7 +46,7 @@ class AsyncSpeech:
 
     delay_ms: how long after its sound is sent it is seen on the face; who plays the sound itself
     plays it so much later. rate_hz: of its samples. n_sent, n_played: samples that were written,
-    and that were heard of them, as the face told last.
+    and that were heard of them, as the face last reported.
     """
 
     def __init__(self, face: "AsyncFace", stream: str, start: dict[str, object]) -> None:
@@ -68,7 +68,7 @@ class AsyncSpeech:
 
     @property
     def is_over(self) -> bool:
-        """It was heard to its end, or cut off: by us or by somebody else."""
+        """Whether it was heard to its end, or cut off: by us or by another client."""
         return self._heard.done()
 
     @property
@@ -79,8 +79,8 @@ class AsyncSpeech:
     @property
     def was_heard(self) -> bool:
         """It was heard to its end."""
-        is_told = self.is_over and self._heard.exception() is None
-        return is_told and self._heard.result().finished
+        has_result = self.is_over and self._heard.exception() is None
+        return has_result and self._heard.result().finished
 
     async def write(self, samples: Pcm) -> bool:
         """Send samples at any pace; False once it was cut off, and no more are wanted.
@@ -106,17 +106,19 @@ class AsyncSpeech:
         await self._wire.send("mark", name=name)
 
     async def tell(
-        self, told: Told, *, alphabet: str | None = None, language: str | None = None
+        self, units: SpeechUnits, *, alphabet: str | None = None, language: str | None = None
     ) -> None:
-        """What is said in it, beside the sound: before it, with it or late; more, or corrected.
+        """Send the text or units of this stream: before its sound, with it or late.
 
-        told: a text; or (kind, units), kind `words`, `phonemes` or `visemes`, a unit being a label,
-        or (label, start, end) in samples of the stream, either None where it is not known. From the
-        first unit's start on it replaces what was told. alphabet: of the labels, as docs/text.md
-        names it; None: ARPAbet. A face that cannot use it says so by an `error` event `bad_text`,
-        and listens.
+        More, or corrected.
+
+        units: a text; or (kind, units), kind `words`, `phonemes` or `visemes`, a unit being a
+        label, or (label, start, end) in samples of the stream, either None where it is not known.
+        From the first unit's start on they replace earlier ones. alphabet: of the labels, as
+        docs/text.md names it; None: ARPAbet. A face that cannot use it says so by an `error` event
+        `bad_text`, and listens.
         """
-        for message in told_messages(told):
+        for message in unit_messages(units):
             about = {"alphabet": alphabet, "language": language}
             await self._wire.send(message.pop("type"), stream=self.stream, **message, **about)
 
@@ -125,7 +127,7 @@ class AsyncSpeech:
         await self._wire.send("position", stream=self.stream, played_s=played_s)
 
     async def end(self) -> None:
-        """No more comes; what was written is said to its end."""
+        """End the stream; what was written is spoken to its end."""
         if not self._is_complete:
             self._is_complete = True
             await self._send_small()
@@ -277,7 +279,7 @@ class AsyncFace:
     A connection that is lost is opened again, later and later up to every five seconds, until the
     face is left. `events()` gives `disconnected` and `reconnected`, with `code` and `message`;
     `disconnected` again where the face is back and refuses us (bad_protocol, unauthorized). What
-    was being said then is over: its stream raises FaceError, and nothing of it is sent again.
+    being spoken then is over: its stream raises FaceError, and nothing of it is sent again.
     """
 
     def __init__(self, url: str, token: str | None) -> None:
@@ -291,7 +293,7 @@ class AsyncFace:
         self._control: Wire | None = None
         self._connecting = asyncio.Lock()
         self._reconnecting: asyncio.Task[None] | None = None
-        self._asked: dict[int, asyncio.Future[dict[str, Any]]] = {}
+        self._pending: dict[int, asyncio.Future[dict[str, Any]]] = {}
         self._spoken: dict[int, asyncio.Future[Event]] = {}
 
     @property
@@ -312,7 +314,7 @@ class AsyncFace:
         return self
 
     async def __aexit__(self, *exc: object) -> None:
-        """Hang up. What was ended is said to its end; what was not is cut off."""
+        """Disconnect. Streams that were ended are spoken to their end; others are cut off."""
         if self._reconnecting is not None:
             self._reconnecting.cancel()
             await asyncio.gather(self._reconnecting, return_exceptions=True)
@@ -333,7 +335,7 @@ class AsyncFace:
     ) -> AsyncSpeech:
         """A new stream of speech. playback: "client" where this program plays the sound itself.
 
-        stream: its id, of your own; streams of one face are told apart by it. Raises FaceError:
+        stream: an id of your choice, unique among the streams of one face. Raises FaceError:
         disconnected, stream_open.
         """
         name = stream or f"speech {next(self._numbers)}"
@@ -439,7 +441,7 @@ class AsyncFace:
         number = next(self._numbers) if number is None else number
         limit_s = PATIENCE_S if limit_s is None else limit_s
         answer: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
-        self._asked[number] = answer
+        self._pending[number] = answer
         try:
             async with _patience(kind, limit_s):
                 async with self._connecting:
@@ -449,7 +451,7 @@ class AsyncFace:
                 await self._control.send(kind, id=number, **fields)
                 return await answer
         finally:
-            del self._asked[number]
+            del self._pending[number]
 
     async def _connect(self) -> None:
         url = f"{self._url}/stream"
@@ -486,13 +488,13 @@ class AsyncFace:
         if event["type"] in ("finished", "dropped"):
             _settle(self._spoken.get(number), event)
         elif event["type"] == "result":
-            _settle(self._asked.get(number), event.get("result") or {})
+            _settle(self._pending.get(number), event.get("result") or {})
         elif event["type"] == "error":
-            _settle(self._asked.get(number), error_of(event))
+            _settle(self._pending.get(number), error_of(event))
 
     def _lose_control(self, error: FaceError) -> None:
         self._control = None
-        for waiting in (*self._asked.values(), *self._spoken.values()):
+        for waiting in (*self._pending.values(), *self._spoken.values()):
             _settle(waiting, error)
 
     def _hear(self, event: Event) -> None:

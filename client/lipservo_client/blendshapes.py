@@ -1,9 +1,9 @@
 """Blendshapes of a face, ARKit's 52 or Azure's 55, as visemes: the nearest mouth, frame by frame.
 
-Weights say how a face looks, not what is said, and every rig has its own gains. Four measures of
-the mouth are taken from those that move it in speech, and the phone whose mouth is nearest stands
-for the frame. Names and their meaning: Apple, "ARFaceAnchor.BlendShapeLocation"; the order of
-lists, and their 60 Hz: learn.microsoft.com/azure/ai-services/speech-service/
+Weights say how a face looks, not which phoneme is spoken, and every rig has its own gains. Four
+measures of the mouth are taken from those that move it in speech, and the phone whose mouth is
+nearest stands for the frame. Names and their meaning: Apple, "ARFaceAnchor.BlendShapeLocation"; the
+order of lists, and their 60 Hz: learn.microsoft.com/azure/ai-services/speech-service/
 how-to-speech-synthesis-viseme, which is that of Live Link Face too.
 """
 

@@ -7,7 +7,7 @@ from concurrent.futures import CancelledError
 from typing import Any, Final, Literal, Self, TypeVar
 
 from lipservo_client.async_face import AsyncFace, AsyncSpeech, Events
-from lipservo_client.protocol import Event, Pcm, Played, Told
+from lipservo_client.protocol import Event, Pcm, Played, SpeechUnits
 
 #: Between two looks whether there is still somebody who could answer.
 _LOOK_S: Final = 0.5
@@ -29,7 +29,7 @@ class Speech:
 
     @property
     def is_over(self) -> bool:
-        """It was heard to its end, or cut off: by us or by somebody else."""
+        """Whether it was heard to its end, or cut off: by us or by another client."""
         return self._speech.is_over
 
     def write(self, samples: Pcm) -> bool:
@@ -40,16 +40,18 @@ class Speech:
         """Ask for a `mark` event when all that was written until now has been heard."""
         self._face.wait_for(self._speech.mark(name))
 
-    def tell(self, told: Told, *, alphabet: str | None = None, language: str | None = None) -> None:
-        """What is said in it, beside the sound; see `AsyncSpeech.tell`."""
-        self._face.wait_for(self._speech.tell(told, alphabet=alphabet, language=language))
+    def tell(
+        self, units: SpeechUnits, *, alphabet: str | None = None, language: str | None = None
+    ) -> None:
+        """Send the text or units of this stream, beside its sound; see `AsyncSpeech.tell`."""
+        self._face.wait_for(self._speech.tell(units, alphabet=alphabet, language=language))
 
     def report_played(self, played_s: float) -> None:
         """With `playback="client"`: so much has left our loudspeaker now; the mouth follows."""
         self._face.wait_for(self._speech.report_played(played_s))
 
     def end(self) -> None:
-        """No more comes; what was written is said to its end."""
+        """End the stream; what was written is spoken to its end."""
         self._face.wait_for(self._speech.end())
 
     def wait(self) -> Played:
@@ -83,7 +85,7 @@ class Face:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """Hang up. What was ended is said to its end; what was not is cut off."""
+        """Disconnect. Streams that were ended are spoken to their end; others are cut off."""
         try:
             self.wait_for(self._face.__aexit__())
         finally:
@@ -192,7 +194,7 @@ class Face:
         self._loop.run_forever()
 
     def _end(self) -> None:
-        """Whoever still waits in another thread is sent away."""
+        """Release every thread that still waits for this face."""
 
         async def cancel_all() -> None:
             others = asyncio.all_tasks() - {asyncio.current_task()}

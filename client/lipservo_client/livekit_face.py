@@ -16,7 +16,7 @@ from livekit.agents.utils import is_given
 from livekit.agents.voice.io import AudioOutput, AudioOutputCapabilities
 
 from lipservo_client.async_face import AsyncFace, AsyncSpeech
-from lipservo_client.protocol import FaceError, Told, mono_pcm
+from lipservo_client.protocol import FaceError, SpeechUnits, mono_pcm
 
 _LOG: Final = logging.getLogger(__name__)
 
@@ -71,8 +71,8 @@ class LiveKitFace(AudioOutput):
                 self._begin(self._tell_end(speech))
                 if self._is_paused:
                     await self._face.pause()
-            for told in _told(frame):
-                await speech.tell(told)
+            for units in _frame_units(frame):
+                await speech.tell(units)
             self._is_cut = not await speech.write(mono_pcm(frame.data, frame.num_channels))
         except FaceError as error:
             _LOG.warning("not said: %s", error)
@@ -141,16 +141,16 @@ class LiveKitFace(AudioOutput):
         self._last = self._begin(done())
 
 
-def _told(frame: rtc.AudioFrame) -> list[Told]:
+def _frame_units(frame: rtc.AudioFrame) -> list[SpeechUnits]:
     """What the synthesiser tells of the segment beside the sound: words with times, or text."""
-    told: list[Told] = []
+    units: list[SpeechUnits] = []
     for word in frame.userdata.get(USERDATA_TIMED_TRANSCRIPT, ()):
         if not word.strip():
             continue
         start_s = getattr(word, "start_time", NOT_GIVEN)
         if is_given(start_s):
             start = max(0, round(start_s * frame.sample_rate))
-            told.append(("words", [(str(word).strip(), start)]))
+            units.append(("words", [(str(word).strip(), start)]))
         else:
-            told.append(str(word))
-    return told
+            units.append(str(word))
+    return units

@@ -27,7 +27,7 @@ _ASKING_S: Final = 0.05
 _INTERRUPTING_S: Final = 1.0
 #: A frame passes a processor in two or three turns of the event loop. What was heard is in the
 #: context of an aggregator up to twenty processors behind, before the interruption clears queues.
-_SETTLING_TURNS: Final = 64
+_SETTLING_PASSES: Final = 64
 #: Between two reports of what a transport has played.
 _REPORT_S: Final = 0.1
 
@@ -70,10 +70,10 @@ class _FaceProcessor(FrameProcessor):
 
 @dataclass(slots=True)
 class _Unheard:
-    """A frame that goes on when sample n of a stream was heard; sound goes on to nobody.
+    """A frame that goes on when sample n of a stream was heard; sound is not passed on.
 
-    speech: None: nothing was said before it. is_timed: n lies within the sound, as of a word; else
-    behind all that came before the frame.
+    speech: None: nothing was spoken before it. is_timed: n lies within the sound, as of a word;
+    else behind all that came before the frame.
     """
 
     speech: AsyncSpeech | None
@@ -98,7 +98,10 @@ class _Unheard:
 
     @property
     def is_lost(self) -> bool:
-        """Never heard: the stream was cut off, by somebody else or with the connection."""
+        """Whether it never will be heard.
+
+        Its stream was cut off, by another client or a lost connection.
+        """
         return self.speech is not None and self.speech.is_over and not self.is_heard
 
 
@@ -107,8 +110,8 @@ class PipecatFace(_FaceProcessor):
 
     Frames behind sound go on when it was heard, so that the context holds what a person heard.
     Where no face answers, an error is pushed and the sound goes on to the transport, until the face
-    is back and the transport has played it. last_played: what became of what was said when a person
-    broke in last; None: nothing was said.
+    is back and the transport has played it. last_played: what became of the speech that a person
+    interrupted last; None: there was none.
     """
 
     def __init__(self, url: str = "ws://127.0.0.1:8765", token: str | None = None) -> None:
@@ -204,13 +207,13 @@ class PipecatFace(_FaceProcessor):
 
     async def _tell(self, frame: frames.AggregatedTextFrame) -> None:
         """Words with their times, else sentences before their sound."""
-        is_said = isinstance(frame, frames.TTSTextFrame)
+        is_spoken = isinstance(frame, frames.TTSTextFrame)
         n = self._sample_of(frame)
         text = frame.text.strip()
-        if not text or not (is_said or frame.will_be_spoken):
+        if not text or not (is_spoken or frame.will_be_spoken):
             return
-        self._is_announced = self._is_announced or not is_said
-        if n is None and is_said and self._is_announced:
+        self._is_announced = self._is_announced or not is_spoken
+        if n is None and is_spoken and self._is_announced:
             return
         if self._speech is None:
             self._untold = [*self._untold, text][-_MOST_UNTOLD:]
@@ -219,7 +222,10 @@ class PipecatFace(_FaceProcessor):
             await self._speech.tell(text if n is None else ("words", [(text, n)]))
 
     def _sample_of(self, frame: frames.Frame) -> int | None:
-        """Where in the stream a word is said; None: no word, or without a time."""
+        """Return the sample of the stream where a word is spoken.
+
+        None: it is no word, or one without a time.
+        """
         speech = self._speech
         context = self._contexts.get(getattr(frame, "context_id", None))
         if not (isinstance(frame, frames.TextFrame) and frame.pts) or context is None:
@@ -291,8 +297,8 @@ class PipecatFace(_FaceProcessor):
         async with self._releasing:
             sound = [each for each in self._line if each.is_sound and not each.is_heard]
             kept = [each for each in sound if not (each.frame.interruptible or everything)]
-            is_said = bool(sound) or self._speech is not None
-            is_cut = is_said and self._face.is_connected and (not kept or len(kept) < len(sound))
+            is_spoken = bool(sound) or self._speech is not None
+            is_cut = is_spoken and self._face.is_connected and (not kept or len(kept) < len(sound))
             self.last_played = await self._interrupted() if is_cut else None
             line, self._line = self._line, []
             again: list[_Unheard] = []
@@ -304,7 +310,7 @@ class PipecatFace(_FaceProcessor):
             self._is_cut, self._transport_until_s, self._last_word_ns = False, 0.0, 0
             self._untold.clear()
             self._speech = None if is_cut else self._speech
-        for _ in range(_SETTLING_TURNS):
+        for _ in range(_SETTLING_PASSES):
             await asyncio.sleep(0.0)
         for each in again:
             await self._take(_rest_of(each) if each.is_sound else each.frame)
@@ -368,7 +374,7 @@ class PipecatFollower(_FaceProcessor):
         elif isinstance(frame, frames.BotStoppedSpeakingFrame):
             self._began_s = None
             if self._unplayed:
-                await self._told(self._unplayed.popleft(), whole=True)
+                await self._send_units(self._unplayed.popleft(), whole=True)
         elif not isinstance(frame, frames.SystemFrame) and direction == FrameDirection.DOWNSTREAM:
             with suppress(FaceError):
                 await self._show(frame)
@@ -406,9 +412,9 @@ class PipecatFollower(_FaceProcessor):
         while True:
             await asyncio.sleep(_REPORT_S)
             if self._began_s is not None and self._unplayed:
-                await self._told(self._unplayed[0])
+                await self._send_units(self._unplayed[0])
 
-    async def _told(self, speech: AsyncSpeech, *, whole: bool = False) -> None:
+    async def _send_units(self, speech: AsyncSpeech, *, whole: bool = False) -> None:
         now_s, sent_s = asyncio.get_running_loop().time(), speech.n_sent / speech.rate_hz
         played_s = sent_s if whole or self._began_s is None else now_s - self._began_s
         with suppress(FaceError):

@@ -15,7 +15,7 @@ _FULL_SCALE = 32_767
 
 
 class FaceError(Exception):
-    """The face refused, or is not there. code: of docs/agents.md, to be told apart by programs."""
+    """The face refused, or does not answer. code: one of those in docs/agents.md, for programs."""
 
     def __init__(self, code: str, message: str) -> None:
         super().__init__(message)
@@ -48,21 +48,21 @@ def error_of(event: Event) -> FaceError:
 #: A label, or its place in samples of the stream: (label, start), (label, start, end).
 Unit = str | tuple[str, int | None] | tuple[str, int | None, int | None]
 #: What is said: a text, or units of a kind.
-Told = str | tuple[Literal["words", "phonemes", "visemes"], Sequence[Unit]]
+SpeechUnits = str | tuple[Literal["words", "phonemes", "visemes"], Sequence[Unit]]
 #: A face takes so many in a message, and a text so long.
 _UNITS_AT_ONCE: Final = 1_000
 _CHARACTERS_AT_ONCE: Final = 10_000
 
 
-def told_messages(told: Told) -> Iterator[dict[str, Any]]:
+def unit_messages(units: SpeechUnits) -> Iterator[dict[str, Any]]:
     """The messages that tell it, each with its `type`; none of an empty text."""
-    if isinstance(told, str):
-        for first in range(0, len(told), _CHARACTERS_AT_ONCE):
-            yield {"type": "text", "text": told[first : first + _CHARACTERS_AT_ONCE]}
+    if isinstance(units, str):
+        for first in range(0, len(units), _CHARACTERS_AT_ONCE):
+            yield {"type": "text", "text": units[first : first + _CHARACTERS_AT_ONCE]}
         return
-    kind, units = told
-    for first in range(0, len(units), _UNITS_AT_ONCE):
-        yield {"type": kind, "units": [_unit(u) for u in units[first : first + _UNITS_AT_ONCE]]}
+    kind, rows = units
+    for first in range(0, len(rows), _UNITS_AT_ONCE):
+        yield {"type": kind, "units": [_unit(u) for u in rows[first : first + _UNITS_AT_ONCE]]}
 
 
 def _unit(unit: Unit) -> dict[str, object]:

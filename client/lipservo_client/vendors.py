@@ -13,7 +13,7 @@ from itertools import pairwise
 from typing import Final, Literal, NamedTuple
 
 from lipservo_client.blendshapes import DEFAULT_RATE_HZ, mouth_rows
-from lipservo_client.protocol import Told
+from lipservo_client.protocol import SpeechUnits
 
 Kind = Literal["word", "phoneme", "viseme"]
 _PLURAL: Final[dict[Kind, Literal["words", "phonemes", "visemes"]]] = {
@@ -47,7 +47,7 @@ class TimedUnit(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class VendorUnits:
-    """Units of one kind in the order in which they are said, none beginning before the last.
+    """Units of one kind in the order in which they are spoken, with starts that never decrease.
 
     alphabet: of their labels, as a face knows it: `ipa` (ARPAbet too), `misaki`, or whose visemes
     they are, `azure`, `polly`, `ovr`, `inworld`; None: of words, and of phonemes that are visemes.
@@ -57,7 +57,7 @@ class VendorUnits:
     units: tuple[TimedUnit, ...]
     alphabet: str | None = None
 
-    def told(self, rate_hz: int) -> Told:
+    def stream_units(self, rate_hz: int) -> SpeechUnits:
         """What `tell` of a stream takes, beside `alphabet=units.alphabet`."""
         return _PLURAL[self.kind], [
             (each.label, round(each.start_s * rate_hz), _sample(each.end_s, rate_hz))
@@ -233,7 +233,7 @@ class _Found:
             lasts, unit_s = node[_SAMPLES], 1.0 / _rate(here)
         is_timed = lasts is not None or (times[0] is not None and (shape.end or not shape.lasts))
         is_type = shape.type in ("", str(node.get("type")).lower())
-        if label is None or not (is_timed and is_type and _is_said(node)):
+        if label is None or not (is_timed and is_type and _is_spoken(node)):
             return
         columns = [each if isinstance(each, list) else [each] for each in (label, *times, lasts)]
         n = len(columns[0])
@@ -330,7 +330,7 @@ def _first(node: _Node, keys: str) -> object:
     return next((node[key] for key in keys.split() if node.get(key) is not None), None)
 
 
-def _is_said(node: _Node) -> bool:
+def _is_spoken(node: _Node) -> bool:
     boundary = str(node.get("boundarytype", node.get("type"))).lower()
     return not boundary.startswith(_UNSAID)
 
@@ -339,7 +339,7 @@ def _label(value: object, kind: Kind, place: str) -> str | None:
     """Of a unit; None for a boundary that is none of a word."""
     if isinstance(value, dict):  # Azure's, on its WebSocket
         node = {_key(key): each for key, each in value.items()}
-        return _label(node.get("text"), kind, place) if _is_said(node) else None
+        return _label(node.get("text"), kind, place) if _is_spoken(node) else None
     if isinstance(value, bool) or not isinstance(value, str | int if kind == "viseme" else str):
         raise VendorError(f"{place}: {reprlib.repr(value)} is no {kind}")
     return str(value)

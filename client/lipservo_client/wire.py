@@ -39,7 +39,7 @@ class Wire:
         await self.send_message(json.dumps({"type": kind, **given}))
 
     async def close(self) -> None:
-        """Hang up; what was said whole is said to its end."""
+        """Disconnect; streams that were written whole are spoken to their end."""
         await self._socket.close()
         await self._reading
 

@@ -1,7 +1,7 @@
 """A face as the loudspeaker of a Wyoming satellite, as Home Assistant has them: its `snd` service.
 
-Sound only. Wyoming knows no token: whoever reaches the port speaks through the face. Needs the
-extra `wyoming`.
+Sound only. Wyoming knows no token: every client that reaches the port speaks through the face.
+Needs the extra `wyoming`.
 """
 
 import logging

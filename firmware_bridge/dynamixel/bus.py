@@ -118,7 +118,7 @@ class DynamixelBus:
 
         strict: every servo must answer before the first goal; else one critical or none at all
         missing is enough to go on. make_line: `SdkLine` leaves the packets to dynamixel-sdk.
-        adapter_remark: what there is to say of the adapter, asked once its port is open.
+        adapter_remark: a remark on the adapter, read once its port is open.
         """
         self._make_line = make_line
         self._adapter_remark = adapter_remark
@@ -146,7 +146,7 @@ class DynamixelBus:
 
     @property
     def at_full_strength(self) -> bool:
-        """Whether every servo with torque on has been told its full speed and current."""
+        """Whether every servo with torque on has been set to its full speed and current."""
         return not self._soft_start.is_active
 
     @property
@@ -157,7 +157,18 @@ class DynamixelBus:
         return self._line
 
     def write_positions(self, positions_deg: Array) -> None:
-        """Every goal inside its servo's range; NaN is not, nor is what the servo would refuse."""
+        """Send every goal inside its servo's range; NaN is not, nor is what the servo would refuse.
+
+        Parameters
+        ----------
+        positions_deg : Array
+            (n_servos,) joint degrees.
+
+        Raises
+        ------
+        ValueError
+            positions_deg has another shape.
+        """
         if positions_deg.shape != self._cache.goals.shape:
             raise ValueError(
                 f"expected positions of shape {self._cache.goals.shape}, got {positions_deg.shape}"
@@ -180,7 +191,13 @@ class DynamixelBus:
         line.tell(codec.sync_write(_GOAL, 4, blocks))
 
     def widen(self, joints: NDArray[np.bool_]) -> None:
-        """These servos keep their limits themselves."""
+        """Do nothing: these servos keep their limits themselves.
+
+        Parameters
+        ----------
+        joints : NDArray[np.bool_]
+            (n_servos,).
+        """
 
     def read(self) -> Readings:
         """Two questions to all: goals and places, then torque."""
@@ -250,7 +267,10 @@ class DynamixelBus:
         return cache.health(line.transport.clock.now(), self._present.current_ma)
 
     def obstacle(self, index: int) -> str:
-        """Asked anew before every torque: it may have been replaced, or set up by somebody else."""
+        """Checked anew before every torque on.
+
+        The servo may have been replaced or set up elsewhere.
+        """
         return self._torque.obstacle(self.line, index)
 
     def enable_torque(self, index: int) -> str:
@@ -266,7 +286,13 @@ class DynamixelBus:
         return self._torque.disable(self.line, index)
 
     def disable_all(self) -> NDArray[np.bool_]:
-        """Torque off to everybody three times, then asked of each until it says so."""
+        """Broadcast torque off three times, then read it from each servo until it confirms.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n_servos,): which servos confirmed.
+        """
         line = self.line
         self._soft_start.cancel()
         request = codec.sync_write(_TORQUE, 1, [(each, b"\0") for each in self._ids])
@@ -307,11 +333,11 @@ class DynamixelBus:
     def __enter__(self) -> Self:
         line = self._open_line()
         try:
-            said = identify_all(line, self._servos, strict=self._strict)
+            identities = identify_all(line, self._servos, strict=self._strict)
         except BaseException:
             line.transport.close()
             raise
-        for n, answer in enumerate(said):
+        for n, answer in enumerate(identities):
             if answer is not None:
                 self._present.take_identity(n, answer, line.transport.clock.now())
         self._begin(line)

@@ -34,16 +34,16 @@ def measured_latency_s(line: Line, servo_id: int) -> float | None:
     """
     clock = line.transport.clock
     wire_s = (len(codec.ping(servo_id)) + codec.EMPTY_STATUS_SIZE + 3) * line.byte_s
-    took_s = []
+    elapsed_s = []
     for _ in range(_PINGS):
         start_s = clock.now()
         if line.ping(servo_id) is not None:
-            took_s.append(clock.now() - start_s - wire_s)
-    return max(0.0, statistics.median(took_s)) if took_s else None
+            elapsed_s.append(clock.now() - start_s - wire_s)
+    return max(0.0, statistics.median(elapsed_s)) if elapsed_s else None
 
 
 def without_fast_read(line: Line, ids: Sequence[int]) -> list[int]:
-    """Which of these servos, all of which answer, are silent when asked by Fast Sync Read."""
+    """Return those of these servos, all of which answer, that are silent to Fast Sync Read."""
     spans = [SpanRead((each,), 0, 2, fast=True) for each in ids]
     return [span.ids[0] for span in spans if not any(line.sync_read(span) for _ in range(_TRIES))]
 

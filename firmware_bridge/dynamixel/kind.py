@@ -98,8 +98,8 @@ class DynamixelKind(BusKind):
         from firmware_bridge.serial_servos.serial_transport import SameAdapter
 
         opener = SameAdapter(wiring.settings.port, wiring.settings.baud_rate)
-        said = read_identities(opener, mounted_servos(wiring))
-        return [None if each is None else each.eeprom for each in said]
+        identities = read_identities(opener, mounted_servos(wiring))
+        return [None if each is None else each.eeprom for each in identities]
 
 
 DYNAMIXEL: Final = DynamixelKind()

@@ -39,7 +39,7 @@ _TRIES = len(_EXTRA_WAITS_S)
 
 @dataclass(frozen=True, slots=True)
 class ServoIdentity:
-    """What one servo said of itself. eeprom: register values by name."""
+    """Model, firmware and settings read from one servo. eeprom: register values by name."""
 
     model_number: int
     firmware: int
@@ -72,14 +72,14 @@ def identify(line: Line, servo: MountedServo, tries: int = _TRIES) -> ServoIdent
     return None
 
 
-def mismatches(servo: MountedServo, said: ServoIdentity) -> list[str]:
+def mismatches(servo: MountedServo, identity: ServoIdentity) -> list[str]:
     """Where this servo is not as the face's YAML says; one line each, empty = it can be driven."""
-    if said.model_number != servo.model.model_number:
-        known = model_by_number(said.model_number)
-        it_is = f"an {known.name}" if known else f"unknown model {said.model_number}"
+    if identity.model_number != servo.model.model_number:
+        known = model_by_number(identity.model_number)
+        it_is = f"an {known.name}" if known else f"unknown model {identity.model_number}"
         return [f"is not the {servo.model.name} of the YAML but {it_is}; correct the YAML"]
     low, high = servo.pulse_range()
-    found = said.eeprom
+    found = identity.eeprom
     lines = []
     cap, mode = servo.current_cap, found["operating_mode"]
     # Mode 5 without a limit would count turns, and pull as hard as goal_current happens to say.
@@ -120,7 +120,7 @@ def read_identities(
     """Model and EEPROM of every servo, in the order given, before anybody drives them.
 
     Opens the port for this alone; None: a servo that does not answer, unless it is critical or
-    nobody answers. Raises PortError, and ServoError when a servo differs from the face's YAML.
+    no servo answers. Raises PortError, and ServoError when a servo differs from the face's YAML.
     """
     transport = open_transport()
     try:

@@ -42,7 +42,13 @@ class PresentState:
 
     @property
     def current_ma(self) -> Array:
-        """Of every servo; NaN where the model does not measure it."""
+        """Present current of every servo.
+
+        Returns
+        -------
+        Array
+            (n_servos,) mA; NaN where the model does not measure it.
+        """
         current_ma: Array = self.cache.effort * self._milliamperes
         return current_ma
 
@@ -67,7 +73,20 @@ class PresentState:
                 cache.errors[n] = status.error
 
     def take_motion(self, statuses: Sequence[Status], now_s: float) -> Array:
-        """Ten bytes each from present_current on; how old each servo's part is."""
+        """Store position, velocity and current from one read of all servos.
+
+        Parameters
+        ----------
+        statuses : Sequence[Status]
+            Ten bytes each, from the register present_current on.
+        now_s : float
+            Monotonic seconds.
+
+        Returns
+        -------
+        Array
+            (n_servos,) seconds: how old each servo's part is.
+        """
         cache = self.cache
         if isinstance(statuses, CommonFrame) and statuses.ids == cache.ids:
             if statuses.errors != self._no_error_bytes:

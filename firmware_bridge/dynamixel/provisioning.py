@@ -110,7 +110,7 @@ def _write(line: Line, servo_id: int, model: ServoModel, name: str, value: int) 
 _PRESENT: Final = register("realtime_tick").address
 _PRESENT_SIZE: Final = register("present_temperature").end - _PRESENT
 #: So many questions of each kind; so many of one kind whole and of the other spoilt.
-_ASKED, _WHOLE, _SPOILT = 6, 5, 4
+_REQUESTED, _WHOLE, _SPOILT = 6, 5, 4
 
 
 def shares_id(line: Line, servo_id: int) -> bool:
@@ -119,7 +119,7 @@ def shares_id(line: Line, servo_id: int) -> bool:
     if len(pongs) > 1:
         return True
     n_whole = n_spoilt = 0
-    for _ in range(_ASKED):
+    for _ in range(_REQUESTED):
         n_whole += line.ping(servo_id) is not None
         n_bad = line.n_bad
         answer = line.read(servo_id, _PRESENT, _PRESENT_SIZE)

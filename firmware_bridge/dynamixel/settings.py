@@ -1,4 +1,4 @@
-"""What a face YAML says of Dynamixel servos and their port; simulated ones are said the same way.
+"""What a face YAML says of Dynamixel servos and their port; simulated ones use the same keys.
 
 Loads the tables of the models, and nothing that speaks to a servo.
 """

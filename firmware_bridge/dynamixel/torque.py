@@ -108,7 +108,7 @@ class SoftStart:
 
     @property
     def is_active(self) -> bool:
-        """Whether any servo has yet to be told of its full strength."""
+        """Whether any servo has yet to be set to its full strength."""
         return bool(self._n_left.any())
 
     def apply_soft_limits(self, line: Line, index: int) -> bool:
@@ -240,7 +240,7 @@ class TorqueSwitch:
         return limp
 
     def renew_watchdog(self, line: Line, index: int, found: int) -> None:
-        """A watchdog that is off while torque is on protects nobody: set it again."""
+        """Set again a watchdog that is off while torque is on: it would protect nothing."""
         tripped, wanted = 0xFF, self._watchdogs.setting
         if self._cache.enabled[index] and found not in (wanted, tripped):
             self._watchdogs.start(line, self._servos[index].joint.servo_id)
@@ -249,13 +249,13 @@ class TorqueSwitch:
         """What is in the way, or nothing and the place in pulses."""
         servo, cache = self._servos[index], self._cache
         servo_id = servo.joint.servo_id
-        said = identify(line, servo, tries=_TRIES)
-        if said is None:
+        identity = identify(line, servo, tries=_TRIES)
+        if identity is None:
             return "does not answer; check its power and cable", 0
-        wrong = mismatches(servo, said)
+        wrong = mismatches(servo, identity)
         if wrong:
             return "; ".join(wrong), 0
-        self._present.take_identity(index, said, line.transport.clock.now())
+        self._present.take_identity(index, identity, line.transport.clock.now())
         line.return_delay_s = float(cache.return_delay_s.max())
         line.write(servo_id, _LEVEL, b"\2")
         place = self._place(line, servo_id)
@@ -278,19 +278,19 @@ _ANSWERS: Final = register("status_return_level").address
 
 
 class LineRelease:
-    """Torque off by force at an open port, of servos that somebody else drove before."""
+    """Torque off by force at an open port, of servos that another process drove before."""
 
     confirms: Final = True
 
     def __init__(self, transport: Transport, rates: Sequence[int]) -> None:
-        """rates: at which somebody may hear; the transport is open at the first."""
+        """rates: baud rates at which servos may listen; the transport is open at the first."""
         self._line = Line(transport)
         self._rates = tuple(dict.fromkeys(rates))
 
     def tell_all(self, addresses: Sequence[int]) -> None:
         """Torque off to everybody, again and again; a tripped watchdog is cleared in between.
 
-        Whoever was told not to answer, answers from now on.
+        Servos that were set not to answer, answer from now on.
         """
         line = self._line
         everybody = codec.write(BROADCAST_ID, _TORQUE_ENABLE, b"\0")
@@ -303,7 +303,10 @@ class LineRelease:
         line.tell(codec.write(BROADCAST_ID, _ANSWERS, b"\2"))
 
     def ask(self, address: int) -> str:
-        """Empty when the servo says that its torque is off; else why not; it is told once more."""
+        """Return "" when the servo confirms torque off.
+
+        Else the reason, and the order is sent once more.
+        """
         status = self._line.read(address, _TORQUE_ENABLE, 1)
         if status is not None and status.data == b"\0":
             return ""
@@ -311,7 +314,7 @@ class LineRelease:
         return NOT_SEEN if status is None else "kept its torque"
 
     def find(self, addresses: Sequence[int]) -> Sequence[int]:
-        """Everybody is told at every rate. A chain has one: the others are not searched then."""
+        """Broadcast torque off at every rate. A chain has one: the others are not searched then."""
         line, found = self._line, set(addresses)
         for rate in self._rates:
             line.baud_rate = rate

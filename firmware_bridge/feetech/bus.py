@@ -133,7 +133,18 @@ class FeetechBus:
         return self._line
 
     def write_positions(self, positions_deg: Array) -> None:
-        """Every goal inside its servo's range; NaN is not. Limp servos get theirs with torque."""
+        """Send every goal inside its servo's range; NaN is not. Limp servos get theirs with torque.
+
+        Parameters
+        ----------
+        positions_deg : Array
+            (n_servos,) joint degrees.
+
+        Raises
+        ------
+        ValueError
+            positions_deg has another shape.
+        """
         cache = self._cache
         if positions_deg.shape != cache.goals.shape:
             raise ValueError(
@@ -175,7 +186,13 @@ class FeetechBus:
             )
 
     def widen(self, joints: NDArray[np.bool_]) -> None:
-        """These servos keep their limits themselves."""
+        """Do nothing: these servos keep their limits themselves.
+
+        Parameters
+        ----------
+        joints : NDArray[np.bool_]
+            (n_servos,).
+        """
 
     def read(self) -> Readings:
         """One question to all: torque, goals and places. A limp servo's goal is the one kept."""
@@ -242,7 +259,7 @@ class FeetechBus:
         return cache.health(line.transport.clock.now(), self._present.current_ma)
 
     def obstacle(self, index: int) -> str:
-        """Asked anew before every torque: it may have been replaced, or set up by somebody else."""
+        """Checked anew before every torque on: the servo may be another, or set up elsewhere."""
         return self._torque.obstacle(self.line, index)
 
     def enable_torque(self, index: int) -> str:
@@ -260,7 +277,13 @@ class FeetechBus:
         return self._torque.disable(self.line, index)
 
     def disable_all(self) -> NDArray[np.bool_]:
-        """Torque off to everybody three times, then asked of each until it says so."""
+        """Broadcast torque off three times, then read it from each servo until it confirms.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n_servos,): which servos confirmed.
+        """
         line, cache = self.line, self._cache
         self._torque.disable_all()
         request = codec.torque(self._ids, on=False)

@@ -62,7 +62,7 @@ def write(servo_id: int, address: int, data: bytes) -> bytes:
 
 
 def sync_write(address: int, size: int, blocks: Iterable[tuple[int, bytes]]) -> bytes:
-    """Set the same `size` bytes of several servos, (id, bytes) each; nobody answers. As `write`."""
+    """Set the same `size` bytes of several servos, (id, bytes) each; no servo answers."""
     listed = b"".join(bytes((servo_id,)) + each for servo_id, each in blocks)
     parameters = _beside_torque(address, bytes(size)) + bytes((size,)) + listed
     return packet(BROADCAST_ID, Instruction.SYNC_WRITE, parameters)
@@ -124,7 +124,18 @@ class GoalWrite:
         self._sum = sum(self._head[2:])
 
     def request(self, values: ArrayLike) -> bytes:
-        """The packet that sets these whole numbers from 0 on, in the order of the ids."""
+        """Return the Sync Write packet that sets whole numbers from 0 on.
+
+        Parameters
+        ----------
+        values : ArrayLike
+            (n_servos,), in the order of the ids.
+
+        Returns
+        -------
+        bytes
+            The packet with its checksum, bytes.
+        """
         self._values[:] = values
         blocks = self._blocks.tobytes()
         return self._head + blocks + bytes((~(self._sum + sum(blocks)) & 0xFF,))

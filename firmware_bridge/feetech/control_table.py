@@ -28,7 +28,7 @@ CAPABILITIES: Final = BusCapabilities(
 #: return_delay_time.
 RETURN_DELAY_UNIT_S: Final = 2e-6
 #: Bits of `phase`: the unit of speeds is one step a second; places are counted over many turns.
-SPEED_IN_STEPS, MANY_TURNS = 0x04, 0x10
+SPEED_IN_STEPS, MULTI_TURN = 0x04, 0x10
 #: Registers below are kept without power, once `lock` is 0.
 EEPROM_SIZE: Final = 40
 TORQUE_ENABLE: Final = 40
@@ -46,7 +46,7 @@ class Register:
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """How one family of servos lays out its registers and is asked for them.
+    """Register layout and read instructions of one family of servos.
 
     n_positions: values of the position registers, over `reach_deg` degrees with `center` in the
     middle. control_size, state_size: bytes from `CONTROL` and `STATE` on that are read together.

@@ -33,7 +33,7 @@ _RETRY_EVERY: Final = 200
 class Line(HalfDuplex):
     """Master of the line.
 
-    An answer that could be the late one to another question does not count: the question is asked
+    An answer that could be the late one to another question does not count: the question is sent
     in another length.
     """
 
@@ -90,7 +90,7 @@ class Line(HalfDuplex):
             return found if last or len(found) == len(wide.ids) else None
 
         n = len(span.ids)
-        taken: Answers = self._transact(wide.request, wide.reply_size, take, n_turns=n) or []
+        taken: Answers = self._transact(wide.request, wide.reply_size, take, n_answers=n) or []
         if isinstance(taken, bytes):
             return taken if wide is span else _cut(statuses_in(taken), span.size)
         for missing in {*wide.ids} - {status.servo_id for status in taken}:
@@ -128,7 +128,7 @@ def _cut(statuses: Sequence[Status], size: int) -> list[Status]:
 class Group:
     """The same bytes of all `ids`, in one question where the dialect has it; doubtful ones last.
 
-    leaves_out: whether some are silent for so long that they are asked only now and then.
+    leaves_out: whether some are silent for so long that they are polled only now and then.
     """
 
     def __init__(self, ids: Sequence[int], address: int, size: int, *, sync: bool) -> None:
@@ -139,23 +139,23 @@ class Group:
     def reset(self) -> None:
         """Forget who was silent."""
         self._silent = dict.fromkeys(self.ids, 0)
-        self._n_asked = 0
+        self._n_requests = 0
         self._all_well = True
         self.leaves_out = False
         self._span = SpanRead(self.ids, self._address, self._size)
 
     def ask(self, line: Line) -> Answers:
         """A stream of all answers in the order of the ids; else the answers that came."""
-        self._n_asked += 1
-        if self.leaves_out and self._n_asked % _RETRY_EVERY in (0, 1):
-            self._prepare(retry=self._n_asked % _RETRY_EVERY == 0)
+        self._n_requests += 1
+        if self.leaves_out and self._n_requests % _RETRY_EVERY in (0, 1):
+            self._prepare(retry=self._n_requests % _RETRY_EVERY == 0)
         span = self._span
         found: Answers
         if self._sync:
             found = line.sync_read(span)
         else:
-            asked = (line.read(each, self._address, self._size) for each in span.ids)
-            found = [status for status in asked if status is not None]
+            requests = (line.read(each, self._address, self._size) for each in span.ids)
+            found = [status for status in requests if status is not None]
         whole = span.reply_size if isinstance(found, bytes) else len(span.ids)
         if self._all_well and len(found) == whole:
             return found
@@ -171,7 +171,10 @@ class Group:
             self._prepare()
 
     def _judge(self, answered: set[int]) -> None:
-        """Nobody at all: line or computer stood still, and come back with everybody."""
+        """Count silent servos.
+
+        Where none answers, line or computer stalled, and none is left out.
+        """
         for servo_id in self._span.ids:
             if servo_id in answered:
                 self._silent[servo_id] = 0

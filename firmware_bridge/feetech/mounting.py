@@ -8,7 +8,7 @@ from firmware_bridge.bus_kinds import Wiring
 from firmware_bridge.errors import ServoError
 from firmware_bridge.feetech.control_table import (
     EEPROM_SIZE,
-    MANY_TURNS,
+    MULTI_TURN,
     RETURN_DELAY_UNIT_S,
     SPEED_IN_STEPS,
     STATE,
@@ -106,7 +106,7 @@ def mismatches(servo: MountedServo, found: ServoIdentity) -> list[str]:
     eeprom, lines = found.eeprom, []
     if eeprom.get("operating_mode"):
         lines.append(f"is in operating mode {eeprom['operating_mode']}, not 0; {SETUP}")
-    if "homing_offset" in eeprom and eeprom["phase"] & MANY_TURNS:
+    if "homing_offset" in eeprom and eeprom["phase"] & MULTI_TURN:
         lines.append(f"counts many turns (phase {eeprom['phase']}); {SETUP}")
     low, high = servo.pulse_range()
     least, most = eeprom["min_position_limit"], eeprom["max_position_limit"]

@@ -69,7 +69,13 @@ class PresentState:
 
     @property
     def current_ma(self) -> Array:
-        """Of every servo; NaN where the dialect does not tell it."""
+        """Present current of every servo.
+
+        Returns
+        -------
+        Array
+            (n_servos,) mA; NaN where its register set has none.
+        """
         if self._currents is None or self._current_unit_ma is None:
             return np.full(len(self.cache.ids), np.nan)
         return np.asarray((self._currents & 0x7FFF) * self._current_unit_ma, np.float64)
@@ -80,7 +86,20 @@ class PresentState:
         self._seen = b""
 
     def take_state(self, found: bytes | list[Status], now_s: float) -> Array:
-        """The bytes from `STATE` on, as a `Group` gives them; how old each servo's part is."""
+        """Store one read of all servos' registers from `STATE` on.
+
+        Parameters
+        ----------
+        found : bytes | list[Status]
+            As a `Group` returns them.
+        now_s : float
+            Monotonic seconds.
+
+        Returns
+        -------
+        Array
+            (n_servos,) seconds: how old each servo's part is.
+        """
         cache = self.cache
         if isinstance(found, bytes):
             self._frame[:] = found

@@ -7,7 +7,7 @@ from firmware_bridge.errors import ServoError
 from firmware_bridge.feetech.bus import FeetechBus
 from firmware_bridge.feetech.control_table import (
     EEPROM_SIZE,
-    MANY_TURNS,
+    MULTI_TURN,
     STATE,
     ServoModel,
     baud_rates,
@@ -32,7 +32,7 @@ _TRIES: Final = 3
 #: Of a servo that is moved to see which it is.
 _CAREFUL_DEG_S: Final = 60.0
 #: So many questions; so many of them heard, and so many of these spoilt.
-_ASKED, _HEARD, _SPOILT = 6, 5, 4
+_REQUESTED, _HEARD, _SPOILT = 6, 5, 4
 
 
 def wanted_settings(
@@ -51,7 +51,7 @@ def wanted_settings(
         "max_position_limit": min(high + margin, dialect.n_positions - 1),
     }
     if "operating_mode" in dialect.registers:
-        wanted |= {"operating_mode": 0, "phase": found["phase"] & ~MANY_TURNS}
+        wanted |= {"operating_mode": 0, "phase": found["phase"] & ~MULTI_TURN}
     return wanted
 
 
@@ -70,7 +70,7 @@ def shares_id(line: Line, servo_id: int) -> bool:
     Two of one model say the same of themselves, and not of where they stand.
     """
     n_heard = n_spoilt = 0
-    for _ in range(_ASKED):
+    for _ in range(_REQUESTED):
         answer = line.read(servo_id, STATE, 8)
         n_heard += answer is not None or line.heard_noise
         n_spoilt += answer is None and line.heard_noise
@@ -163,7 +163,7 @@ def foreign_settings(port: str, rate: int, found: Mapping[int, str]) -> dict[int
         for servo_id, name in found.items():
             held = read_eeprom(line, servo_id, servo_models()[name])
             if "operating_mode" in held:
-                plain = {"operating_mode": 0, "phase": held["phase"] & ~MANY_TURNS}
+                plain = {"operating_mode": 0, "phase": held["phase"] & ~MULTI_TURN}
                 differing[servo_id] = differences(held, plain)
     return {servo_id: each for servo_id, each in differing.items() if each}
 

@@ -269,7 +269,7 @@ class _Reply:
 class SimulatedChain:
     """A `SimulatedDevice`: servos on one half-duplex wire. `changes` is what tests look at.
 
-    n_spoken_over: how often somebody spoke while another did.
+    n_spoken_over: how often one device sent while another did.
     """
 
     def __init__(
@@ -397,11 +397,13 @@ class SimulatedChain:
                         self._log(servo)
         elif instruction == Instruction.SYNC_READ and len(parameters) > 2:
             for servo_id in parameters[2:]:
-                asked = [s for s in listening if s["id"] == servo_id and s.dialect.sync_read]
+                addressed = [s for s in listening if s["id"] == servo_id and s.dialect.sync_read]
                 start_s = self._wire_until_s
-                for servo in asked:
+                for servo in addressed:
                     self._say(servo, servo.read(*parameters[:2]), start_s, byte_s)
-                if not asked:  # those behind a silent one wait for as long as it would have spoken
+                if (
+                    not addressed
+                ):  # those behind a silent one wait for as long as it would have spoken
                     self._wire_until_s += (6 + parameters[1]) * byte_s
         elif instruction == Instruction.WRITE and parameters:
             for servo in listening if packet_id == BROADCAST_ID else own:
@@ -454,7 +456,7 @@ class SimulatedChain:
 
 
 def chain_for(servos: Sequence[MountedServo], baud_rate: int, **options: Any) -> SimulatedChain:
-    """Every servo with its id, rate and limits, standing limp in neutral.
+    """Every servo with its id, rate and limits, limp in neutral.
 
     options: those of `SimulatedChain`.
     """

@@ -136,12 +136,18 @@ class TorqueSwitch:
         return limp
 
     def disable_all(self) -> None:
-        """Nobody gets goals, nor full strength, any more."""
+        """Mark all servos as not driven: none gets goals or full strength any more."""
         self.driven[:] = self.doubted[:] = False
         self._full_at_s[:] = np.inf
 
     def doubt(self, ages_s: Array) -> None:
-        """Withhold goals from who was silent for long. ages_s: 0 for those who just answered."""
+        """Withhold goals from servos that were silent for long.
+
+        Parameters
+        ----------
+        ages_s : Array
+            (n_servos,) seconds; 0 for servos that just answered.
+        """
         silent = self.driven & (ages_s > _RESTART_S)
         self.doubted |= silent
         self.driven &= ~silent
@@ -167,7 +173,7 @@ class TorqueSwitch:
     def _bound(self, line: Line, index: int, *, soft: bool) -> bool:
         """Bound its speed and, where it can, its strength; whether it keeps them.
 
-        A servo that cannot go as fast as it is told keeps the most that it can.
+        A servo that cannot go as fast as its setting keeps the most that it can.
         """
         servo, found, dialect = self._servos[index], self._identities[index], self._dialect
         if found is None:
@@ -217,12 +223,12 @@ class TorqueSwitch:
 
 
 class LineRelease:
-    """Torque off by force at an open port, of servos that somebody else drove before."""
+    """Torque off by force at an open port, of servos that another process drove before."""
 
     confirms: Final = True
 
     def __init__(self, transport: Transport, rates: Sequence[int]) -> None:
-        """rates: at which somebody may hear; the transport is open at the first."""
+        """rates: baud rates at which servos may listen; the transport is open at the first."""
         self._line = Line(transport)
         self._rates = tuple(dict.fromkeys(rates))
 
@@ -232,7 +238,10 @@ class LineRelease:
             self._line.tell(codec.torque(ids, on=False))
 
     def ask(self, address: int) -> str:
-        """Empty when the servo says that its torque is off; else why not; it is told once more."""
+        """Return "" when the servo confirms torque off.
+
+        Else the reason, and it is ordered once more.
+        """
         status = self._line.read(address, TORQUE_ENABLE, 1)
         if status is not None and status.data == b"\0":
             return ""
@@ -240,7 +249,7 @@ class LineRelease:
         return NOT_SEEN if status is None else "kept its torque"
 
     def find(self, addresses: Sequence[int]) -> Sequence[int]:
-        """Everybody is told at every rate. A chain has one: the others are not searched then."""
+        """Broadcast torque off at every rate. A chain has one: the others are not searched then."""
         line, found = self._line, set(addresses)
         for rate in self._rates:
             line.baud_rate = rate

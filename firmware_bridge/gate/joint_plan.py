@@ -1,9 +1,9 @@
-"""A plan of each joint's next goal, so that limits of speed are met by starting earlier.
+"""A plan of each joint's next goal, which keeps limits of speed by starting earlier.
 
-The limiter at the bus trusts nothing and looks at nothing but its last goal: a joint that is asked
-for more than it can do comes late, and lips that come late do not touch. Whoever knows what is
-wanted next can do better. In this order of priority: no joint is asked beyond its limits; poses
-that must be met are met, the nearest first; everything else is as near as may be to what is
+The limiter at the bus trusts nothing and knows only its last goal: a joint that should move faster
+than it can comes late, and lips that come late do not touch. A planner that knows the next
+goals can do better. In this order of priority: no joint leaves its limits; poses
+that are mandatory are reached, the nearest first; everything else is as near as may be to what is
 wanted, neither early nor late on average.
 """
 
@@ -34,7 +34,7 @@ class TargetWindow:
 
     times_s: (k,), seconds from now, ascending from 0; positions_deg: (k, n_joints); must_meet:
     (k,), poses for which others give way, such as lips that touch. urgent_deg: (n_joints,), a pose
-    that may have to be met with no more notice than the window gives; None: there is none.
+    that may become mandatory with no more notice than the window gives; None: there is none.
     """
 
     times_s: Array
@@ -48,7 +48,7 @@ class JointPlan:
 
     A rate limit that only looks back lags behind. Where two poses of a window are too far apart
     both give way by half, so that the way between has the timing of what is wanted. A pose that
-    must be met in t seconds bounds where the joint may be now: no farther from it than it goes in
+    is mandatory in t seconds bounds where the joint may be now: no farther from it than it goes in
     t. A pose that may become urgent bounds it always: a mouth opens no farther than it can close in
     time, which lowers the scale of a motion on a robot that is too slow for it, and on no other.
     """
@@ -75,7 +75,18 @@ class JointPlan:
         self._anywhere_deg = -anywhere_deg, anywhere_deg
 
     def step(self, window: TargetWindow) -> Array:
-        """The goals (n_joints,) for the first time of the window."""
+        """Plan the next goal of every joint from a window of targets.
+
+        Parameters
+        ----------
+        window : TargetWindow
+            Targets from the next goal's time on.
+
+        Returns
+        -------
+        Array
+            (n_joints,) degrees: goals for the first time of the window.
+        """
         poses_deg, step_deg = self._closable(window), self._step_deg
         goal_deg, before_deg = poses_deg[0], self._planned_deg
         if before_deg is None:
@@ -84,8 +95,8 @@ class JointPlan:
         if len(poses_deg) > 1:
             goal_deg = self._feasible(window.times_s, poses_deg)
             for later in np.flatnonzero(window.must_meet)[::-1].tolist():
-                met_deg, reach_deg = poses_deg[later], self._reach(window.times_s[later])
-                goal_deg = _clip(goal_deg, met_deg - reach_deg, met_deg + reach_deg)
+                later_deg, reach_deg = poses_deg[later], self._reach(window.times_s[later])
+                goal_deg = _clip(goal_deg, later_deg - reach_deg, later_deg + reach_deg)
         goal_deg = _clip(goal_deg, before_deg - step_deg, before_deg + step_deg)
         smooth_deg = self._smooth.step(before_deg, goal_deg, *self._anywhere_deg, self._period_s)
         self._smooth.sent(before_deg, smooth_deg, self._period_s)
@@ -96,11 +107,17 @@ class JointPlan:
 
     @property
     def held_back_share(self) -> Array:
-        """In which share of all steps each joint was kept off what was wanted, (n_joints,)."""
+        """Share of all steps in which each joint was kept off its target.
+
+        Returns
+        -------
+        Array
+            (n_joints,), 0 to 1.
+        """
         return np.asarray(self._n_held_back / max(self._n_steps, 1))
 
     def _closable(self, window: TargetWindow) -> Array:
-        """The poses (k, n_joints), those that need not be met within reach of the urgent one."""
+        """The poses (k, n_joints), those that are not mandatory within reach of the urgent one."""
         poses_deg, urgent_deg = window.positions_deg, window.urgent_deg
         if urgent_deg is None:
             return poses_deg

@@ -15,10 +15,24 @@ from firmware_bridge.joints import Joint
 
 
 def braking_speed(distance_deg: Array, deceleration_deg_s2: Array, step_s: float) -> Array:
-    """The highest speed of the next step from which one stops within `distance_deg`.
+    """Return the highest speed of the next step from which a joint stops within a distance.
 
     Steps u, u - a, u - 2a, ... (in units of a x step^2) down to rest: with u = m + f, 0 <= f < 1,
     they add up to (m + 1)(m / 2 + f). Solved for u, so the stop is exact on the grid.
+
+    Parameters
+    ----------
+    distance_deg : Array
+        (n_joints,) degrees.
+    deceleration_deg_s2 : Array
+        (n_joints,) degrees / s^2.
+    step_s : float
+        Seconds between goals.
+
+    Returns
+    -------
+    Array
+        (n_joints,) degrees / s.
     """
     unit = deceleration_deg_s2 * step_s * step_s
     d = np.maximum(distance_deg, 0.0) / unit
@@ -41,7 +55,13 @@ class AccelerationLimit:
         self._wanted = np.zeros(len(max_speed_deg_s))
 
     def rest_at(self, positions_deg: Array) -> None:
-        """Start again from standstill."""
+        """Start again from standstill.
+
+        Parameters
+        ----------
+        positions_deg : Array
+            (n_joints,) degrees.
+        """
         self._velocity = np.zeros(len(self._velocity))
         self._wanted = positions_deg.copy()
 
@@ -51,7 +71,22 @@ class AccelerationLimit:
         self._wanted[index] = position_deg
 
     def step(self, sent: Array, wanted: Array, low: Array, high: Array, step_s: float) -> Array:
-        """Where to go from `sent`, in range, when `wanted`, in range, is asked; degrees, (n,)."""
+        """Return the next goal from `sent` towards `wanted`, within the joints' accelerations.
+
+        Parameters
+        ----------
+        sent,wanted : Array
+            (n_joints,) degrees, both in range.
+        low,high : Array
+            (n_joints,) degrees: the range.
+        step_s : float
+            Seconds since the last goal.
+
+        Returns
+        -------
+        Array
+            (n_joints,) degrees.
+        """
         if not self._any or step_s <= 0.0:
             return wanted
         a, change = self._acceleration, self._acceleration * step_s
@@ -71,7 +106,15 @@ class AccelerationLimit:
         return np.asarray(np.where(self._limited, sent + velocity * step_s, wanted))
 
     def sent(self, before: Array, after: Array, step_s: float) -> None:
-        """Remember the step that was made in the end."""
+        """Store the step that was made in the end.
+
+        Parameters
+        ----------
+        before,after : Array
+            (n_joints,) degrees.
+        step_s : float
+            Seconds between them.
+        """
         if self._any and step_s > 0.0:
             self._velocity = (after - before) / step_s
 
@@ -101,10 +144,20 @@ class Prevention:
         self._above = [rule.above for rule in rules]
 
     def cut(self, from_deg: Array, to_deg: Array) -> Array:
-        """The goals to go to instead of `to_deg`, (n_joints,) all.
+        """Return the goals that keep the rules between joints, in place of `to_deg`.
 
         All joints of a rule stop at the same share of their step. Cutting for one rule may undo
         what another needs, so it is repeated; when that does not help, the step is not made.
+
+        Parameters
+        ----------
+        from_deg,to_deg : Array
+            (n_joints,) degrees.
+
+        Returns
+        -------
+        Array
+            (n_joints,) degrees.
         """
         if not self._factors:
             return to_deg
@@ -191,7 +244,13 @@ class Limiter:
 
     @property
     def sent_deg(self) -> Array:
-        """The goals let through last, (n_joints,)."""
+        """The goals let through last.
+
+        Returns
+        -------
+        Array
+            (n_joints,) degrees.
+        """
         return self._sent_deg
 
     @property
@@ -205,10 +264,19 @@ class Limiter:
         )
 
     def widen(self, low_deg: Array, high_deg: Array) -> NDArray[np.bool_]:
-        """The range from now on, (n_joints,) each: which joints may go beyond their limits.
+        """Set the range from now on, for a person who finds the limits of hobby servos.
 
-        For a person who finds the limits of hobby servos; never less than the limits, never more
-        than `JointPulse.reach_us`.
+        Never less than the limits, never more than `JointPulse.reach_us`.
+
+        Parameters
+        ----------
+        low_deg,high_deg : Array
+            (n_joints,) degrees.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n_joints,): which joints may go beyond their limits.
         """
         least_deg, most_deg = self._reach_deg
         self._low_deg = np.clip(low_deg, least_deg, self._min_deg)
@@ -216,9 +284,19 @@ class Limiter:
         return (self._low_deg < self._min_deg) | (self._high_deg > self._max_deg)
 
     def start_from(self, positions_deg: Array, time_s: float) -> None:
-        """Take the joints' present positions, (n_joints,), as sent.
+        """Take the joints' present positions as sent.
 
-        Raises ValueError unless they are finite.
+        Parameters
+        ----------
+        positions_deg : Array
+            (n_joints,) degrees.
+        time_s : float
+            Monotonic seconds.
+
+        Raises
+        ------
+        ValueError
+            They are not finite, or of another shape.
         """
         if positions_deg.shape != self._sent_deg.shape or not np.isfinite(positions_deg).all():
             raise ValueError(f"cannot start from {positions_deg}: one finite angle a joint, please")
@@ -227,10 +305,16 @@ class Limiter:
         self._acceleration.rest_at(positions_deg)
 
     def follow(self, joints: NDArray[np.bool_], positions_deg: Array) -> None:
-        """Take as sent where some joints stand that get no goals; what is not known stays.
+        """Take as sent where joints without goals stand; what is not known stays.
 
-        joints: which, (n_joints,); positions_deg: (n_joints,), NaN = not known. So the rules
-        between joints count with where a limp joint is.
+        So the rules between joints count with where a limp joint is.
+
+        Parameters
+        ----------
+        joints : NDArray[np.bool_]
+            (n_joints,): which.
+        positions_deg : Array
+            (n_joints,) degrees, NaN = not known.
         """
         known = joints & np.isfinite(positions_deg)
         self._sent_deg = np.where(known, positions_deg, self._sent_deg)
@@ -246,9 +330,14 @@ class Limiter:
         self._acceleration.rest_one(index, position_deg)
 
     def hold_back(self, ready: NDArray[np.bool_] | None) -> None:
-        """Joints that are not ready stay; each is slow from then on until it has caught up.
+        """Keep joints that are not ready; each is slow from then on until it has caught up.
 
-        So the rules between joints count with where each is sent, not with what is wanted of it.
+        So the rules between joints count with where each is sent, not with its target.
+
+        Parameters
+        ----------
+        ready : NDArray[np.bool_] | None
+            (n_joints,); None: all are.
         """
         if ready is None and not self._any_late:
             return
@@ -258,13 +347,25 @@ class Limiter:
         self._any_late = any_set(self._waits) or any_set(self._catches_up)
 
     def apply(self, positions_deg: Array, time_s: float) -> Limited:
-        """Choose the goals to send at `time_s` when `positions_deg` is wanted.
+        """Choose the goals to send at `time_s`.
 
-        Not finite: the joint stays at its last goal; a wrong shape makes every joint stay.
-        Then the range; then the step from the last goal: at most top speed times the time since,
-        and no faster change of speed than the joint may make; then the rules between joints, for
-        which a step is cut short, whatever that does to its acceleration.
-        Never raises: on the live path a held mouth is better than a stopped loop.
+        Not finite: the joint stays at its last goal; a wrong shape makes every joint stay. Then the
+        range; then the step from the last goal: at most top speed times the time since, and no
+        faster change of speed than the joint may make; then the rules between joints, for which a
+        step is cut short, whatever that does to its acceleration. Never raises: on the live path a
+        held mouth is better than a stopped loop.
+
+        Parameters
+        ----------
+        positions_deg : Array
+            (n_joints,) degrees: the targets.
+        time_s : float
+            Monotonic seconds.
+
+        Returns
+        -------
+        Limited
+            Goals in degrees, and which limits were hit.
         """
         before_deg, no_joint = self._sent_deg, self._no_joint
         wanted_deg, rejected = positions_deg, no_joint
@@ -307,7 +408,7 @@ class Limiter:
         )
 
     def unchanged(self) -> Limited:
-        """The last goals, for a tick in which nobody gets new ones; no limit is hit."""
+        """The last goals, for a tick in which no servo gets new ones; no limit is hit."""
         none = self._no_joint
         return Limited(self._sent_deg, none, none, none, none)
 

@@ -1,6 +1,6 @@
 """Joints moved slowly from one pose to another, and a target that fades as it grows old.
 
-Every slow move of a face is a `Ramp`; what is asked of a silent speech side says a `StaleRule`.
+Every slow move of a face is a `Ramp`; a `StaleRule` says what replaces a silent speech side.
 Pure: time comes in as an argument. What they ask for still goes through the limits of the gate.
 """
 
@@ -42,19 +42,45 @@ class Ramp:
         start_s: float,
         speed_deg_s: float,
     ) -> "Ramp":
-        """Steady, so that the joint with the longest way moves at `speed_deg_s`."""
+        """Make a steady ramp on which the joint with the longest way moves at `speed_deg_s`.
+
+        Parameters
+        ----------
+        start_deg,goal_deg : NDArray[np.float64]
+            (n_joints,) degrees.
+        start_s : float
+            Monotonic seconds.
+        speed_deg_s : float
+            Degrees a second.
+
+        Returns
+        -------
+        Ramp
+            The ramp; its duration follows from the speed in degrees a second.
+        """
         longest_deg = float(np.abs(goal_deg - start_deg).max(initial=0.0))
         return cls(start_deg, goal_deg, start_s, longest_deg / speed_deg_s)
 
     def at(self, time_s: float) -> NDArray[np.float64]:
-        """Where the joints should be, (n_joints,) degrees; exactly the goal once it is over."""
+        """Return where the joints should be.
+
+        Parameters
+        ----------
+        time_s : float
+            Monotonic seconds.
+
+        Returns
+        -------
+        NDArray[np.float64]
+            (n_joints,) degrees; exactly the goal once it is over.
+        """
         share = self._share(time_s)
         if self.eased:
             share = ease(share)
         return np.asarray((1.0 - share) * self.start_deg + share * self.goal_deg)
 
     def is_over(self, time_s: float) -> bool:
-        """Whether the goal is asked for."""
+        """Whether the ramp has reached its goal."""
         return time_s - self.start_s >= self.duration_s
 
     def _share(self, time_s: float) -> float:

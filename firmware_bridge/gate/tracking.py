@@ -92,14 +92,27 @@ class TrackingMonitor:
         if off_deg > self._allowed_deg[index]:
             after_s = self._rule.after_s
             return f"does not follow, {off_deg:.0f} deg off for {after_s:g} s: jammed or weak"
-        asked_deg, made_deg = self._travel.travelled_deg[:, index]
+        goal_deg, made_deg = self._travel.travelled_deg[:, index]
         return (
-            f"does not move: its goals travelled {asked_deg:.0f} deg lately, "
+            f"does not move: its goals travelled {goal_deg:.0f} deg lately, "
             f"it {made_deg:.0f}: jammed or weak"
         )
 
     def behind(self, sent_deg: Array, feedback: Feedback) -> NDArray[np.bool_]:
-        """Which servos have not followed for too long, (n_servos,)."""
+        """Return which servos have not followed their goals for too long.
+
+        Parameters
+        ----------
+        sent_deg : Array
+            (n_joints,) degrees: goals sent last.
+        feedback : Feedback
+            Places in degrees, with their age.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n_servos,).
+        """
         error_deg = np.abs(sent_deg - feedback.positions_deg)
         heard = None
         if any_set(feedback.age_s):
@@ -126,7 +139,7 @@ class _Travel:
     def __init__(self, n: int) -> None:
         self.travelled_deg = np.zeros((2, n))
         self.still = np.zeros(n, dtype=np.bool_)
-        self._asked_deg, self._made_deg = self.travelled_deg
+        self._goal_deg, self._made_deg = self.travelled_deg
         self._slack_deg = np.repeat([[_GOAL_SLACK_DEG], [_ENCODER_SLACK_DEG]], n, axis=1)
         self._less_slack_deg = -self._slack_deg
         self._places_deg = np.zeros((2, n))
@@ -169,5 +182,5 @@ class _Travel:
         travelled_deg *= math.exp(-elapsed_s / _MEMORY_S)
         if feedback.time_s < self._all_count_s:
             travelled_deg[:, feedback.time_s < self._suspended_until_s] = 0.0
-        self.still = self._asked_deg > _ENOUGH_TRAVEL_DEG
-        self.still &= self._made_deg < _TRAVEL_SHARE * self._asked_deg
+        self.still = self._goal_deg > _ENOUGH_TRAVEL_DEG
+        self.still &= self._made_deg < _TRAVEL_SHARE * self._goal_deg

@@ -67,11 +67,35 @@ class EaseToNeutral:
         self.arrived = False
 
     def at(self, time_s: float) -> Array:
-        """Where the joints should be, (n_joints,) degrees."""
+        """Return where the joints should be.
+
+        Parameters
+        ----------
+        time_s : float
+            Monotonic seconds.
+
+        Returns
+        -------
+        Array
+            (n_joints,) degrees.
+        """
         return self._ramp.at(time_s)
 
     def over(self, sent_deg: Array, time_s: float) -> bool:
-        """Whether the joints were sent to neutral, or have been on their way for too long."""
+        """Return whether the joints were sent to neutral, or have been on their way for too long.
+
+        Parameters
+        ----------
+        sent_deg : Array
+            (n_joints,) degrees: goals sent last.
+        time_s : float
+            Monotonic seconds.
+
+        Returns
+        -------
+        bool
+            False while the way goes on.
+        """
         self.arrived = self._ramp.is_over(time_s) and not sent_deg.any()
         return self.arrived or time_s - self._ramp.start_s >= _LONGEST_S
 
@@ -85,7 +109,7 @@ class Bridge:
 
     Limp until `start`. A servo in trouble is left out and supervised while the others go on; a
     port that goes is waited for; torque comes on through the `TorqueGate` alone. `stop` is what a
-    person asked for: it holds whatever happens to port, servos and speech, until `start`. `tick`
+    person ordered: it holds whatever happens to port, servos and speech, until `start`. `tick`
     never raises for them; it goes on after a stop until the state is ENDED.
     """
 
@@ -201,7 +225,7 @@ class Bridge:
         }
 
     def servo_health(self) -> tuple[ServoHealth, ...]:
-        """How every servo was when it was asked last; for a log, not for a tick."""
+        """The last reading of every servo's condition; for a log, not for a tick."""
         return self._servos.health()
 
     def health_records(self) -> list[dict[str, object]]:
@@ -213,8 +237,8 @@ class Bridge:
 
         Nothing moves. Tolerant, the ticks bring up one servo after another; a critical one must be
         able to hold now. Otherwise all hold when this returns, or none: raises ServoError that
-        names those who cannot. may_continue: asked in between; False: all are limp, and it returns.
-        Raises PortError when the port fails.
+        names those that cannot. may_continue: called in between; False: all are limp, and it
+        returns. Raises PortError when the port fails.
         """
         self._servos.gate.open()
         self._servos.disable_all()
@@ -332,7 +356,7 @@ class Bridge:
         return why_not
 
     def stop_report(self) -> StopReport:
-        """What the servos said of the end."""
+        """What the servos reported at the end."""
         at_rest = self._easing is not None and self._easing.arrived
         return self._servos.torque_off.report(at_rest=at_rest, plugged=self._port.is_open)
 
@@ -458,11 +482,11 @@ def _by_a_person(level: StopLevel) -> str:
 
 
 def face_status(bridge: Bridge) -> dict[str, object]:
-    """One object for JSON. Made when somebody asks, not in every tick.
+    """One object for JSON. Made on request, not in every tick.
 
     state: a `FaceState`; plugged: whether the port is there; servos: the `ServoState` in words of
     each joint, by name; troubles: a line for each servo that is not driven; jogged: joints that a
-    person jogs, by name; health: a `ServoHealth` for each servo that was asked, None for what was
+    person jogs, by name; health: a `ServoHealth` for each servo that was polled, None for what was
     never heard; capabilities: what the bus can do; pulses: as `Bridge.pulses`; *_total:
     how often the gate stepped in, over all joints; the counts are those of `BridgeStatus`.
     """

@@ -29,7 +29,7 @@ from firmware_bridge.stopping import (
 
 
 class Control(Protocol):
-    """Where stops are asked for: `ControlSocket`."""
+    """The source of stop requests: `ControlSocket`."""
 
     def poll(self) -> StopRequest | None:
         """The stop that was requested, if any; answers nothing and never waits."""
@@ -44,11 +44,11 @@ class Control(Protocol):
         """What was ordered since the last call, oldest first; never waits."""
 
     def report_end(self, report: Mapping[str, object]) -> None:
-        """Tell those who asked for a stop how it ended."""
+        """Send the processes that requested a stop how it ended."""
 
 
 class Heartbeat(Protocol):
-    """What a supervisor hears: `Lifeline`."""
+    """The sender of reports to a supervisor: `Lifeline`."""
 
     def beat(self) -> None:
         """The loop is alive."""
@@ -57,7 +57,7 @@ class Heartbeat(Protocol):
         """A person stopped the face."""
 
     def started(self) -> None:
-        """A person took a freeze back."""
+        """Report that a person ended a freeze."""
 
     def failed(self, index: int, reason: str) -> None:
         """A servo was given up for good."""
@@ -150,13 +150,13 @@ class LifeCycle:
         self._ends = False
         self._n_signals = 0
         self._is_disabling = False
-        self._asked: StopLevel | None = None
+        self._requested_level: StopLevel | None = None
         self._by_signal = self._bounded = False
         self._give_up_s: float | None = None
         self._previous_handlers: PreviousHandlers = {}
-        self._told_up_to = bridge.n_trouble_changes
+        self._n_changes_sent = bridge.n_trouble_changes
         self._trouble_since_s: float | None = None
-        self._told_trouble = False
+        self._has_sent_trouble = False
         self._was_plugged, self._was_silent = True, False
         self._n_given_up = len(bridge.given_up)
         self._health_due_s = clock.now() + _HEALTH_EVERY_S
@@ -173,8 +173,8 @@ class LifeCycle:
 
     @property
     def stopping(self) -> bool:
-        """Whether somebody asked for the end, or it was reached."""
-        return self._asked is not None
+        """Whether the end was requested, or reached."""
+        return self._requested_level is not None
 
     def start(self) -> None:
         """Arm the face, or take over a stopped one. Raises what `Bridge.start` raises."""
@@ -238,7 +238,7 @@ class LifeCycle:
             return  # never started: nothing was switched on
         if self._bridge.state is FaceState.FROZEN:
             _LOG.info("frozen: held until the next stop")  # a program's end undoes no person's stop
-        elif self._asked is None:
+        elif self._requested_level is None:
             self.stop()
         self._bounded = True
         for time_s, late in self.ticks():
@@ -277,9 +277,9 @@ class LifeCycle:
         """Between the servos of a start."""
         if self._lifeline is not None:
             self._lifeline.beat()
-        if self._asked is None:
+        if self._requested_level is None:
             self._poll_control()
-        return self._asked is None and not self._n_signals
+        return self._requested_level is None and not self._n_signals
 
     def _do_tick_duties(self, time_s: float) -> None:
         """Heartbeats, stops, and what there is to tell."""
@@ -350,7 +350,7 @@ class LifeCycle:
         self._bridge.await_start()
 
     def _described(self) -> dict[str, object]:
-        """The status, with what a person has stopped and what the servos said of it."""
+        """The status, with the stop that a person ordered and what the servos reported of it."""
         stopped, report = self._stopped, self._stop_report
         return {
             **self._status(),
@@ -365,7 +365,7 @@ class LifeCycle:
         if why_not := self._bridge.refusal(StartFace()):
             return why_not
         was_stopped, self._stopped = self._stopped, None
-        self._asked = None
+        self._requested_level = None
         try:
             if self._bridge.state is FaceState.FROZEN:
                 self._bridge.resume()
@@ -398,13 +398,13 @@ class LifeCycle:
                     self._lifeline.switched(index, on=order.switch is ServoSwitch.ON)
 
     def _stop(self, level: StopLevel) -> None:
-        self._asked = level
+        self._requested_level = level
         self._bridge.stop(level)
 
     def _port_is_lost(self, time_s: float) -> bool:
         """Whether a stop has waited long enough for a port that does not come back.
 
-        One that a person asked for through the control socket waits as long as it takes.
+        A stop that a person requested through the control socket waits as long as it takes.
         """
         if self._bridge.plugged or not self._bounded:
             self._give_up_s = None
@@ -442,8 +442,8 @@ class LifeCycle:
                 if self._lifeline is not None:
                     self._lifeline.failed(index, why)
             self._n_given_up = len(bridge.given_up)
-        if bridge.n_trouble_changes != self._told_up_to:
-            self._told_up_to = bridge.n_trouble_changes
+        if bridge.n_trouble_changes != self._n_changes_sent:
+            self._n_changes_sent = bridge.n_trouble_changes
             self._trouble_since_s = time_s
         since_s = self._trouble_since_s
         if since_s is None or time_s - since_s < _TROUBLE_LASTS_S or not bridge.plugged:
@@ -452,6 +452,6 @@ class LifeCycle:
         troubles = bridge.troubles
         if troubles:
             _LOG.warning("%s", "; ".join(troubles))
-        elif self._told_trouble:
+        elif self._has_sent_trouble:
             _LOG.info("every servo is driven again")
-        self._told_trouble = bool(troubles)
+        self._has_sent_trouble = bool(troubles)

@@ -19,10 +19,10 @@ class BridgeSettings:
 
     rate_hz: nominal rate of `Bridge.tick`. stale: what happens without targets. tracking: when a
     servo counts as not following. prevent: what joints must not do together.
-    tolerant: `Bridge.start` leaves it to the ticks to enable whoever can hold; not all or none.
-    dry_run: servos are read and supervised, but get neither torque nor goals.
-    given_up: reason by index, of servos that an earlier process of this face gave up.
-    switched_off: by index, those that a person switched off there.
+    tolerant: `Bridge.start` leaves it to the ticks to enable the servos that can hold; not all or
+    none. dry_run: servos are read and supervised, but get neither torque nor goals. given_up:
+    reason by index, of servos that an earlier process of this face gave up. switched_off: by index,
+    those that a person switched off there.
     """
 
     rate_hz: float
@@ -57,7 +57,7 @@ class TickReport:
     """What one tick wanted, sent and noticed. Every array is (n_servos,).
 
     wanted_deg is what reached the last gate; sent_deg what the bus got. While `torque_on` is False
-    nobody gets goals, sent_deg is where the joints stand, and no limit counts as hit.
+    no servo gets goals, sent_deg is where the joints stand, and no limit counts as hit.
     target_age_s counts from the newest target due, or from arming when that is later.
     late is how many ticks were missed before this one.
     """

@@ -51,7 +51,20 @@ class HeatDerating:
         self._scale = np.ones(n_servos)
 
     def scale(self, feedback: Feedback, health: Health) -> Array:
-        """Of the amplitude, 0.3..1: heat now, and heat to come."""
+        """Return the share of the amplitude that heat now, and heat to come, allow.
+
+        Parameters
+        ----------
+        feedback : Feedback
+            Its time, seconds.
+        health : Health
+            Temperatures in degC.
+
+        Returns
+        -------
+        Array
+            (n_servos,), 0.3 to 1.
+        """
         if self._duty_at_s is not None:
             if 0.0 <= feedback.time_s - self._duty_at_s < _HEAT_EVERY_S:
                 return self._scale
@@ -73,7 +86,7 @@ class HeatDerating:
 _READS = 5
 #: So often a servo may refuse to hold before a start fails. Arming takes some ten exchanges, and at
 #: a fifth of all packets lost in either direction one attempt in seven gets through them all.
-_ASKED = 60
+_REQUESTED = 60
 #: A shaft at top speed is so far behind its goal, in time, and stops there without turning back.
 _BRAKES_S = 0.02
 _HEALTH = tuple(each.name for each in fields(ServoHealth))
@@ -127,7 +140,7 @@ class ServoGroup:
         self._bus.reopen()
 
     def disable_all(self, time_s: float = 0.0, why: str = "") -> None:
-        """Switch everybody off; nobody is driven any more."""
+        """Switch all servos off; none is driven any more."""
         self.torque_off.begin()
         self._note_ready()
         self.supervision.mark_all_waiting(time_s, why)
@@ -145,7 +158,7 @@ class ServoGroup:
                     self.supervision.note_attempt(index, LET_GO_WITH_IT, time_s)
 
     def read(self) -> Readings:
-        """Where everybody stands, asked again for those who did not answer."""
+        """Read where all servos stand, once more for those that did not answer."""
         readings = self._bus.read()
         for _ in range(_READS - 1):
             if np.isfinite(readings.positions_deg[self._has_place]).all():
@@ -155,13 +168,15 @@ class ServoGroup:
 
     def check(self, indices: Sequence[int], may_continue: Callable[[], bool]) -> None:
         """Raise ServoError that names those who could not hold now, with the reason."""
-        asked = self._not_off(indices)
-        self._refuse([(i, _asked_often(self.gate.obstacle, i)) for i in asked if may_continue()])
+        indices_on = self._not_off(indices)
+        self._refuse(
+            [(i, _stop_is_repeated(self.gate.obstacle, i)) for i in indices_on if may_continue()]
+        )
 
     def enable(
         self, indices: Sequence[int], time_s: float, may_continue: Callable[[], bool]
     ) -> None:
-        """Let these hold where they stand; with an error, or told to stop, nobody does.
+        """Let these hold where they stand; on an error or a stop none does.
 
         Those that a person switched off stay so.
         """
@@ -170,7 +185,7 @@ class ServoGroup:
             if not may_continue():
                 self.disable_all(time_s)
                 return
-            why_not = _asked_often(self.gate.enable, index)
+            why_not = _stop_is_repeated(self.gate.enable, index)
             self.supervision.note_attempt(index, why_not, time_s)
             found.append((index, why_not))
         self._note_ready()
@@ -179,8 +194,8 @@ class ServoGroup:
     def keep_holding(self, time_s: float) -> None:
         """For a frozen face: a servo that still has torque goes on holding where it stands.
 
-        One that does not say so is asked again by `stay_on`: just after a replug answers are lost,
-        and its watchdog, which tripped meanwhile, protects nothing until it was set again.
+        One that does not confirm is ordered again by `stay_on`: just after a replug answers are
+        lost, and its watchdog, which tripped meanwhile, protects nothing until it was set again.
         """
         self._to_keep.clear()
         here_deg = self._bus.read().start_deg(self._bus.capabilities)
@@ -236,7 +251,7 @@ class ServoGroup:
                 self.supervision.note_attempt(index, "was stopped before its turn", time_s)
 
     def _start_here(self, index: int) -> None:
-        """Who holds now goes on from where it stands; where nobody knows, from where it was sent.
+        """Start a holding servo from where it stands; where that is unknown, from its last goal.
 
         A bus that does not say that either goes on from the goal sent last.
         """
@@ -249,7 +264,7 @@ class ServoGroup:
         self._note_ready()
 
     def _note_ready(self) -> None:
-        """Where nobody knows where servos stand: those whose turn has not come stay."""
+        """Where positions are unknown: servos whose turn has not come stay."""
         if self._any_blind:
             self.limiter.hold_back(self._bus.feedback().ready)
 
@@ -261,7 +276,13 @@ class ServoGroup:
         return (feedback.age_s == 0.0) & np.isfinite(places_deg), near_deg
 
     def widen(self, low_deg: Array, high_deg: Array) -> None:
-        """The range of each joint from now on, (n_joints,), as `Limiter.widen` has it."""
+        """Set the range of each joint from now on, as `Limiter.widen`.
+
+        Parameters
+        ----------
+        low_deg,high_deg : Array
+            (n_joints,) degrees.
+        """
         wide = self.limiter.widen(low_deg, high_deg)
         if wide.tobytes() != self._wide.tobytes():
             self._wide, self.is_wide = wide, any_set(wide)
@@ -314,7 +335,7 @@ class ServoGroup:
         return self._bus.remarks()
 
     def health(self) -> tuple[ServoHealth, ...]:
-        """How every servo was when it was asked last; for people, not for a tick."""
+        """The last reading of every servo's condition; for people, not for a tick."""
         return tuple(ServoHealth(*row) for row in zip(*self._health_columns(), strict=True))
 
     def health_records(self) -> list[dict[str, object]]:
@@ -327,7 +348,10 @@ class ServoGroup:
         return records
 
     def _health_columns(self) -> tuple[list[Any], ...]:
-        """What `ServoHealth` has, in its order, one value a servo; () before anybody was asked."""
+        """The columns of `ServoHealth`, in its order, one value a servo.
+
+        () before the first reading.
+        """
         known = self._health
         if known is None:
             return ()
@@ -355,10 +379,10 @@ class ServoGroup:
             raise ServoError("\n".join([*lines, "`lipservo doctor` examines every servo"]))
 
 
-def _asked_often(ask: Callable[[int], str], index: int) -> str:
+def _stop_is_repeated(ask: Callable[[int], str], index: int) -> str:
     """Empty as soon as the servo agrees; else its last refusal."""
     refusal = ""
-    for _ in range(_ASKED):
+    for _ in range(_REQUESTED):
         refusal = ask(index)
         if not refusal:
             break

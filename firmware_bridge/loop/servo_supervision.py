@@ -109,7 +109,13 @@ class ServoSupervision:
 
     @property
     def driven(self) -> NDArray[np.bool_]:
-        """Which servos get goals."""
+        """Which servos get goals.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n_servos,).
+        """
         return np.asarray(self.states == _DRIVEN)
 
     @property
@@ -144,7 +150,7 @@ class ServoSupervision:
         self._set_reason(index, why_not)
 
     def mark_all_waiting(self, time_s: float, why: str = "") -> None:
-        """Nobody is driven any more: the port is gone, or all were let go."""
+        """Mark all as not driven: the port is gone, or all were let go."""
         for index in np.flatnonzero(self.states != ServoState.FAILED).tolist():
             if self.states[index] in _SWITCHED_OFF:
                 self.switch_off(index, time_s)  # what it confirmed before may not be so any more
@@ -183,7 +189,15 @@ class ServoSupervision:
                 self._let_go(index, time_s, port)
 
     def check_tracking(self, sent_deg: Array, feedback: Feedback) -> None:
-        """Compare the goals sent last with where the servos stand."""
+        """Compare the goals sent last with where the servos stand.
+
+        Parameters
+        ----------
+        sent_deg : Array
+            (n_joints,) degrees.
+        feedback : Feedback
+            Places in degrees, with their age.
+        """
         self._behind = self._tracking.behind(sent_deg, feedback)
 
     def act(self, health: Health, time_s: float, port: TorquePort) -> int | None:

@@ -90,21 +90,37 @@ class Jog:
         self._returns[index] = self.is_active = True
 
     def drop(self, index: int) -> None:
-        """One joint is moved by nobody any more."""
+        """End the jogging of one joint."""
         self._goals_deg[index] = np.nan
         self._returns[index] = False
 
     def clear(self) -> None:
-        """The face stops, or is let go: whoever moves it now does so from where it is."""
+        """End all jogging: the face stops or is let go; the next move starts from where it is."""
         if self.is_active:
             self._goals_deg[:] = np.nan
             self._returns[:] = False
             self.is_armed = self.is_active = False
 
     def guide(self, wanted_deg: Array, sent_deg: Array, scale: Array, time_s: float) -> Array:
-        """Where the joints should go next, given what is wanted of them and was sent last.
+        """Return the joints' next goals while a person jogs some.
 
-        scale: of the amplitude, to spare servos. Call it in every tick in which it is active.
+        Call it in every tick in which it is active.
+
+        Parameters
+        ----------
+        wanted_deg : Array
+            (n_joints,) degrees: targets.
+        sent_deg : Array
+            (n_joints,) degrees: goals sent last.
+        scale : Array
+            (n_joints,), 0 to 1 of the amplitude, to spare servos.
+        time_s : float
+            Monotonic seconds.
+
+        Returns
+        -------
+        Array
+            (n_joints,) degrees.
         """
         if self.is_armed and time_s >= self._until_s:
             self.end()
@@ -121,10 +137,20 @@ class Jog:
         return guided_deg
 
     def reached(self, sent_deg: Array) -> tuple[Array, Array]:
-        """The range of each joint, with where a person leads it: (low, high) degrees.
+        """Return the range of each joint, with where a person leads it.
 
-        Of one that stands beyond its limits and is not jogged it shrinks, so that it comes back
-        whatever is wanted of it.
+        The range of a joint that stands beyond its limits and is not jogged shrinks, so that it
+        comes back whatever its target.
+
+        Parameters
+        ----------
+        sent_deg : Array
+            (n_joints,) degrees: goals sent last.
+
+        Returns
+        -------
+        tuple[Array, Array]
+            (low, high), (n_joints,) degrees each.
         """
         back_deg = np.where(np.isfinite(self._goals_deg), 0.0, self._step_deg)
         low_deg = np.fmin(np.minimum(self._min_deg, sent_deg + back_deg), self._goals_deg)

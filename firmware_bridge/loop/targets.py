@@ -28,7 +28,7 @@ class ServoTargets:
 
 
 class TargetChannel(Protocol):
-    """Carries targets one way. Nobody ever blocks; the newest targets win."""
+    """Carries targets one way. It never blocks; the newest targets win."""
 
     def publish(self, targets: ServoTargets) -> None:
         """Hand over one target record."""
@@ -77,7 +77,7 @@ class TargetTrack:
     """The newest targets in order of display time, read as one continuous motion.
 
     A record says what holds from its time on: it replaces every kept one at or after that time, so
-    a speech side that thinks again, or starts again, is never mixed with what it said before.
+    a speech side that revises, or starts again, is never mixed with its earlier records.
     Records with the wrong number of joints, or anything not finite, are left out and counted.
     """
 
@@ -118,11 +118,21 @@ class TargetTrack:
                 del times_s[0], self._positions_deg[0]
 
     def at(self, time_s: float) -> tuple[Array | None, float]:
-        """Positions for `time_s`, (n_servos,), and the age of the newest target due by then.
+        """Return the positions for a time, and the age of the newest target due by then.
 
         Linear between targets; beyond the newest along its last slope for `MAX_EXTRAPOLATION_S`,
         then held. Targets not yet due count for nothing in the age: a sender that dates them into
-        the far future has gone quiet. Before the first is due: (None, infinity).
+        the far future has gone quiet.
+
+        Parameters
+        ----------
+        time_s : float
+            Monotonic seconds.
+
+        Returns
+        -------
+        tuple[Array | None, float]
+            (n_servos,) degrees and seconds; before the first target is due (None, infinity).
         """
         n_due = bisect_right(self._times_s, time_s)
         if n_due == 0:
@@ -232,7 +242,15 @@ class FollowedTargets:
         return self._track.n_rejected
 
     def begin(self, present_deg: Array, time_s: float) -> None:
-        """Hold the joints where they stand, until a target comes."""
+        """Hold the joints where they stand, until a target comes.
+
+        Parameters
+        ----------
+        present_deg : Array
+            (n_joints,) degrees.
+        time_s : float
+            Monotonic seconds.
+        """
         self.held_deg = present_deg
         self._heard_s = time_s
         self.was_spoken_to = False
@@ -258,7 +276,20 @@ class FollowedTargets:
         return max(0.0, time_s - self._heard_s)
 
     def wanted(self, silence_s: float, level: StaleLevel) -> Array:
-        """Degrees, after a silence that is at this level by now."""
+        """Return the targets after a silence, which shrink towards neutral.
+
+        Parameters
+        ----------
+        silence_s : float
+            Seconds.
+        level : StaleLevel
+            Of the silence by now.
+
+        Returns
+        -------
+        Array
+            (n_joints,) degrees.
+        """
         if level is _FRESH:
             return self.held_deg
         return self.held_deg * self._stale.weight(silence_s)

@@ -24,7 +24,7 @@ class TorqueGate:
     """Asks three questions before a servo gets torque, in this order.
 
     Is it forbidden for the whole face: a dry run, or a stop by a person, which holds until a person
-    starts again? Was this servo switched off by a person, or given up? Does the servo itself, asked
+    starts again? Was this servo switched off by a person, or given up? Does the servo itself, read
     now, agree with the YAML?
     (The last is `ServoBus.obstacle`, and every bus asks it again in `enable_torque`.)
     Start, the end of a silence, replug and restart all come through `enable`.
@@ -43,7 +43,7 @@ class TorqueGate:
 
         switched_off: by index, those that a person switched off there.
 
-        closed_because: why nobody may hold; empty: the gate is open.
+        closed_because: why no servo may hold; empty: the gate is open.
         """
         self._bus = bus
         self._n_servos = len(joints)
@@ -64,7 +64,7 @@ class TorqueGate:
 
     @property
     def forbidden(self) -> str:
-        """Why nobody may hold torque; empty: it is no matter of the whole face."""
+        """Why no servo may hold torque; empty: nothing forbids it for the whole face."""
         return "dry run: servos are only read" if self.dry_run else self.closed_because
 
     def refusal(self, index: int) -> str:
@@ -74,7 +74,7 @@ class TorqueGate:
         return SWITCHED_OFF if index in self._switched_off else self._given_up.get(index, "")
 
     def obstacle(self, index: int) -> str:
-        """Why this servo would get no torque if it were asked for now; empty: it would."""
+        """Why this servo would get no torque now; empty: it would."""
         return self.refusal(index) or self._bus.obstacle(index)
 
     def enable(self, index: int) -> str:
@@ -96,16 +96,22 @@ class TorqueGate:
         return self._bus.disable_torque(index)
 
     def disable_all(self) -> NDArray[np.bool_]:
-        """Let everybody go limp; who was. In a dry run nothing is written."""
+        """Switch the torque of all servos off; in a dry run nothing is written.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n_servos,): which servos confirmed.
+        """
         return np.zeros(self._n_servos, dtype=np.bool_) if self.dry_run else self._bus.disable_all()
 
     def reboot(self, index: int) -> None:
-        """Restart one servo, which comes back limp, unless nobody may touch it."""
+        """Restart one servo, which comes back limp, unless the whole face is forbidden."""
         if not self.forbidden:
             self._bus.reboot(index)
 
     def close(self, because: str) -> None:
-        """A person stopped the face: nobody gets torque until a person opens again."""
+        """A person stopped the face: no servo gets torque until a person opens again."""
         self.closed_because = because
 
     def open(self) -> None:

@@ -1,1 +1,1 @@
-"""Pololu Maestro servo controllers: what they are told, and a simulated one."""
+"""Pololu Maestro servo controllers: their protocol, and a simulated one."""

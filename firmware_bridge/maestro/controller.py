@@ -89,11 +89,13 @@ class Maestro:
 
 def no_answer(port: str, *, crc: bool) -> str:
     """Why a port may be silent, and what to do."""
-    asked = "true, and the Maestro may have it off" if crc else "false, and the Maestro may use it"
+    setting_advice = (
+        "true, and the Maestro may have it off" if crc else "false, and the Maestro may use it"
+    )
     return (
         f"{port}: no Maestro answers. Set its serial mode to USB Dual Port in Pololu's Control "
         "Center (as it comes, UART with detected rate, it ignores commands); of its two ports the "
-        f"lower (ttyACM0, ...-if00) is the command port; bus.crc is {asked}"
+        f"lower (ttyACM0, ...-if00) is the command port; bus.crc is {setting_advice}"
     )
 
 
@@ -123,7 +125,18 @@ class PulseCommands:
         ]
 
     def of(self, pulses_us: Array) -> bytes:
-        """These pulses, (n_servos,) in us."""
+        """Return the command that sends pulses.
+
+        Parameters
+        ----------
+        pulses_us : Array
+            (n_servos,) us.
+
+        Returns
+        -------
+        bytes
+            Set Multiple Targets for rows of channels, else one Set Target each.
+        """
         quarters = (pulses_us * QUARTERS + 0.5).astype(np.uint16)
         # Seven bits a byte: what is above the lowest seven moves up by one.
         targets = quarters + (quarters & _HIGH_BITS)
@@ -173,7 +186,20 @@ class MaestroController:
             self._maestro = None
 
     def send(self, pulses_us: Array) -> bool:
-        """One write; the first also bounds the speed of each channel."""
+        """Write the pulses of all servos at once.
+
+        The first write also bounds the speed of each channel.
+
+        Parameters
+        ----------
+        pulses_us : Array
+            (n_servos,) us; 0: no pulse.
+
+        Returns
+        -------
+        bool
+            True.
+        """
         maestro = self._reached()
         if self._commands is None:
             together = self._settings.model != WITHOUT_SET_TARGETS
@@ -190,7 +216,7 @@ class MaestroController:
         return self._reached().position_us(self._channels[index])
 
     def remarks(self) -> Sequence[str]:
-        """The errors that it has told."""
+        """The errors that it has reported."""
         bits = self._seen | (0 if self._maestro is None else self._maestro.errors)
         return [f"the Maestro tells of a {words}" for words in describe_errors(bits)]
 

@@ -69,7 +69,7 @@ def crc7(message: bytes | bytearray) -> int:
 
 
 def command(code: int, data: Sequence[int] = (), *, device: int | None = None, crc: bool) -> bytes:
-    """One command. device: number of the one that is meant; None: whoever hears it."""
+    """One command. device: number of the one that is meant; None: every one that receives it."""
     head = (code,) if device is None else (POLOLU, device, code & 0x7F)
     message = bytes((*head, *data))
     return message + bytes((crc7(message),)) if crc else message

@@ -1,4 +1,4 @@
-"""Pulses off at a Maestro that somebody else drove before."""
+"""Pulses off at a Maestro that another process drove before."""
 
 import math
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ class MaestroRelease:
         self._n_channels = settings.n_channels if knows else min(N_CHANNELS.values())
 
     def tell_all(self, addresses: Sequence[int]) -> None:
-        """No pulses on any channel; read back, since a Maestro may ignore what it is told."""
+        """No pulses on any channel; read back, since a Maestro may ignore a command."""
         self._tell(range(self._n_channels))
         left = [each for each in addresses or (0,) if self._maestro.position_us(each) != 0.0]
         for _ in range(_REPEATS):
@@ -43,7 +43,10 @@ class MaestroRelease:
         return f"channel {address} cannot say whether its servo holds"
 
     def find(self, addresses: Sequence[int]) -> Sequence[int]:
-        """All channels that there are. Asking for one too many sends servos home: told again."""
+        """Return all channels that exist.
+
+        Addressing one too many sends servos home: pulses off again.
+        """
         self.tell_all(addresses)
         if self._knows:
             return addresses or range(self._n_channels)

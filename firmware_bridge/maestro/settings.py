@@ -26,9 +26,9 @@ class MaestroSettings(BusSettings):
 
     @model_validator(mode="before")
     @classmethod
-    def _set_timeout_of_the_pico(cls, told: Any) -> Any:
-        is_pico = isinstance(told, dict) and told.get("model") == "pico"
-        return {"serial_timeout_s": 0.5, **told} if is_pico else told
+    def _set_timeout_of_the_pico(cls, value: Any) -> Any:
+        is_pico = isinstance(value, dict) and value.get("model") == "pico"
+        return {"serial_timeout_s": 0.5, **value} if is_pico else value
 
     @property
     def board(self) -> str:

@@ -203,10 +203,10 @@ class SimulatedMaestro:
 
     def deliver(self, now_s: float) -> bytes:
         """What it has answered by now."""
-        said = b""
+        answers = b""
         while self._answers and self._answers[0][0] <= now_s:
-            said += self._answers.popleft()[1]
-        return said
+            answers += self._answers.popleft()[1]
+        return answers
 
     def brown_out(self) -> None:
         """Its supply fails for a moment: it starts anew, without pulses; USB finds it again."""
@@ -249,8 +249,8 @@ class SimulatedMaestro:
 
     def _obey(self, message: bytes, now_s: float) -> None:
         if self._crc:
-            message, told = message[:-1], message[-1]
-            if told != crc7(message):
+            message, checksum = message[:-1], message[-1]
+            if checksum != crc7(message):
                 self._fail(CRC_ERROR)
                 return
         code, data = message[0], message[1:]

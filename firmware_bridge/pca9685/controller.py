@@ -70,10 +70,20 @@ class Pca9685:
             self._guard.close()
 
     def send(self, pulses_us: Array) -> bool:
-        """All channels of the face in one transfer; all of the board off by one byte.
+        """Write all channels of the face in one transfer; all of the board off by one byte.
 
-        In the same transfer the chip is asked whether it is still set up: a supply that broke down
-        leaves it as at power-up.
+        The same transfer reads whether the chip is still set up: a supply that broke down leaves it
+        as at power-up.
+
+        Parameters
+        ----------
+        pulses_us : Array
+            (n_servos,) us; 0: no pulse.
+
+        Returns
+        -------
+        bool
+            False: the chip has lost its setup, and no pulse is made.
         """
         counts, guard = self._timing.counts(pulses_us), self._guard
         if not any_set(counts):

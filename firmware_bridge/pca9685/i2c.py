@@ -211,7 +211,7 @@ def open_chip(path: str, address: int) -> I2cChip:
 def _claim(fd: int, address: int, *, alone: bool) -> None:
     """A lock on one byte of the file is that of the address; the other says who has it open.
 
-    alone: a terminal carries one conversation. Raises OSError where somebody has it.
+    alone: a terminal carries one conversation. Raises OSError where another process has it.
     """
     fcntl.flock(fd, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)
     lock = _OFD_LOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, address, 1, 0)

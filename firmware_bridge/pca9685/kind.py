@@ -126,7 +126,7 @@ class BoardRelease:
         return f"channel {address} cannot say whether its servo holds"
 
     def find(self, addresses: Sequence[int]) -> Sequence[int]:
-        """Pulses off; who hangs there nobody knows."""
+        """Pulses off; which servos are connected is unknown."""
         self.tell_all(addresses)
         return addresses or range(N_CHANNELS)
 
@@ -172,10 +172,10 @@ def _bits_s(port: str) -> int:
     """The rate of a bus as the device tree says it."""
     number = Path(port).name.removeprefix("i2c-")
     try:
-        told = Path(f"/sys/class/i2c-adapter/i2c-{number}/of_node/clock-frequency").read_bytes()
+        cells = Path(f"/sys/class/i2c-adapter/i2c-{number}/of_node/clock-frequency").read_bytes()
     except OSError:
         return _STANDARD_HZ
-    return int.from_bytes(told, "big") or _STANDARD_HZ
+    return int.from_bytes(cells, "big") or _STANDARD_HZ
 
 
 PCA9685: Final = Pca9685Kind()

@@ -63,17 +63,17 @@ class OeGuard:
         self._chip, self._line, self._clock = chip, line, clock
         self._process: subprocess.Popen[bytes] | None = None
         self._link: socket.socket | None = None
-        self._said, self._said_s, self._heard_s = _BLOCK, 0.0, 0.0
+        self._sent, self._sent_s, self._heard_s = _BLOCK, 0.0, 0.0
 
     @property
     def passes(self) -> bool:
         """Whether the last heartbeat let pulses through."""
-        return self._said == _PASS
+        return self._sent == _PASS
 
     @property
     def has_lapsed(self) -> bool:
         """Whether pulses that were let through may have ended since: the last beat was long ago."""
-        return self.passes and self._clock.now() - self._said_s > _LAPSED_S
+        return self.passes and self._clock.now() - self._sent_s > _LAPSED_S
 
     def start(self) -> None:
         """Have the pin held high, unless a guard of ours does. Raises PortError: why it cannot."""
@@ -99,11 +99,11 @@ class OeGuard:
             answer = b"its guard does not start"
         if answer != _BLOCK:
             self.close()
-            said = answer.decode("utf-8", "replace") or "its guard died while it started"
-            raise PortError(f"oe_gpio {self._line} of {self._chip}: {said}")
+            message = answer.decode("utf-8", "replace") or "its guard died while it started"
+            raise PortError(f"oe_gpio {self._line} of {self._chip}: {message}")
         self._link.setblocking(False)
-        self._said, self._said_s = _BLOCK, self._clock.now()
-        self._heard_s = self._said_s
+        self._sent, self._sent_s = _BLOCK, self._clock.now()
+        self._heard_s = self._sent_s
 
     def beat(self, *, passes: bool) -> None:
         """Let pulses through for half a second, or end them now; call it in every tick.
@@ -111,13 +111,13 @@ class OeGuard:
         Raises ServoError once the guard is dead or hangs: nothing would end the pulses then.
         """
         now_s, wanted = self._clock.now(), _PASS if passes else _BLOCK
-        if wanted == self._said and now_s - self._said_s < _BEAT_S:
+        if wanted == self._sent and now_s - self._sent_s < _BEAT_S:
             return
-        if self._said_s - self._heard_s > _SILENT_S:
+        if self._sent_s - self._heard_s > _SILENT_S:
             self._fail("hangs, and was killed")
-        if now_s - self._said_s > _SILENT_S:
+        if now_s - self._sent_s > _SILENT_S:
             self._heard_s = now_s  # nothing was asked of it meanwhile
-        self._said, self._said_s = wanted, now_s
+        self._sent, self._sent_s = wanted, now_s
         link = self._link
         try:
             assert link is not None
@@ -136,7 +136,7 @@ class OeGuard:
             self._link.close()
             self._link = None
         process, self._process = self._process, None
-        if process is not None and self._said == _BLOCK:
+        if process is not None and self._sent == _BLOCK:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(_TAKE_OVER_S)
 
@@ -223,7 +223,7 @@ def _in_words() -> Iterator[None]:
 
 def guard(link: socket.socket, pin: Pin) -> bool:
     """Until the bridge is gone; whether it had ended its pulses itself."""
-    waits, said, is_high, until_s = select.poll(), _BLOCK, True, 0.0
+    waits, wanted, is_high, until_s = select.poll(), _BLOCK, True, 0.0
     waits.register(link, select.POLLIN)
     while True:
         left_s = max(0.0, until_s - time.monotonic())
@@ -237,10 +237,10 @@ def guard(link: socket.socket, pin: Pin) -> bool:
         if is_late:
             continue
         if not heard:
-            return said == _BLOCK
-        said, until_s = heard, time.monotonic() + HOLD_S
+            return wanted == _BLOCK
+        wanted, until_s = heard, time.monotonic() + HOLD_S
         with contextlib.suppress(OSError):
-            link.send(said, socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT)
+            link.send(wanted, socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT)
 
 
 def _lock(chip: str, line: int) -> int:

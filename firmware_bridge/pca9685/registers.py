@@ -115,7 +115,18 @@ class Timing:
         return 1e6 / self.period_us
 
     def counts(self, pulses_us: Array) -> NDArray[np.int64]:
-        """The nearest number of counts to each pulse; 0: none."""
+        """Return the nearest number of counts to each pulse.
+
+        Parameters
+        ----------
+        pulses_us : Array
+            (n_servos,) us.
+
+        Returns
+        -------
+        NDArray[np.int64]
+            (n_servos,); 0: no pulse.
+        """
         return (pulses_us / self.count_us + 0.5).astype(np.int64)
 
     def resolution_deg(self, us_per_deg: float) -> float:
@@ -145,9 +156,17 @@ class PulseMessages:
             self._runs.append(message)
 
     def of(self, counts: NDArray[np.int64]) -> list[bytearray]:
-        """One message for each run of neighbours, for one transfer; used again the next time.
+        """Return one I2C message for each run of neighbouring channels, for one transfer.
 
-        counts: 0: full off.
+        Parameters
+        ----------
+        counts : NDArray[np.int64]
+            (n_servos,) of 4096 a cycle; 0: full off.
+
+        Returns
+        -------
+        list[bytearray]
+            The messages; their memory is used again at the next call.
         """
         # For sixteen a loop takes less time than NumPy.
         for count, (on, message, at) in zip(counts.tolist(), self._places, strict=True):

@@ -50,7 +50,7 @@ _SHORTEST_US, _LONGEST_US = 400.0, 2600.0
 class ChipFault(TimedFault):
     """Its kinds.
 
-    nack: nobody acknowledges; stuck: a line is held low; unplug: the computer has no such bus: for
+    nack: no chip acknowledges; stuck: a line is held low; unplug: the computer has no such bus: for
     lasts_s. cut: of the next transfer two bytes arrive; brown-out: as after power-up.
     """
 

@@ -25,7 +25,7 @@ class HeartbeatTimeouts:
 
 
 class HeartbeatMonitor:
-    """How long a process has been silent while somebody looked; times are monotonic seconds."""
+    """How long a process has been silent while it was watched; times are monotonic seconds."""
 
     def __init__(self, timeouts: HeartbeatTimeouts) -> None:
         self._timeouts = timeouts
@@ -105,7 +105,7 @@ class Child:
         self._silence.begin(now_s)
 
     def read(self) -> list[Message]:
-        """What it said since the last call, beats aside; a dead one may have left something."""
+        """Messages since the last call, beats aside; a dead process may have left some."""
         return [] if self._watch is None else self._watch.read()
 
     def hung_at_s(self, now_s: float) -> float:
@@ -115,7 +115,7 @@ class Child:
     def ended(self) -> int | None:
         """Its exit status, negative for a signal, once; None while it runs or when there is none.
 
-        Call `read` afterwards: it may have said something last.
+        Call `read` afterwards: it may have left a last message.
         """
         if self._process is None or self._process.poll() is None:
             return None

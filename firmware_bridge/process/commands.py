@@ -33,7 +33,7 @@ from firmware_bridge.stopping import (
 _FURTHEST_FIRST: Final = (StopLevel.LIMP, StopLevel.SOFT, StopLevel.FREEZE)
 #: Orders that wait for the next tick; more than as many clients as may be connected can send.
 _MOST_ORDERS: Final = 64
-_NOBODY_DRIVES: Final = "nobody drives the servos just now; ask again"
+_NO_DRIVER: Final = "nobody drives the servos just now; ask again"
 
 
 class CommandError(ValueError):
@@ -67,7 +67,7 @@ class CommandQueue:
         self._stops: dict[StopLevel, StopRequest] = {}
         self._changes: dict[str, float] = {}
         self._orders: deque[Order] = deque()
-        self._refusal: Callable[[Order], str] = _nobody_drives
+        self._refusal: Callable[[Order], str] = _no_driver
 
     @property
     def values(self) -> dict[str, float]:
@@ -89,7 +89,7 @@ class CommandQueue:
             self._on_change(values)
 
     def attend(self, refusal: Callable[[Order], str]) -> None:
-        """From now on somebody obeys orders. refusal: why not this one, in one line; empty: yes."""
+        """From now on orders are obeyed. refusal: why not this one, in one line; empty: yes."""
         self._refusal = refusal
 
     def order(self, order: Order) -> None:
@@ -140,8 +140,8 @@ class CommandQueue:
         return f"there are: {', '.join(named)}"
 
 
-def _nobody_drives(_order: Order) -> str:
-    return _NOBODY_DRIVES
+def _no_driver(_order: Order) -> str:
+    return _NO_DRIVER
 
 
 #: The first words of the commands.

@@ -78,7 +78,7 @@ def face_at(path: Path) -> RunningFace:
 
 
 def ask(path: Path, word: str, patience_s: float = _PATIENCE_S) -> Answer:
-    """Send one word to the face at `path`; its answer. Raises OSError when nobody answers."""
+    """Send one word to the face at `path`; return its answer. Raises OSError when none comes."""
     give_up_s = time.monotonic() + patience_s
     while True:
         with _connected(path, give_up_s) as client:
@@ -121,7 +121,7 @@ def send_stop(path: Path, level: StopLevel, *, end: bool = False) -> socket.sock
 def start_face(path: Path, patience_s: float = _PATIENCE_S) -> Answer:
     """Start a stopped face: {"accepted": "start"}, or {"error"}: one line. Raises as `ask`.
 
-    A face that is just coming to the end of a stop is asked again until it has, within
+    A face that is just coming to the end of a stop is sent the order again until it has, within
     `patience_s`. Whether it came to be driven is in `status`: `state`, `troubles`.
     """
     give_up_s = time.monotonic() + patience_s
@@ -136,7 +136,7 @@ def start_face(path: Path, patience_s: float = _PATIENCE_S) -> Answer:
 def change_setting(path: Path, name: str, value: float) -> Answer:
     """Set what may change while a face runs: {"set", "value"}, or {"error"}: one line.
 
-    Raises OSError when nobody answers.
+    Raises OSError when no face answers.
     """
     answer = change_settings(path, {name: value})
     return answer if "error" in answer else {**answer, "set": name, "value": value}
@@ -145,7 +145,7 @@ def change_setting(path: Path, name: str, value: float) -> Answer:
 def change_settings(path: Path, values: Mapping[str, float]) -> Answer:
     """Set several things, all or none: {"set": {name: value, ...}}, or {"error"}: one line.
 
-    Raises OSError when nobody answers.
+    Raises OSError when no face answers.
     """
     pairs = [f"{name} {float(value)!r}" for name, value in values.items()]
     word = " ".join((SET_WORD, *pairs))
@@ -162,9 +162,9 @@ def change_settings(path: Path, values: Mapping[str, float]) -> Answer:
 
 
 def switch_servo(path: Path, name: str, switch: ServoSwitch) -> Answer:
-    """Ask for one servo to be switched off or on, or rebooted: {"servo", "asked"}, or {"error"}.
+    """Order one servo switched off or on, or rebooted; the answer has "servo", or "error".
 
-    What became of it is in `status`: `servos`, `troubles`. Raises OSError when nobody answers.
+    What became of it is in `status`: `servos`, `troubles`. Raises OSError when no face answers.
     """
     return _ask_of(path, SERVO_WORD, name, switch.value)
 
@@ -177,7 +177,7 @@ def arm_jog(path: Path) -> Answer:
 def jog_servo(path: Path, name: str, position_deg: float) -> Answer:
     """Let one joint go there, in joint degrees: {"jog", "position_deg"}, or {"error"}.
 
-    Jogging ends 3 s after the last jog word of whatever kind. Raises OSError when nobody answers.
+    Jogging ends 3 s after the last jog word of whatever kind. Raises OSError when no face answers.
     """
     return _ask_of(path, JOG_WORD, name, repr(float(position_deg)))
 
@@ -209,7 +209,7 @@ def _is_name(text: str) -> bool:
 def watch(path: Path, patience_s: float = _PATIENCE_S) -> int:
     """A descriptor of the memory where the face at `path` tells what it does, to read only.
 
-    `lipservo.runtime.status.live_board` reads it. Raises OSError when nobody answers, ControlError
+    `lipservo.runtime.status.live_board` reads it. Raises OSError when no face answers, ControlError
     when the face cannot be watched.
     """
     give_up_s = time.monotonic() + patience_s
@@ -242,8 +242,8 @@ def stop_and_wait(
     end: as `send_stop`. sent: what that returned, where the stop was sent already.
 
     FREEZE has no end: its report is None. So is that of a face that has gone without one, or has
-    not come to its end within `patience_s`. A face whose bridge dies in between is asked again.
-    Raises TimeoutError when no answer comes within `answer_s`, OSError when nobody listens.
+    not come to its end within `patience_s`. A face whose bridge dies in between is sent it again.
+    Raises TimeoutError when no answer comes within `answer_s`, OSError when no process listens.
     """
     began_s = time.monotonic()
     give_up_s = began_s + patience_s

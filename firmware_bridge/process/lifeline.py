@@ -40,7 +40,7 @@ class Stopped:
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """A person took a freeze back: the face is driven again."""
+    """A person ended a freeze: the face is driven again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ Message = Stopped | Started | NotStarted | Failed | Switched | Began | Ready
 class Lifeline:
     """The child's end; none of it ever waits or raises. closed: the supervisor is gone.
 
-    What must not be lost is said again at the next beat while the other end has no room for it.
+    What must not be lost is sent again at the next beat while the other end has no room for it.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class Lifeline:
         self._say((b"E" if ends else b"S") + words)
 
     def started(self) -> None:
-        """A person took a freeze back."""
+        """Report that a person ended a freeze."""
         self._say(b"G")
 
     def not_started(self, reason: str) -> None:
@@ -169,11 +169,11 @@ class LifelineWatch:
         self.closed = False
 
     def fileno(self) -> int:
-        """Readable when something was said, and when the other end is closed."""
+        """Readable when a message came, and when the other end is closed."""
         return self._end.fileno()
 
     def read(self) -> list[Message]:
-        """What was said since the last call, in its order, beats aside; never waits."""
+        """Messages since the last call, in their order, beats aside; never waits."""
         messages: list[Message] = []
         for _ in range(_MOST_AT_ONCE):
             try:

@@ -1,4 +1,4 @@
-"""Log records as lines, written by a thread of their own: a terminal that hangs stops nobody.
+"""Log records as lines, written by a thread of their own: a terminal that hangs stops no caller.
 
 What is logged again and again, and what is logged too fast, does not fill a disk either.
 """

@@ -19,7 +19,7 @@ _BRIDGE_COMMAND: Final = "bridge-process"
 _CONTROL_OPTION: Final = "--control"
 #: Ends what hangs: nobody here handles it, and the unit tells systemd that it is a person's stop,
 #: after which nothing is started again.
-END_OF_HUNG: Final = signal.SIGUSR2
+END_OF_HUNG: Final = getattr(signal, "SIGUSR2", signal.SIGTERM)  # Windows has no SIGUSR2
 #: A process dies in some milliseconds, unless a driver holds it.
 _DEATH_S: Final = 0.5
 _LOOK_S: Final = 0.01
@@ -106,7 +106,7 @@ def _processes() -> Iterator[int]:
 
 
 def _links(pid: int) -> Iterator[tuple[str, Path]]:
-    """What every descriptor of a process leads to, and where more is said about it."""
+    """Where every descriptor of a process leads, and the folder that describes it."""
     folder = _PROC / str(pid)
     try:
         numbers = os.listdir(folder / "fd")

@@ -1,4 +1,4 @@
-"""Which buses faces have driven at a port, for whoever lets go of them when the faces are dead.
+"""Which buses faces have driven at a port, for a process that lets go of them after a crash.
 
 A file for each board beside the control sockets, written before the port is opened: nothing of one
 kind of servo may be written to another.

@@ -8,7 +8,6 @@ Socket files, too: who may make one, whether a face listens there, and room for 
 
 import contextlib
 import errno
-import fcntl
 import os
 import re
 import socket
@@ -27,6 +26,12 @@ _OWN_VARIABLE: Final = "LIPSERVO_RUNTIME"
 _LONGEST_FACE_NAME: Final = 40
 
 
+#: Unix sockets that keep messages whole and name their peer, file locks and /proc. Without them
+#: what needs no running face works: docs/decisions/0082-release.md.
+RUNS_FACES: Final = hasattr(socket, "SO_PEERCRED")
+NEEDS_LINUX: Final = "servos and running faces need Linux; `lipservo doctor` says what works here"
+
+
 class ControlError(Exception):
     """A face cannot listen, or cannot be spoken to; one line: what, where, what to do."""
 
@@ -36,6 +41,7 @@ def runtime_folder() -> Path:
 
     Raises ControlError when it cannot be made, or is not ours alone to write into.
     """
+    _check_system()
     given = os.environ.get("RUNTIME_DIRECTORY", "").split(":")[0]
     own = os.environ.get(_OWN_VARIABLE, "")
     if given and not own:
@@ -76,6 +82,7 @@ def searched_folders() -> list[Path]:
     What cannot be looked into is left out, and so is a folder of others that does not belong to the
     user whose number is in its name: what lies there may be anything.
     """
+    _check_system()
     if own := os.environ.get(_OWN_VARIABLE, ""):
         return [each for each in (Path(own),) if _may_look_into(each)]
     candidates = [Path(each) for each in os.environ.get("RUNTIME_DIRECTORY", "").split(":") if each]
@@ -85,6 +92,11 @@ def searched_folders() -> list[Path]:
         found = [(each, _user_in_name(each)) for each in _folders_of_others()]
         candidates += [each for each, uid in found if uid is not None and _belongs_to(each, uid)]
     return [each for each in dict.fromkeys(candidates) if _may_look_into(each)]
+
+
+def _check_system() -> None:
+    if not RUNS_FACES:
+        raise ControlError(NEEDS_LINUX)
 
 
 def _own_folder() -> Path:
@@ -141,6 +153,8 @@ def held_folder(folder: Path, patience_s: float = _FOLDER_PATIENCE_S) -> Iterato
 
     Raises ControlError where it cannot be opened, or others hold it for longer than `patience_s`.
     """
+    import fcntl
+
     give_up_s = time.monotonic() + patience_s
     try:
         fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
@@ -161,7 +175,7 @@ def held_folder(folder: Path, patience_s: float = _FOLDER_PATIENCE_S) -> Iterato
 
 
 def knock(path: Path) -> int:
-    """Connect and hang up again: 0 when somebody listens, else the number of the error."""
+    """Connect and disconnect again: 0 when a process listens, else the number of the error."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
         probe.setblocking(False)
         try:
@@ -172,7 +186,7 @@ def knock(path: Path) -> int:
 
 
 def is_dead_socket(path: Path) -> bool:
-    """Whether a socket lies there that nobody listens on any more, and it is ours to remove."""
+    """Whether a socket lies there that no process listens on any more, and it is ours to remove."""
     try:
         found = path.lstat()
     except OSError:

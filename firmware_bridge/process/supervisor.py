@@ -65,7 +65,7 @@ _RELEASE_AGAIN_S: Final = 5.0
 
 
 class _Phase(Enum):
-    """Of the bridge; the value is what people are told while it cannot answer itself."""
+    """State of the bridge; the value is reported while the bridge cannot answer itself."""
 
     RUNNING = "the bridge starts"
     RELEASING = "the bridge is down, torque is being switched off"
@@ -78,7 +78,7 @@ class SupervisedServos:
     """The servos of a face, as far as they matter when no bridge drives them.
 
     can: by name, what each can report. make_release: torque off by force, given how long silent
-    servos are asked again, seconds.
+    servos are polled again, seconds.
     """
 
     can: Mapping[str, BusCapabilities]
@@ -154,7 +154,7 @@ class Supervisor:
     def step(self, now_s: float, n_signals: int = 0, signal_name: str = "") -> StopReport | None:
         """Do all that is due at monotonic `now_s`; the report once the face has ended.
 
-        n_signals: how often the process was asked to end so far.
+        n_signals: how often the process was signalled to end so far.
         """
         self._now_s = now_s
         bridge_status, speech_status = self._bridge.child.ended(), self._speech.child.ended()
@@ -178,7 +178,7 @@ class Supervisor:
         return min(due, default=now_s + _LONGEST_WAIT_S)
 
     def status(self) -> dict[str, object]:
-        """What is answered while no bridge can: plain values that nothing has to be asked for."""
+        """Return the answer to a status request while no bridge can give one: plain values."""
         stop, report = self._stop, self._stop_report
         return {
             "state": _Phase.STOPPED.value if report is not None else self._phase.value,
@@ -402,7 +402,10 @@ class Supervisor:
             self._begin_release(now_s)
 
     def _may_restart(self) -> bool:
-        """A bridge that fails at its first start has said why; trying again would not help."""
+        """Whether to restart.
+
+        A bridge that failed at its first start has reported why, and stays down.
+        """
         failed_at_start = not self._ran_well and self._last_status > 0
         hopeless = (ExitStatus.CRITICAL_SERVO_FAILED, ExitStatus.UNCONFIRMED)
         return self._last_status not in hopeless and not failed_at_start

@@ -16,9 +16,9 @@ _RETRY_S: Final = 0.05
 class TorqueRelease:
     """Torque off by force, one small step a call, so that a loop can go on meanwhile.
 
-    confirmed: the servos that were read limp, by address; released: those that were told and cannot
-    say it; unconfirmed: why the others were not; port_error: why the port cannot be opened just
-    now, empty once it is.
+    confirmed: the servos that were read limp, by address; released: those that were sent the order
+    and cannot say it; unconfirmed: why the others were not; port_error: why the port cannot be
+    opened just now, empty once it is.
     """
 
     def __init__(
@@ -30,9 +30,9 @@ class TorqueRelease:
         searches: bool = False,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        """timeout_s: how long servos are asked again that do not answer; three times at least.
+        """timeout_s: how long silent servos are polled again; three times at least.
 
-        searches: whoever else is found at the port is asked, too.
+        searches: whether other servos that are found at the port are polled, too.
         """
         self._open_port = open_port
         self._addresses = tuple(addresses)
@@ -52,7 +52,7 @@ class TorqueRelease:
 
     @property
     def is_open(self) -> bool:
-        """Whether the servos have been told."""
+        """Whether torque off has been sent."""
         return self._port is not None
 
     def step(self) -> bool:
@@ -84,14 +84,14 @@ class TorqueRelease:
         self._opened_s = self._now_s()
         self._n_rounds = 0
         self.confirmed = []
-        asked: Sequence[int] = self._addresses
+        addresses: Sequence[int] = self._addresses
         if self._searches:
-            asked = port.find(asked)
+            addresses = port.find(addresses)
         else:
-            port.tell_all(asked)
-        self.unconfirmed = dict.fromkeys(asked, NOT_SEEN)
+            port.tell_all(addresses)
+        self.unconfirmed = dict.fromkeys(addresses, NOT_SEEN)
         if not port.confirms:
-            self.released, self.unconfirmed = list(asked), {}
+            self.released, self.unconfirmed = list(addresses), {}
 
     def _next_round(self, port: PortRelease) -> None:
         if self._n_rounds:
@@ -154,7 +154,7 @@ class FaceRelease:
 
     @property
     def let_go(self) -> list[str]:
-        """Those that were read limp, and those that were told and cannot say it."""
+        """The servos that were read limp, and those that were sent the order and cannot confirm."""
         return [
             names.get(address, f"address {address}")
             for each, names in self._ports
@@ -191,7 +191,7 @@ def release_port(
     *,
     timeout_s: float = 0.0,
 ) -> TorqueRelease:
-    """Torque off at a port: everybody there is told, whoever is found is asked.
+    """Torque off at a port: the order is broadcast, and every servo that is found is polled.
 
     addresses: must be found. Waits up to `timeout_s` for the port. Raises PortError when it cannot
     be opened.

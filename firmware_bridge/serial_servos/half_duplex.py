@@ -51,7 +51,7 @@ class PendingAnswers:
     """Whose answer of how many bytes may still come, and until when.
 
     A status packet says who answers and how many bytes it holds, not which question it answers. So
-    a question whose answer would look like a pending one must be asked in another length.
+    a question whose answer would look like a pending one must be sent in another length.
     any: whether there may be something; `expire` makes it exact.
     """
 
@@ -92,14 +92,14 @@ class PendingAnswers:
     def looks_like(self, servo_id: int, size: int, request: bytes) -> bool:
         """Whether an answer to `request` could be taken for one to some other request.
 
-        For what has the same answer whenever it is asked: pings, and writes of the same bytes.
+        For requests that always have the same answer: pings, and writes of the same bytes.
         """
         return self._requests.get((servo_id, size), request) != request
 
     def free_size(self, ids: Iterable[int], size: int, step: int = 1) -> int:
         """The least of size, size + step, ... that no pending answer of `ids` has."""
-        asked = {*ids, ANYBODY}
-        taken = {pending for servo_id, pending in self._until_s if servo_id in asked}
+        allowed_ids = {*ids, ANYBODY}
+        taken = {pending for servo_id, pending in self._until_s if servo_id in allowed_ids}
         while size in taken:
             size += step
         return size
@@ -128,7 +128,7 @@ class HalfDuplex:
     last transaction.
     echoes: the adapter gives back what is sent, which is found out by itself and swallowed.
     extra_wait_s: how long beyond its time an answer is waited for; for commands outside the loop.
-    heard_noise: something came last time, but not what was asked.
+    heard_noise: bytes came last time, but not the expected answer.
     """
 
     def __init__(self, transport: Transport, return_delay_s: float, extra_wait_s: float) -> None:
@@ -157,7 +157,7 @@ class HalfDuplex:
         self.byte_s = BITS_PER_BYTE / baud_rate
 
     def tell(self, request: bytes) -> None:
-        """Send what nobody answers."""
+        """Send a request without an answer."""
         self._send(request)
 
     def _send(self, request: bytes) -> float:
@@ -178,7 +178,7 @@ class HalfDuplex:
         take: "Take[_Answer]",
         is_over: Callable[[bytes], bool] = lambda _: False,
         *,
-        n_turns: int = 1,
+        n_answers: int = 1,
         extra_wait_s: float = 0.0,
     ) -> _Answer | None:
         """Send, then read until `take` is content or the time of the reply is over."""
@@ -187,7 +187,7 @@ class HalfDuplex:
             extra_wait_s = self.extra_wait_s
         transport.discard_input()
         due_s = self._send(request) + reply_size * self.byte_s
-        wire_end_s = due_s + n_turns * self.return_delay_s
+        wire_end_s = due_s + n_answers * self.return_delay_s
         deadline_s = wire_end_s + self.latency.slack_s + extra_wait_s
         clock.sleep_until(due_s)
         heard = transport.read(deadline_s)

@@ -96,12 +96,34 @@ class Mounting:
         self._zero = center + offset * self._scale
 
     def pulses(self, joint_deg: Array) -> Array:
-        """Whole pulses, as floats: what is not finite stays so."""
+        """Return the servos' position values for joint angles.
+
+        Parameters
+        ----------
+        joint_deg : Array
+            (n_servos,) degrees.
+
+        Returns
+        -------
+        Array
+            (n_servos,) whole pulses, as floats: what is not finite stays so.
+        """
         pulses: Array = np.rint(self._zero + joint_deg * self._scale)
         return pulses
 
     def joint_deg(self, pulses: Array) -> Array:
-        """Joint degrees; NaN stays NaN."""
+        """Return joint angles for the servos' position values.
+
+        Parameters
+        ----------
+        pulses : Array
+            (n_servos,).
+
+        Returns
+        -------
+        Array
+            (n_servos,) degrees; NaN stays NaN.
+        """
         joint_deg: Array = (pulses - self._zero) / self._scale
         return joint_deg
 

@@ -56,7 +56,7 @@ def differences(found: Mapping[str, int], wanted: Mapping[str, int]) -> list[Dif
 
 
 def chain_is_complete(servos: Sequence[MountedServo[Any]], found: Found) -> bool:
-    """Whether every servo answers at its own id, so that nobody needs to be unplugged."""
+    """Whether every servo answers at its own id, so that none needs to be unplugged."""
     return all(servo.joint.servo_id in found for servo in servos)
 
 
@@ -73,7 +73,7 @@ class ChainSetup:
     mounted_servos
         Every servo of a face in its place.
     rates, factory_rate, slowest_rate
-        Worth trying, the likely ones first; of a new servo; tried only while nobody answers.
+        Worth trying, the likely ones first; of a new servo; tried only while no servo answers.
     rate_of
         Baud rate by the code that register `baud_rate` holds.
     answers
@@ -192,8 +192,9 @@ class ChainSetup:
 
         Torque goes off first and stays off. Of both position limits the one comes first that keeps
         them in order: servos refuse a lower limit above the upper one. The id and then the baud
-        rate come last, and the line follows to the new rate. Whoever stops between two leaves
-        nothing half-written. Raises ServoError when the servo refuses or does not keep a value.
+        rate come last, and the line follows to the new rate. A process that stops between two
+        leaves nothing half-written. Raises ServoError when the servo refuses or does not keep a
+        value.
         """
         if not changes:
             return

@@ -125,7 +125,7 @@ def open_port(port: str, baud_rate: int, clock: Clock | None = None) -> SerialTr
 
 
 def claim(fd: int) -> None:
-    """Let nobody else open the port of `fd`. Raises OSError when somebody has claimed it.
+    """Lock the port of `fd` for this process. Raises OSError when another holds the lock.
 
     The lock keeps out those who ask for it, root too; the flag of the terminal everybody but root.
     """

@@ -87,17 +87,49 @@ class ServoStateCache:
         self.heard_s[index] = now_s
 
     def ages(self, answered: Sequence[int], now_s: float) -> Array:
-        """How old each servo's part of a reading is; 0 for the ids that just answered."""
+        """Return how old each servo's part of a reading is.
+
+        Parameters
+        ----------
+        answered : Sequence[int]
+            Ids that just answered.
+        now_s : float
+            Monotonic seconds.
+
+        Returns
+        -------
+        Array
+            (n_servos,) seconds; 0 for those ids.
+        """
         ages = np.maximum(now_s - self.heard_s, 1e-9)
         ages[[self.index[each] for each in answered]] = 0.0
         return ages
 
     def count_silent(self, ages_s: Array) -> None:
-        """Who did not answer a question to all."""
+        """Count servos that did not answer a request to all.
+
+        Parameters
+        ----------
+        ages_s : Array
+            (n_servos,) seconds; 0: answered.
+        """
         self.unanswered = read_only(self.unanswered + (ages_s > 0.0))
 
     def health(self, now_s: float, current_ma: Array) -> Health:
-        """For others to keep."""
+        """Return the condition of all servos, in arrays that do not change afterwards.
+
+        Parameters
+        ----------
+        now_s : float
+            Monotonic seconds.
+        current_ma : Array
+            (n_servos,) mA.
+
+        Returns
+        -------
+        Health
+            The arrays are (n_servos,).
+        """
         return Health(
             silent_s=now_s - self.heard_s,
             torque_on=self.torque,
@@ -113,6 +145,17 @@ class ServoStateCache:
 
 
 def read_only(array: NDArray[_Kind]) -> NDArray[_Kind]:
-    """The same array, which nobody may write into any more."""
+    """Return the same array, made read-only.
+
+    Parameters
+    ----------
+    array : NDArray[_Kind]
+        Of any shape.
+
+    Returns
+    -------
+    NDArray[_Kind]
+        `array` itself.
+    """
     array.flags.writeable = False
     return array

@@ -51,7 +51,7 @@ class SimulatedBus:
         n_remembered: int = 20_000,
         capabilities: BusCapabilities = IN_MEMORY,
     ) -> None:
-        """Servos standing limp at `start_deg`, (n_servos,), or in neutral.
+        """Limp servos at `start_deg`, (n_servos,), or in neutral.
 
         capabilities: what they cannot measure they report as NaN.
 
@@ -86,7 +86,18 @@ class SimulatedBus:
         return tuple(self._history)
 
     def write_positions(self, positions_deg: Array) -> None:
-        """Set every goal that is inside its servo's range; NaN is not."""
+        """Set every goal that is inside its servo's range; NaN is not.
+
+        Parameters
+        ----------
+        positions_deg : Array
+            (n_servos,) joint degrees.
+
+        Raises
+        ------
+        ValueError
+            positions_deg has another shape.
+        """
         if positions_deg.shape != self._goals_deg.shape:
             raise ValueError(
                 f"expected positions of shape {self._goals_deg.shape}, got {positions_deg.shape}"
@@ -98,7 +109,13 @@ class SimulatedBus:
         self._history.append(Motion(self._moved_until_s, self._goals_deg, self._positions_deg))
 
     def widen(self, joints: NDArray[np.bool_]) -> None:
-        """Of hobby servos; others keep their range."""
+        """Widen the range of hobby servos; others keep theirs.
+
+        Parameters
+        ----------
+        joints : NDArray[np.bool_]
+            (n_servos,).
+        """
         self._min_deg, self._max_deg = np.where(joints, self._reach_deg, self._narrow_deg)
 
     def read(self) -> Readings:
@@ -175,7 +192,13 @@ class SimulatedBus:
         return True
 
     def disable_all(self) -> NDArray[np.bool_]:
-        """Let every servo go limp."""
+        """Switch the torque of every servo off.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n_servos,), all True.
+        """
         self._move()
         self._torque_on = np.zeros(self._goals_deg.shape, dtype=np.bool_)
         return np.ones(self._goals_deg.shape, dtype=np.bool_)
@@ -197,7 +220,13 @@ class SimulatedBus:
         self._torque_on[index] = on
 
     def push_by_hand(self, positions_deg: Array) -> None:
-        """Put limp joints somewhere, (n_servos,), as a person would; held ones do not give."""
+        """Put limp joints somewhere, as a person would; held ones do not give.
+
+        Parameters
+        ----------
+        positions_deg : Array
+            (n_joints,) degrees.
+        """
         self._move()
         self._positions_deg = np.where(self._torque_on, self._positions_deg, positions_deg)
 

@@ -146,11 +146,16 @@ class SimulatedChain:
 
     @property
     def motion(self) -> Callable[[float, Array], None] | None:
-        """Who is told of every step of the motion: its time, and the shafts' positions, (n,).
+        """The callback for every step of the motion, 5 ms; None, the default, costs nothing.
 
-        Steps are 5 ms. Positions are pulses as `Motors` counts them, which is as present_position
-        does for servos that are neither reversed nor given a homing offset. The array is the
-        motors' own: copy what is kept. None, the default, costs nothing.
+        Positions are pulses as `Motors` counts them, which is as present_position does for servos
+        that are neither reversed nor given a homing offset. The array is the motors' own: copy what
+        is kept.
+
+        Returns
+        -------
+        Callable[[float, Array], None] | None
+            Called with the time in s, and the shafts' positions, (n_servos,) pulses.
         """
         return self.motors.motion
 
@@ -226,7 +231,7 @@ class SimulatedChain:
         return self._wire.deliver(now_s)
 
     def _hear(self, frame: Frame, end_s: float, byte_s: float, baud_rate: int) -> None:
-        """Every servo of this baud rate hears one whole instruction."""
+        """Give every servo of this baud rate one whole instruction."""
         self.counts.instructions += 1
         self.advance(end_s)
         listening = [s for s in self.servos if s.baud_rate == baud_rate and s.deaf_until_s <= end_s]
@@ -260,7 +265,10 @@ class SimulatedChain:
     def _broadcast(
         self, listening: list[SimulatedServo], instruction: int, parameters: bytes, byte_s: float
     ) -> None:
-        """Nobody answers, but to a ping. A reset of everything is ignored, as the manual says."""
+        """Broadcast: no servo answers, but to a ping.
+
+        A factory reset of all is ignored, as the manual says.
+        """
         if instruction == Instruction.FACTORY_RESET and parameters[:1] == b"\xff":
             return
         end_s = self._wire.until_s
@@ -284,15 +292,15 @@ class SimulatedChain:
                 continue
             start_s = self._wire.until_s
             for servo in answering:
-                said = servo.read_span(address, size)
-                self._wire.say(servo, servo_id, said, start_s, byte_s)
+                data = servo.read_span(address, size)
+                self._wire.say(servo, servo_id, data, start_s, byte_s)
 
     def _read_together(
         self, listening: list[SimulatedServo], wanted: list[SpanWanted], byte_s: float
     ) -> None:
-        """All in one frame, which ends where somebody is silent."""
+        """Reply in one frame, which ends at the first silent servo."""
         by_id = _by_id(listening)
-        said = []
+        replies = []
         for servo_id, address, size in wanted:
             answering = by_id.get(servo_id)
             if not answering or self._wire.swallows(answering[0]):
@@ -300,10 +308,10 @@ class SimulatedChain:
             error, data = answering[0].read_span(address, size)
             if len(data) != size:
                 break
-            said.append((answering[0], error, data))
-        if said:
-            missing = [each.size for each in wanted[len(said) :]]
-            self._wire.say_together(said, missing, self._wire.until_s, byte_s)
+            replies.append((answering[0], error, data))
+        if replies:
+            missing = [each.size for each in wanted[len(replies) :]]
+            self._wire.say_together(replies, missing, self._wire.until_s, byte_s)
 
 
 def _by_id(listening: list[SimulatedServo]) -> dict[int, list[SimulatedServo]]:
@@ -316,7 +324,7 @@ def _by_id(listening: list[SimulatedServo]) -> dict[int, list[SimulatedServo]]:
 
 
 def chain_for(servos: Sequence[MountedServo], baud_rate: int, **options: Any) -> SimulatedChain:
-    """Every servo with its id, rate and limits, standing limp in neutral.
+    """Every servo with its id, rate and limits, limp in neutral.
 
     options: those of `SimulatedChain`.
     """

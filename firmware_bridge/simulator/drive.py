@@ -162,7 +162,7 @@ class Drive:
         self._model = model
         self._stall_ma = model.stall_a * 1e3
         self._has_current = "goal_current" in model.registers
-        self._turns = 0
+        self._n_revolutions = 0
         self._sign, self._zero = 1.0, 0.0
         self._profile = Profile(False, 0, 0)
         self._profile_is_new = True
@@ -199,7 +199,7 @@ class Drive:
             offset = 0
         reversed_ = bool(drive_mode & REVERSED)
         self._sign = -1.0 if reversed_ else 1.0
-        self._zero = float(offset + (_TURN if reversed_ else 0) - _TURN * self._turns)
+        self._zero = float(offset + (_TURN if reversed_ else 0) - _TURN * self._n_revolutions)
         motors.sign[i], motors.zero[i] = self._sign, self._zero
         timed = bool(drive_mode & TIMED_PROFILE)
         profile = Profile(timed, table["profile_velocity"], table["profile_acceleration"])
@@ -223,7 +223,7 @@ class Drive:
     def count_one_turn(self) -> None:
         """Forget whole turns: the place is counted from 0 to 4095 again, but for the offset."""
         counted = float(self.motors.position[self.index]) * self._sign
-        self._turns = math.floor(counted / _TURN) + (self._sign < 0)
+        self._n_revolutions = math.floor(counted / _TURN) + (self._sign < 0)
         self.settle()
 
     def pursue(self, goal: int) -> None:

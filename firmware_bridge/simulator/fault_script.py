@@ -115,7 +115,7 @@ class _Reader:
         """The fault. Raises FaultScriptError."""
         amount = AMOUNTS.get(self._kind)
         if not self._by_chance:
-            self._check_moments()
+            self._check_times()
         values: dict[str, Any] = {}
         if "servos" in self._raw:
             values["servos"] = tuple(
@@ -125,8 +125,8 @@ class _Reader:
         if "probability" in self._raw:
             values["probability"] = self._number("probability", self._raw["probability"], 0.0, 1.0)
         if "at_s" in self._raw:
-            moments = (self._number("at_s", each, 0.0) for each in self._several("at_s"))
-            values["at_s"] = tuple(sorted(moments))
+            starts_s = (self._number("at_s", each, 0.0) for each in self._several("at_s"))
+            values["at_s"] = tuple(sorted(starts_s))
         if "every_s" in self._raw:
             values["every_s"] = self._number("every_s", self._raw["every_s"], _SHORTEST_EVERY_S)
         for key in _TIMES:
@@ -158,7 +158,7 @@ class _Reader:
             keys.append("amount")
         return keys
 
-    def _check_moments(self) -> None:
+    def _check_times(self) -> None:
         if "at_s" not in self._raw and "every_s" not in self._raw:
             raise FaultScriptError(f"{self._where}: never happens; give at_s or every_s")
         for key in ("from_s", "until_s"):

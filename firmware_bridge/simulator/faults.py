@@ -179,7 +179,13 @@ class FaultInjector:
             self._expect(when_s, n_before, fault, begins=True)
 
     def hardware_errors(self) -> NDArray[np.int64]:
-        """The bits that each servo would set now."""
+        """Return the error bits that each servo would set now.
+
+        Returns
+        -------
+        NDArray[np.int64]
+            (n_servos,).
+        """
         return self._motors.hardware_errors(self._low_v, self._high_v, self._hottest)
 
     def _begin(self, servo: SimulatedServo, fault: Fault, now_s: float) -> None:

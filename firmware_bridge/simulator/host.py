@@ -1,4 +1,4 @@
-"""Simulated Dynamixels for whoever wants to speak to them: in memory, or behind a terminal."""
+"""Simulated Dynamixels for other programs: in memory, or behind a terminal."""
 
 from pathlib import Path
 from typing import Any, Final

@@ -24,7 +24,7 @@ class SimulatedKind(DynamixelKind):
         return IN_MEMORY
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":  # noqa: ARG002 - nobody is missing
-        """Never refuses: nobody is missing."""
+        """Open the simulated bus; never refuses, since no servo is missing."""
         from firmware_bridge.simulator.bus import SimulatedBus
 
         return SimulatedBus(wiring.joints, clock, capabilities=wiring.capabilities or IN_MEMORY)

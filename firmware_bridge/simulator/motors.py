@@ -323,7 +323,20 @@ class Motors:
     def hardware_errors(
         self, low_v: Array, high_v: Array, hottest_degc: Array
     ) -> NDArray[np.int64]:
-        """The bits that each servo would set now, given its own limits."""
+        """Return the error bits that each servo would set now, given its own limits.
+
+        Parameters
+        ----------
+        low_v,high_v : Array
+            (n_servos,) V.
+        hottest_degc : Array
+            (n_servos,) degC.
+
+        Returns
+        -------
+        NDArray[np.int64]
+            (n_servos,).
+        """
         bits = VOLTAGE_ERROR * ((self.voltage_v < low_v) | (self.voltage_v > high_v))
         bits = bits + HEAT_ERROR * (self.temperature > hottest_degc)
         late = self.overload_s >= self._environment.overload_after_s

@@ -38,7 +38,7 @@ class SimulatedDevice(Protocol):
         """Hear bytes at a rate."""
 
     def deliver(self, now_s: float) -> bytes:
-        """What it has said by now."""
+        """Return the bytes that it has sent by `now_s`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +117,7 @@ _TERMINALS: Final = Path("/dev/pts")
 
 
 class PortLink:
-    """A symbolic link of ours. Whatever is somebody else's stays as it is."""
+    """A symbolic link of ours. A link or file of another program stays as it is."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -192,10 +192,10 @@ class ExclusiveAccess:
 
     @property
     def descriptors(self) -> list[int]:
-        """Readable once somebody has closed the port."""
+        """Readable once a client has closed the port."""
         return [] if self._watch is None else [self._watch]
 
-    def somebody_closed(self) -> None:
+    def other_end_closed(self) -> None:
         """Open the port to everybody again, unless a client still holds it."""
         if self._watch is not None:
             with contextlib.suppress(BlockingIOError):
@@ -308,7 +308,7 @@ class PtyHost:
             if wake_fd in ready:
                 return
             if self._access is not None and closed and closed[0] in ready:
-                self._access.somebody_closed()
+                self._access.other_end_closed()
 
     def turn(self, index: int, by_deg: float) -> None:
         """A hand turns a limp servo; of a device without shafts for hands nothing moves."""
@@ -366,7 +366,7 @@ class PtyHost:
 
 
 def _baud_rate(terminal: int) -> int | None:
-    """The rate that a client has set, in bits a second; None for one that nobody can tell."""
+    """The rate that a client has set, in bits a second; None for one that cannot be determined."""
     try:
         settings = fcntl.ioctl(terminal, _TCGETS2, bytes(_TERMIOS2_SIZE))
     except OSError:  # other numbers on some machines

@@ -45,7 +45,7 @@ _RAM: Final = register("torque_enable").address
 #: Bit of startup_configuration: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#startup-configuration60
 _TORQUE_AT_START: Final = 0x01
 #: What the instruction clear needs: https://emanual.robotis.com/docs/en/dxl/protocol2/#clear
-_CLEAR_TURNS: Final = b"\x01\x44\x58\x4c\x22"
+_CLEAR_REVOLUTIONS: Final = b"\x01\x44\x58\x4c\x22"
 #: Not in the manual: how long a restart takes, and that a reset takes as long.
 BOOT_S: Final = 0.5
 
@@ -303,7 +303,7 @@ class SimulatedServo:
 
     def _clear(self, parameters: bytes) -> int:
         """Forget whole turns, unless it moves."""
-        if parameters != _CLEAR_TURNS:
+        if parameters != _CLEAR_REVOLUTIONS:
             return StatusError.DATA_RANGE
         if self["moving"]:
             return StatusError.RESULT_FAIL

@@ -107,7 +107,7 @@ class Wire:
     def say(
         self,
         servo: SimulatedServo,
-        said_id: int,
+        replied_id: int,
         answer: tuple[int, bytes],
         after_s: float,
         byte_s: float,
@@ -115,7 +115,7 @@ class Wire:
         """One status packet, after the servo's return delay; faults may be injected."""
         start_s = after_s + servo.return_delay_s
         error, data = answer
-        raw = status(said_id, error, data)
+        raw = status(replied_id, error, data)
         times, uninvited = 1, False
         for fault in self._on_replies:
             if not fault.hits(servo.index, after_s, self._rng):
@@ -134,9 +134,9 @@ class Wire:
                 start_s += fault.amount
                 uninvited = True
             elif kind == "wrong_id":
-                raw = status((said_id + 1) % 253, error, data)
+                raw = status((replied_id + 1) % 253, error, data)
             elif kind == "error_reply":
-                raw = status(said_id, int(fault.amount) or 1, b"")
+                raw = status(replied_id, int(fault.amount) or 1, b"")
             elif kind == "babble":
                 raw += self._rng.randbytes(int(fault.amount) or 8)
                 uninvited = True
@@ -158,7 +158,7 @@ class Wire:
 
     def say_together(
         self,
-        said: list[tuple[SimulatedServo, int, bytes]],
+        replies: list[tuple[SimulatedServo, int, bytes]],
         missing: list[int],
         after_s: float,
         byte_s: float,
@@ -167,16 +167,16 @@ class Wire:
 
         missing: how many bytes of data each of those would have sent that are not heard.
         """
-        blocks = [(servo.servo_id, error, data) for servo, error, data in said]
+        blocks = [(servo.servo_id, error, data) for servo, error, data in replies]
         frame = fast_status([*blocks, *((0, 0, bytes(size)) for size in missing)])
         frame = frame[: len(frame) - sum(size + 4 for size in missing)]
         for fault in self._on_replies:
             at = 8
-            for servo, _, data in said:
+            for servo, _, data in replies:
                 if fault.kind == "corrupt_reply" and fault.hits(servo.index, after_s, self._rng):
                     frame = self._flip(frame, at, len(data) + 4)
                 at += len(data) + 4
-        self._queue(frame, after_s + said[0][0].return_delay_s, byte_s)
+        self._queue(frame, after_s + replies[0][0].return_delay_s, byte_s)
 
     def _flip(self, raw: bytes, start: int, size: int) -> bytes:
         at = start + self._rng.randrange(size) if size else 0

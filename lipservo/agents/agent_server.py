@@ -35,7 +35,7 @@ from lipservo.agents.listener import (
 )
 from lipservo.agents.messages import Outbox
 from lipservo.agents.stream_session import StreamSession
-from lipservo.agents.turns import Turns
+from lipservo.agents.turns import OpenStreams
 from lipsync.audio.playout import Playout
 
 #: Between two looks at what the playout tells.
@@ -101,7 +101,7 @@ class AgentServer:
         self._playout = playout
         self._delay_ms = delay_ms
         self._settings = settings or AgentSettings()
-        self._turns = Turns(playout, self._settings)
+        self._streams = OpenStreams(playout, self._settings)
         # In the order in which they came.
         self._clients: dict[ServerConnection, None] = {}
         self._stoppers: dict[ServerConnection, None] = {}
@@ -123,7 +123,7 @@ class AgentServer:
         return {
             "url": self._url,
             "n_clients": len(self._clients),
-            "n_streams_refused": self._turns.n_refused,
+            "n_streams_refused": self._streams.n_refused,
         }
 
     def __enter__(self) -> Self:
@@ -132,7 +132,7 @@ class AgentServer:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """What clients say is cut off, they are told, and the thread ends, whatever they do."""
+        """Cut off what clients say, send them the reason, and end the thread, whatever they do."""
         if self._loop is not None:
             with contextlib.suppress(RuntimeError):  # it has ended by itself
                 self._loop.call_soon_threadsafe(self._stopping.set)
@@ -170,7 +170,7 @@ class AgentServer:
         telling = self._loop.create_task(self._tell())
         await self._stopping.wait()
         telling.cancel()
-        self._turns.end_all()
+        self._streams.end_all()
         await _close(server, [*self._clients, *self._stoppers])
 
     def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
@@ -202,9 +202,9 @@ class AgentServer:
         session: StreamSession | ControlSession
         may_only_stop = self._handshake(connection, connection.request).may_only_stop
         if urlsplit(connection.request.path).path == STREAM_PATH:
-            session = StreamSession(outbox, self._turns, self._playout, self._delay_ms)
+            session = StreamSession(outbox, self._streams, self._playout, self._delay_ms)
         else:
-            session = ControlSession(outbox, self._commands, self._turns, may_only_stop)
+            session = ControlSession(outbox, self._commands, self._streams, may_only_stop)
         among = self._clients if may_only_stop is None else self._stoppers
         if among is self._stoppers and len(among) >= _MOST_STOPPERS:
             oldest = next(iter(among))  # its stop was sent long ago
@@ -259,11 +259,11 @@ class AgentServer:
 
     async def _tell(self) -> None:
         """Hand on what the playout tells, and where it is."""
-        told_s = 0.0
+        sent_s = 0.0
         while True:
             now_s = time.monotonic()
-            is_due = now_s - told_s >= self._settings.position_s
-            told_s = now_s if is_due else told_s
+            is_due = now_s - sent_s >= self._settings.position_s
+            sent_s = now_s if is_due else sent_s
             try:
                 self._tell_once(now_s, positions=is_due)
             except Exception as error:
@@ -273,12 +273,12 @@ class AgentServer:
             await asyncio.sleep(_POLL_S)
 
     def _tell_once(self, now_s: float, *, positions: bool) -> None:
-        self._turns.take_events(now_s)
+        self._streams.take_events(now_s)
         while self._playout.phonemes:
-            self._turns.tell_phoneme(*self._playout.phonemes.popleft())
+            self._streams.tell_phoneme(*self._playout.phonemes.popleft())
         if positions:
-            self._turns.end_stalled(now_s)
-            self._turns.tell_positions()
+            self._streams.end_stalled(now_s)
+            self._streams.tell_positions()
 
 
 async def _send(connection: ServerConnection, outbox: Outbox) -> None:
@@ -288,7 +288,7 @@ async def _send(connection: ServerConnection, outbox: Outbox) -> None:
 
 
 async def _close(server: Server, clients: Iterable[ServerConnection]) -> None:
-    """Every client is told; who does not answer is cut off a second later."""
+    """Close every client's connection; one that does not answer is cut off a second later."""
     ends = [asyncio.ensure_future(each.close(_GOING_AWAY, "shutting_down")) for each in clients]
     if ends:
         await asyncio.wait(ends, timeout=2.0 * _CLOSING_S)
@@ -303,13 +303,13 @@ class MessageRate:
     def __init__(self, per_s: float) -> None:
         self._per_s = per_s
         self._left = per_s
-        self._asked_s = 0.0
+        self._refilled_s = 0.0
 
     def wait_s(self, now_s: float) -> float:
         """One more message has come at monotonic `now_s`: how long to wait before the next."""
-        if self._asked_s:
-            filled = (now_s - self._asked_s) * self._per_s
+        if self._refilled_s:
+            filled = (now_s - self._refilled_s) * self._per_s
             self._left = min(self._per_s, self._left + filled)
-        self._asked_s = now_s
+        self._refilled_s = now_s
         self._left -= 1.0
         return max(0.0, -self._left / self._per_s)

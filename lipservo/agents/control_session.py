@@ -33,7 +33,7 @@ from lipservo.agents.messages import (
     command,
     id_of,
 )
-from lipservo.agents.turns import Turns
+from lipservo.agents.turns import OpenStreams
 
 #: Commands of one client that are worked on at a time.
 _MOST_PENDING: Final = 8
@@ -73,13 +73,13 @@ class ControlSession:
         self,
         outbox: Outbox,
         commands: Commands,
-        turns: Turns,
+        streams: OpenStreams,
         may_only_stop: Refusal | None = None,
     ) -> None:
         """may_only_stop: why everything but a stop is refused; None: it is not."""
         self._outbox = outbox
         self._commands = commands
-        self._turns = turns
+        self._streams = streams
         self._may_only_stop = may_only_stop
         self._pending: dict[asyncio.Task[None], Command] = {}
         self._stops: dict[asyncio.Task[None], Stop] = {}
@@ -138,7 +138,10 @@ class ControlSession:
         task.add_done_callback(lambda done: self._stops.pop(done, None))
 
     def leave(self) -> None:
-        """The client has gone; what it asked for is done, and nobody is told."""
+        """The client has disconnected.
+
+        Its commands are completed, and their results are not sent.
+        """
         self._outbox.close()
 
     async def _answer(
@@ -176,17 +179,19 @@ class ControlSession:
     ) -> Mapping[str, object]:
         if speak is None:
             raise MessageError("not_available", f"not available: this face has no {given.type}")
-        own = self._turns.open_own(self._outbox, given.id, what if given.type == "play" else "say")
+        own = self._streams.open_own(
+            self._outbox, given.id, what if given.type == "play" else "say"
+        )
         loop = asyncio.get_running_loop()
         try:
             spoken = await loop.run_in_executor(self._commands.speaking, speak, what, own.stream_id)
         except ValueError as error:
-            self._turns.forget(own)
+            self._streams.forget(own)
             if isinstance(error, MessageError):
                 raise
             raise MessageError("refused", " ".join(str(error).split())) from error
         except BaseException:
-            self._turns.forget(own)
+            self._streams.forget(own)
             raise
         own.spoken = spoken
         length = {"duration_s": round(spoken.duration_s, 3), "is_whole": spoken.is_whole}

@@ -56,12 +56,12 @@ class AgentSettings:
     """The bounds of an `AgentServer`.
 
     policy: who may connect.
-    when_busy: what becomes of a stream while somebody else's is said. most_streams: that are said
-    or wait, of all clients together. messages_per_s: of one client; more wait in its own socket.
-    first_message_s: a client that has said nothing by then is disconnected. stalled_s: a stream
-    that gets no audio for so long is ended. position_s: between two
-    positions that are told unasked. ping_s: a client is asked so often whether it is there, and has
-    twice as long to answer: one that is gone is noticed within ten seconds.
+    when_busy: what becomes of a stream while another client's is spoken. most_streams: that are
+    spoken or wait, of all clients together. messages_per_s: of one client; more wait in its own
+    socket. first_message_s: a client that has sent nothing by then is disconnected. stalled_s: a
+    stream that gets no audio for so long is ended. position_s: between two positions that are sent
+    unrequested. ping_s: a client is pinged so often, and has twice as long to answer: one that is
+    gone is noticed within ten seconds.
     """
 
     policy: Policy = field(default_factory=Policy)

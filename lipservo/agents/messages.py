@@ -54,7 +54,7 @@ Event = Mapping[str, object]
 
 
 class MessageError(ValueError):
-    """A mistake of the client's, told to it: a code of docs/agents.md and one plain line."""
+    """A mistake of the client's, sent to it: a code of docs/agents.md and one plain line."""
 
     def __init__(self, code: str, message: str) -> None:
         super().__init__(message)
@@ -69,7 +69,7 @@ _Kind = TypeVar("_Kind", bound=_Message)
 
 
 class Hello(_Message):
-    """I am here, and may be silent for long. protocol: the client's version; None: not said."""
+    """I am here, and may be silent for long. protocol: the client's version; None: not given."""
 
     type: Literal["hello"]
     protocol: int | None = None
@@ -94,7 +94,7 @@ class Audio(_Message):
 
 
 class End(_Message):
-    """The stream is complete; it is said to its end."""
+    """The stream is complete; it is spoken to its end."""
 
     type: Literal["end"]
 
@@ -159,14 +159,16 @@ class Unit(_Message):
 Units = Annotated[list[Unit], Field(min_length=1, max_length=_MOST_UNITS)]
 
 
-class _Told(_Message):
-    """stream: one that is said or waits; None: the open one."""
+class _SpeechMessage(_Message):
+    """stream: one that is spoken or waits; None: the open one."""
 
     stream: Name | None = None
 
 
-class Text(_Told):
-    """What is said, as it is written: before its sound, with it or after it; more, or corrected.
+class Text(_SpeechMessage):
+    """The words of a stream, as they are written: before its sound, with it or after it.
+
+    More, or corrected.
 
     With `start_sample` it replaces all text from there on.
     """
@@ -177,23 +179,23 @@ class Text(_Told):
     language: Language = DEFAULT_LANGUAGE
 
 
-class Words(_Told):
-    """Words that are said, with times or without."""
+class Words(_SpeechMessage):
+    """Words that are spoken, with times or without."""
 
     type: Literal["words"]
     units: Units
     language: Language = DEFAULT_LANGUAGE
 
 
-class Phonemes(_Told):
-    """Phonemes that are said; without times they are looked for in the sound."""
+class Phonemes(_SpeechMessage):
+    """Phonemes that are spoken; without times they are looked for in the sound."""
 
     type: Literal["phonemes"]
     units: Units
     alphabet: Name = ARPABET
 
 
-class Visemes(_Told):
+class Visemes(_SpeechMessage):
     """Shapes of the mouth, with the times when they begin."""
 
     type: Literal["visemes"]
@@ -238,7 +240,7 @@ class Set(_Command):
 
 
 class Say(_Command):
-    """A text is to be said."""
+    """Speak a text."""
 
     type: Literal["say"]
     text: Annotated[str, Field(min_length=1, max_length=_LONGEST_TEXT)]
@@ -251,9 +253,9 @@ class Play(_Command):
     file: Annotated[str, Field(min_length=1, max_length=1024)]
 
 
-Told = Text | Words | Phonemes | Visemes
+SpeechUnits = Text | Words | Phonemes | Visemes
 StreamMessage = (
-    Hello | Start | Audio | End | Interrupt | Clear | Pause | Resume | Mark | Position | Told
+    Hello | Start | Audio | End | Interrupt | Clear | Pause | Resume | Mark | Position | SpeechUnits
 )
 Command = AskStatus | Stop | StartFace | Set | Say | Play
 
@@ -333,18 +335,20 @@ def _checked(kind: type[_Kind], fields: dict[str, object]) -> _Kind:
         raise MessageError("bad_message", f"{fields['type']}: {reason}") from None
 
 
-def spoken_text_of(told: Told, sample_rate_hz: int) -> SpokenText:
+def spoken_text_of(message: SpeechUnits, sample_rate_hz: int) -> SpokenText:
     """What a message tells of a stream; its phonemes and visemes as those of the inventory.
 
     Raises AlphabetError, SpokenTextError.
     """
-    if isinstance(told, Text):
-        return SpokenText("text", (SpokenUnit(told.text, told.start_sample),), sample_rate_hz)
-    units = tuple(SpokenUnit(each.label, each.start_sample, each.end_sample) for each in told.units)
-    if isinstance(told, Words):
+    if isinstance(message, Text):
+        return SpokenText("text", (SpokenUnit(message.text, message.start_sample),), sample_rate_hz)
+    units = tuple(
+        SpokenUnit(each.label, each.start_sample, each.end_sample) for each in message.units
+    )
+    if isinstance(message, Words):
         return SpokenText("word", units, sample_rate_hz)
-    kind: UnitKind = "phoneme" if isinstance(told, Phonemes) else "viseme"
-    spoken = in_inventory(kind, units, told.alphabet, sample_rate_hz)
+    kind: UnitKind = "phoneme" if isinstance(message, Phonemes) else "viseme"
+    spoken = in_inventory(kind, units, message.alphabet, sample_rate_hz)
     if kind == "viseme" and not spoken.is_timed:
         raise SpokenTextError("visemes without a start_sample move no mouth")
     return spoken

@@ -75,7 +75,7 @@ class Dropped(_OfStream):
 
 
 class NothingInterrupted(_Sent):
-    """An interruption where nothing was said."""
+    """An interruption while nothing was spoken."""
 
     type: Literal["interrupted"]
     stream: None

@@ -20,10 +20,10 @@ from lipservo.agents.messages import (
     Phonemes,
     Position,
     Resume,
+    SpeechUnits,
     Start,
     StreamMessage,
     Text,
-    Told,
     Visemes,
     Words,
     decode_base64,
@@ -31,7 +31,7 @@ from lipservo.agents.messages import (
     spoken_text_of,
     stream_message,
 )
-from lipservo.agents.turns import AgentStream, Turns
+from lipservo.agents.turns import AgentStream, OpenStreams
 from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import PlayoutTextError
 from lipsync.errors import UserError
@@ -49,13 +49,13 @@ _MOST_UNTAKEN = 256
 
 
 class StreamSession:
-    """What one client's messages do. A mistake is told, and changes nothing."""
+    """What one client's messages do. A mistake is reported, and changes nothing."""
 
     def __init__(
-        self, outbox: Outbox, turns: Turns, playout: Playout, delay_ms: Callable[[], float]
+        self, outbox: Outbox, streams: OpenStreams, playout: Playout, delay_ms: Callable[[], float]
     ) -> None:
         self._outbox = outbox
-        self._turns = turns
+        self._streams = streams
         self._playout = playout
         self._delay_ms = delay_ms
         self._open: AgentStream | None = None
@@ -73,9 +73,9 @@ class StreamSession:
         try:
             if isinstance(message, bytes):
                 await self._take_audio(message)
-            elif (said := stream_message(message)) is not None:
-                about = said.stream if isinstance(said, Start) else about
-                await self._do(said)
+            elif (parsed := stream_message(message)) is not None:
+                about = parsed.stream if isinstance(parsed, Start) else about
+                await self._do(parsed)
         except MessageError as error:
             given = {} if isinstance(message, bytes) else {"id": id_of(message)}
             ids = {name: value for name, value in given.items() if value is not None}
@@ -83,34 +83,34 @@ class StreamSession:
 
     def leave(self) -> None:
         """The client has gone; texts of what it has ended are taken all the same."""
-        self._turns.leave(self._outbox)
+        self._streams.leave(self._outbox)
 
-    async def _do(self, said: StreamMessage) -> None:
-        match said:
+    async def _do(self, parsed: StreamMessage) -> None:
+        match parsed:
             case Hello():
-                self._greet(said)
+                self._greet(parsed)
             case Start():
-                self._begin(said)
+                self._begin(parsed)
             case Audio():
-                await self._take_text(said.data)
+                await self._take_text(parsed.data)
             case End():
                 self._end()
             case Mark():
-                self._mark(said.name)
+                self._mark(parsed.name)
             case Interrupt():
                 self._cut()
-                self._turns.interrupt(self._outbox)
+                self._streams.interrupt(self._outbox)
             case Clear():
                 self._cut()
-                self._turns.clear(self._outbox)
+                self._streams.clear(self._outbox)
             case Pause():
-                self._turns.pause(self._outbox, time.monotonic())
+                self._streams.pause(self._outbox, time.monotonic())
             case Resume():
-                self._turns.resume(self._outbox)
+                self._streams.resume(self._outbox)
             case Position():
-                self._hear_position(said)
+                self._hear_position(parsed)
             case Text() | Words() | Phonemes() | Visemes():
-                self._hear_told(said)
+                self._on_units(parsed)
 
     def _greet(self, hello: Hello) -> None:
         if hello.protocol not in (None, PROTOCOL):
@@ -124,7 +124,7 @@ class StreamSession:
         if self._open is not None and not self._open.speech.ended:
             open_id = self._open.stream_id
             raise MessageError("stream_open", f"stream {open_id!r} has not ended; send end first")
-        self._open = self._turns.open(self._outbox, start, time.monotonic())
+        self._open = self._streams.open(self._outbox, start, time.monotonic())
         self._ignores_rest = False
         self._over.append(self._open.stream_id)
         self._outbox.put(
@@ -155,7 +155,7 @@ class StreamSession:
             raise MessageError("no_stream", "audio before start; it was dropped")
         if stream.speech.ended:
             return
-        self._turns.check_room(stream.decoder.n_samples(data) / stream.rate_hz)
+        self._streams.check_room(stream.decoder.n_samples(data) / stream.rate_hz)
         samples = stream.decoder.decode(data)
         piece = round(_PIECE_S * stream.rate_hz)
         for first in range(0, len(samples), piece):
@@ -180,58 +180,58 @@ class StreamSession:
         elif not self._ignores_rest:
             raise MessageError("no_stream", "mark before start")
 
-    def _hear_told(self, told: Told) -> None:
+    def _on_units(self, units: SpeechUnits) -> None:
         """Samples do not wait for it: the first text of a process loads a dictionary."""
-        stream = self._told_stream(told.stream)
+        stream = self._named_stream(units.stream)
         if stream is None:
             return
         if len(self._untaken) >= _MOST_UNTAKEN:
             raise MessageError("bad_text", f"{_MOST_UNTAKEN} texts are not looked up yet; wait")
-        taking = self._take_told(told, stream, self._taking)
+        taking = self._apply_units(units, stream, self._taking)
         self._taking = asyncio.get_running_loop().create_task(taking)
         self._untaken.add(self._taking)
         self._taking.add_done_callback(self._untaken.discard)
 
-    async def _take_told(
-        self, told: Told, stream: AgentStream, before: asyncio.Task[None] | None
+    async def _apply_units(
+        self, units: SpeechUnits, stream: AgentStream, before: asyncio.Task[None] | None
     ) -> None:
         if before is not None:
             await asyncio.wait([before])
         try:
-            spoken = spoken_text_of(told, stream.rate_hz)
+            spoken = spoken_text_of(units, stream.rate_hz)
             words: tuple[PronouncedWord, ...] = ()
             if not (spoken.moves_mouth and spoken.is_timed):
-                language = told.language if isinstance(told, Text | Words) else DEFAULT_LANGUAGE
+                language = units.language if isinstance(units, Text | Words) else DEFAULT_LANGUAGE
                 words = await asyncio.to_thread(pronounced_units, spoken, language)
             stream.speech.tell(spoken, words)
         except (UserError, PlayoutTextError) as error:
-            line = f"{told.type}: {error}; it was not taken"
+            line = f"{units.type}: {error}; it was not taken"
             self._outbox.error("bad_text", line, stream=stream.stream_id)
         except Exception as error:  # a fault of ours, or of the library that knows how words sound
             _LOG.error("voice agents: a text failed: %s: %s", type(error).__name__, error)
             self._outbox.error("internal", "the text failed; see the face's log")
 
-    def _told_stream(self, name: str | None) -> AgentStream | None:
+    def _named_stream(self, name: str | None) -> AgentStream | None:
         """The stream that a message is about; None: one that was cut off or is over."""
         if name is None:
             if self._open is None and not self._ignores_rest:
                 raise MessageError("no_stream", "a text before start; name the stream, or start it")
             return self._open
-        stream = self._turns.stream_of(self._outbox, name)
+        stream = self._streams.stream_of(self._outbox, name)
         if stream is None and name not in self._over:
             raise MessageError("no_stream", f"stream {name!r} was never started")
         return stream
 
-    def _hear_position(self, said: Position) -> None:
-        if said.played_s is None:
-            self._turns.tell_positions(self._outbox)
+    def _hear_position(self, parsed: Position) -> None:
+        if parsed.played_s is None:
+            self._streams.tell_positions(self._outbox)
             return
         now_s = time.monotonic()
-        for stream in self._turns.said:
-            if stream.owner is self._outbox and said.stream in (None, stream.stream_id):
+        for stream in self._streams.playing:
+            if stream.owner is self._outbox and parsed.stream in (None, stream.stream_id):
                 if not stream.is_played_by_client:
                     plays = "the face plays this stream itself and knows its position"
                     raise MessageError("bad_message", f"position: {plays}")
-                n_samples = round(said.played_s * stream.rate_hz)
+                n_samples = round(parsed.played_s * stream.rate_hz)
                 self._playout.reports.append((now_s, stream.speech.name, n_samples))
                 return

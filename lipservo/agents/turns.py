@@ -1,7 +1,7 @@
 """The streams of speech of all clients, and whose turn it is: the others are refused or wait.
 
 All streams that the playout has of clients are one client's. So an interruption, which ends all
-that is said, ends nobody else's speech.
+speech, ends no other client's speech.
 """
 
 import itertools
@@ -35,14 +35,14 @@ _BLOCK_S: Final = 0.01
 _LATER: Final = "try again, or set access: {queue: true} in the face's YAML"
 
 
-_Asked = TypeVar("_Asked")
+_Request = TypeVar("_Request")
 
 
 @dataclass(eq=False, slots=True)
 class AgentStream:
     """A client's stream. Two clients may give theirs the same id; the playout's name is unique.
 
-    owner: the client's outbox. asked: what the playout was asked to drop of it, if anything.
+    owner: the client's outbox. ended_by: what ended it before its end, if anything.
     n_marks: that were not heard yet. fed_s: monotonic, when its client sent some of it last.
     """
 
@@ -52,7 +52,7 @@ class AgentStream:
     speech: PlayoutStream
     decoder: PcmDecoder
     fed_s: float
-    asked: Literal["", "clear", "interrupt"] = ""
+    ended_by: Literal["", "clear", "interrupt"] = ""
     n_marks: int = 0
     n_played: int = 0
 
@@ -74,7 +74,15 @@ class AgentStream:
         self.speech.mark(name)
 
     def push(self, samples: NDArray[np.float32], now_s: float) -> None:
-        """More of it, at monotonic `now_s`. What comes after it was cut off is dropped."""
+        """Append audio to the stream; audio after it was cut off is dropped.
+
+        Parameters
+        ----------
+        samples : NDArray[np.float32]
+            (n,) at the stream's rate.
+        now_s : float
+            Monotonic seconds.
+        """
         self.fed_s = now_s
         if not self.speech.ended:
             try:
@@ -98,7 +106,7 @@ class AgentStream:
             self._put(event.kind)
 
     def tell_dropped(self, kind: str) -> None:
-        """It was interrupted or cleared before any of it was said."""
+        """Report that it was interrupted or cleared before any of it was spoken."""
         n_dropped = self.speech.n_received
         self.speech.drop()
         self._put(kind, dropped_s=n_dropped / self.rate_hz, n_dropped=n_dropped)
@@ -109,7 +117,7 @@ class AgentStream:
         self._put("position", waiting_s=round(self.speech.waiting_s, 3))
 
     def tell_phoneme(self, phoneme: str, start_s: float, end_s: float, heard_in_s: float) -> None:
-        """What is said there: seconds in the stream, and how long until it is heard."""
+        """Report the phoneme spoken there: seconds in the stream, and seconds until it is heard."""
         times_s = {"start_s": start_s, "end_s": end_s, "heard_in_s": heard_in_s}
         rounded_s = {name: round(value, 3) for name, value in times_s.items()}
         self.owner.put(
@@ -165,15 +173,15 @@ class OwnSpeech:
         self.owner.put({"type": kind, **about, **times, "time_s": round(time.monotonic(), 3)})
 
 
-class Turns:
-    """The streams of all clients, in the order in which they are said. Of one event loop."""
+class OpenStreams:
+    """The streams of all clients, in the order in which they are spoken. Of one event loop."""
 
     def __init__(self, playout: Playout, settings: AgentSettings) -> None:
         self._playout = playout
         self._settings = settings
         self._numbers = itertools.count(1)
         self._waiting: deque[AgentStream] = deque()
-        self._said: dict[str, AgentStream] = {}
+        self._playing: dict[str, AgentStream] = {}
         # What the face says that is no client's stream, by name, as far as it is heard.
         self._own_speech: set[str] = set()
         self._own: dict[str, OwnSpeech] = {}
@@ -183,9 +191,9 @@ class Turns:
         self.n_refused = 0
 
     @property
-    def said(self) -> list[AgentStream]:
+    def playing(self) -> list[AgentStream]:
         """What the playout has, in order."""
-        return list(self._said.values())
+        return list(self._playing.values())
 
     def open(self, owner: Outbox, start: Start, now_s: float) -> AgentStream:
         """A new stream, whose turn comes at once or later. Raises MessageError: it may not be."""
@@ -216,38 +224,45 @@ class Turns:
             raise MessageError("buffer_full", f"nothing of this chunk was taken: {kept}")
 
     def interrupt(self, owner: Outbox) -> None:
-        """Silence now; everything of this client is dropped. Every stream is told, or at least one.
+        """Silence at once; drop everything of this client.
+
+        Every stream gets an event, or at least one does.
 
         What the face says of itself ends as well, unless another client speaks.
         """
-        n_told = self._drop_waiting(owner, "interrupted")
-        ours = [each for each in self._said.values() if each.owner is owner]
-        others = len(self._said) > len(ours)
+        n_dropped = self._drop_waiting(owner, "interrupted")
+        ours = [each for each in self._playing.values() if each.owner is owner]
+        others = len(self._playing) > len(ours)
         # Its own speech is known by an event, or by what waits: it may not be heard yet.
-        is_own = bool(self._own_speech) or not (self._said or self._playout.is_over)
-        if any(each.asked != "interrupt" for each in ours) or (is_own and not others):
+        is_own = bool(self._own_speech) or not (self._playing or self._playout.is_over)
+        if any(each.ended_by != "interrupt" for each in ours) or (is_own and not others):
             self._playout.requests.append(PlayoutRequest("interrupt"))
             self._own_speech.clear()
             self._paused = None
         for each in ours:
-            each.asked = "interrupt"
-        if not ours and not n_told:
+            each.ended_by = "interrupt"
+        if not ours and not n_dropped:
             owner.put({"type": "interrupted", "stream": None, "played_s": 0.0, "dropped_s": 0.0})
         self._go_on()
 
     def clear(self, owner: Outbox) -> None:
         """What is not on its way to the loudspeaker is dropped, of this client."""
         self._drop_waiting(owner, "cleared")
-        ours = [each for each in self._said.values() if each.owner is owner and not each.asked]
+        ours = [
+            each for each in self._playing.values() if each.owner is owner and not each.ended_by
+        ]
         if ours:
             self._playout.requests.append(PlayoutRequest("clear"))
         for each in ours:
-            each.asked = "clear"
+            each.ended_by = "clear"
         self._go_on()
 
     def pause(self, owner: Outbox, now_s: float) -> None:
-        """Silence now; what was not heard is kept. Raises MessageError: nothing of it is said."""
-        if not any(each.owner is owner for each in self._said.values()):
+        """Silence at once; keep what was not heard. Raises MessageError.
+
+        This client speaks nothing.
+        """
+        if not any(each.owner is owner for each in self._playing.values()):
             raise MessageError("no_stream", "pause: nothing of this client is said or waits")
         if self._paused is None:
             self._check_requests()
@@ -264,7 +279,7 @@ class Turns:
     def open_own(
         self, owner: Outbox, request_id: int | float | str | None, label: str
     ) -> OwnSpeech:
-        """A text or file of a `/control` client, to be said under a name. Raises MessageError."""
+        """Queue a text or file of a `/control` client under a name. Raises MessageError."""
         if self._settings.when_busy == "refuse" and self._all():
             raise MessageError("busy", f"an agent speaks; {_LATER}")
         own = OwnSpeech(owner, request_id, f"{label} #{next(self._numbers)}")
@@ -276,7 +291,7 @@ class Turns:
         self._own.pop(own.stream_id, None)
 
     def leave(self, owner: Outbox) -> None:
-        """The client has gone. What it had sent whole is said; in the middle of a word: silence."""
+        """The client has disconnected. What it had sent whole is spoken; within a word: silence."""
         owner.close()
         has_paused = self._paused is not None and self._paused[0] is owner
         is_cut = any(each.owner is owner and not each.speech.ended for each in self._all())
@@ -289,11 +304,11 @@ class Turns:
             self.interrupt(owner)
 
     def take_events(self, now_s: float) -> None:
-        """Hand on what the playout has told since the last call. now_s: monotonic."""
+        """Pass on the playout's events since the last call. now_s: monotonic."""
         events = self._playout.events
         while events:
             self._take(events.popleft())
-        for stream in self._said.values():
+        for stream in self._playing.values():
             speech, is_waited_for = stream.speech, now_s - stream.fed_s > _PAUSE_S
             if speech.is_marked and is_waited_for and not (speech.ended or speech.is_filled):
                 speech.fill()
@@ -302,14 +317,14 @@ class Turns:
         elif self._silent_since_s is None:
             self._silent_since_s = now_s
         elif now_s - self._silent_since_s > _FORGOTTEN_S:
-            self._said.clear()
+            self._playing.clear()
             self._own_speech.clear()
             for own in self._own.values():
                 own.is_dropped = own.is_dropped or own.spoken is not None
         for own in [each for each in self._own.values() if each.is_over]:
             own.tell("dropped" if own.is_dropped else "finished")
             del self._own[own.stream_id]
-        if not self._said:
+        if not self._playing:
             self._paused = None
         self._go_on()
 
@@ -327,28 +342,28 @@ class Turns:
             self.interrupt(owner)
 
     def stream_of(self, owner: Outbox, stream_id: str) -> AgentStream | None:
-        """A stream of a client that is said or waits; None: it is over, or never was."""
+        """A stream of a client that is spoken or waits; None: it is over, or never was."""
         ours = (each for each in self._all() if each.owner is owner)
         return next((each for each in ours if each.stream_id == stream_id), None)
 
     def tell_positions(self, owner: Outbox | None = None) -> None:
         """Tell each client, or one, how much of its streams was heard."""
-        for stream in self.said:
+        for stream in self.playing:
             if owner is None or stream.owner is owner:
                 name = stream.speech.name
                 n_played = _settled(partial(self._playout.n_played, name))
                 stream.tell_position(n_played or 0)
 
     def tell_phoneme(self, phoneme: str, start_s: float, end_s: float) -> None:
-        """Tell who speaks there on the timeline what is said."""
+        """Send the client whose stream is there on the timeline the phoneme that is spoken."""
         found = _settled(partial(self._playout.stream_at, start_s))
-        if found is None or (stream := self._said.get(found[0].name)) is None:
+        if found is None or (stream := self._playing.get(found[0].name)) is None:
             return
         heard_in_s = start_s - self._playout.position_s
         stream.tell_phoneme(phoneme, found[1], found[1] + end_s - start_s, heard_in_s)
 
     def _all(self) -> list[AgentStream]:
-        return [*self._said.values(), *self._waiting]
+        return [*self._playing.values(), *self._waiting]
 
     def _check(self, owner: Outbox, start: Start) -> None:
         streams = self._all()
@@ -381,11 +396,11 @@ class Turns:
 
     def _take(self, event: PlayoutEvent) -> None:
         is_last = event.kind in ("finished", "interrupted")
-        stream = self._said.get(event.stream)
+        stream = self._playing.get(event.stream)
         if stream is not None:
             stream.tell(event)
             if is_last:
-                del self._said[event.stream]
+                del self._playing[event.stream]
             return
         if (own := self._own.get(event.stream)) is not None:
             own.take(event)
@@ -395,17 +410,17 @@ class Turns:
             self._own_speech.add(event.stream)
 
     def _go_on(self) -> None:
-        """Hand the playout whatever may be said next."""
+        """Give the playout whatever may be spoken next."""
         while self._waiting:
-            speaker = next((each.owner for each in self._said.values()), None)
+            speaker = next((each.owner for each in self._playing.values()), None)
             if speaker is not None and self._waiting[0].owner is not speaker:
                 return
             stream = self._waiting.popleft()
-            self._said[stream.speech.name] = stream
+            self._playing[stream.speech.name] = stream
             self._playout.requests.append(PlayoutRequest("say", stream.speech))
 
 
-def _settled(ask: Callable[[], _Asked | None]) -> _Asked | None:
+def _settled(ask: Callable[[], _Request | None]) -> _Request | None:
     """What the playout answers; None where the live loop changes what it says just then, twice."""
     for _ in range(2):
         try:

@@ -31,7 +31,7 @@ _FORWARD_WORDS = ("protrudes", "retracts")
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """Who follows a calibration besides the terminal; by itself nobody.
+    """Callbacks that follow a calibration besides the terminal; by default they do nothing.
 
     progress: what is done, how many of it, of how many; more may be. arrived: where the mouth's
     encoders stand, (n_servos,). seen: the markers' names, and their places there, (n_markers, 3).
@@ -82,7 +82,7 @@ class CalibrationSetup:
         return max(_N_TYPED_POSES, least_poses(len(self.servos.joints)))
 
     def _word(self, positive: str) -> str:
-        """What a positive angle does; nothing where nobody can see whether it does."""
+        """What a positive angle does; empty where the tracker cannot see whether it does."""
         return positive if self.sees_forward or positive not in _FORWARD_WORDS else ""
 
     def procedure(self, seed: int = 0) -> Procedure:

@@ -3,7 +3,7 @@
 What FFmpeg's v4l2 input says is the kernel's own time stamp, on the same clock. What counts
 otherwise is brought there by the frames that came soonest. A file or FFmpeg's lavfi generators may
 stand in for a camera; their pictures are handed out at the pace of their time stamps. A thread
-reads the camera; whoever records takes what has come.
+reads the camera; the recorder takes what has come.
 """
 
 import math
@@ -39,7 +39,7 @@ class Camera(Protocol):
 
     @property
     def name(self) -> str:
-        """What was asked for."""
+        """The name of the camera as the user gave it."""
 
     @property
     def rate_hz(self) -> float:
@@ -84,7 +84,7 @@ class AvCamera:
 
     @property
     def name(self) -> str:
-        """What was asked for."""
+        """The name of the camera as the user gave it."""
         return self._wanted
 
     @property

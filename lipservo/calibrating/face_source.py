@@ -59,8 +59,8 @@ def is_mesh_folder(folder: Path, mesh: MeshOptions) -> bool:
         return False
     if any(path.suffix.lower() == ".c3d" for path in folder.iterdir()):
         return False
-    asked = mesh.landmarker_given or mesh.eye_distance_mm is not None
-    return asked or holds_pictures(folder)
+    has_options = mesh.landmarker_given or mesh.eye_distance_mm is not None
+    return has_options or holds_pictures(folder)
 
 
 def is_seen_from_the_front(source: Path, mesh: MeshOptions) -> bool:
@@ -113,7 +113,7 @@ def tracker_source(
     if is_mesh_folder(folder, mesh):
         yield _pictures(folder, setup.servos.names, mesh_folder(folder, setup, mesh).readings)
     elif folder.is_dir() and is_dots_folder(folder):
-        yield _pictures(folder, setup.servos.names, _told_once(dots_folder(folder).readings))
+        yield _pictures(folder, setup.servos.names, _warned_once(dots_folder(folder).readings))
     else:
         yield tracker_of(setup, source, axes)
 
@@ -134,10 +134,10 @@ def _pictures(folder: Path, names: tuple[str, ...], read: ReadPose) -> MakeTrack
     return tracker
 
 
-def _told_once(read: ReadPose) -> ReadPose:
-    """What is wrong with a picture is told, and the picture waited for anew.
+def _warned_once(read: ReadPose) -> ReadPose:
+    """Report what is wrong with a picture, and wait for the picture anew.
 
-    At the second look: somebody may have been writing it.
+    Only at the second reading: the file may have been half written.
     """
     seen: Counter[str] = Counter()
 
@@ -160,12 +160,12 @@ def next_picture(feed: CameraFeed, clock: Clock) -> Picture:
     stamp says. One that gives nothing has failed.
     """
     feed.take_frames()
-    asked_s = clock.now()
+    requested_s = clock.now()
     n_arrived = 0
-    while clock.now() < asked_s + _PATIENCE_S:
+    while clock.now() < requested_s + _PATIENCE_S:
         for time_s, frame in feed.take_frames():
             n_arrived += 1
-            if time_s >= asked_s or n_arrived > _MOST_HELD_BACK:
+            if time_s >= requested_s or n_arrived > _MOST_HELD_BACK:
                 picture: Picture = frame.to_ndarray(format="rgb24")
                 return picture
         clock.sleep_until(clock.now() + _LOOK_EVERY_S)

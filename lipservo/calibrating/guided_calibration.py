@@ -60,7 +60,20 @@ def calibrate_by_eye(setup: CalibrationSetup) -> CalibrationResult:
 
 
 def fit_by_eye(setup: CalibrationSetup, made_deg: Mapping[str, Array]) -> CalibrationResult:
-    """made_deg: (n_servos,) by the name of the pose. Raises CalibrationError for too few."""
+    """Fit the map to poses that a person made. Raises CalibrationError for too few.
+
+    Parameters
+    ----------
+    setup : CalibrationSetup
+        Model and servos.
+    made_deg : Mapping[str, Array]
+        (n_servos,) by the name of the pose.
+
+    Returns
+    -------
+    CalibrationResult
+        Without measured errors in mm.
+    """
     calibration = fit_guided(setup.model, setup.servos, made_deg, date=today())
     return CalibrationResult(calibration)
 
@@ -75,10 +88,29 @@ def guide(
     keep: Path | None = None,
     drawn: Drawn | None = None,
 ) -> dict[str, Array]:
-    """Let a person make the landmark poses; angles (n_servos,) by name of the pose.
+    """Let a person make the landmark poses; the robot is left in neutral.
 
-    Every finished pose is kept at once in `keep`, and a later session goes on from there. The
-    robot is left in neutral.
+    Every finished pose is kept at once in `keep`, and a later session goes on from there.
+
+    Parameters
+    ----------
+    model : FaceWithAnimPhos
+        The face.
+    joints : Sequence[JointRange]
+        Ranges.
+    move : Move
+        Moves the robot.
+    read_key : Callable[[], str]
+        Returns the next key.
+    console,drawn : Console
+        Where the pose is shown.
+    keep : Path | None
+        File of the poses; None: none.
+
+    Returns
+    -------
+    dict[str, Array]
+        (n_servos,) degrees by the name of the pose.
     """
     names = [joint.name for joint in joints]
     kept = {} if keep is None else kept_poses(names, keep)

@@ -1,7 +1,7 @@
 """What a person puts into a calibration: poses made with the fingers, a touch pose, trims.
 
 `touched` becomes the touch pose; `widest` and `rounded` bound the joints that open and narrow the
-mouth; all are kept in the file, as places of the lip gap that somebody has seen and felt. Encoders
+mouth; all are kept in the file, as places of the lip gap that a person has seen and felt. Encoders
 are read live while the fingers pose, and a key keeps the pose that the hands hold. What was made
 stays when the face is calibrated again.
 """
@@ -22,7 +22,7 @@ from calibration.calibration import Calibration, CalibrationError, Touch
 from calibration.files.calibration_file import load_calibration
 from calibration.mouth_servos import MouthServos
 from firmware_bridge.stopping import named_by_reason
-from lipservo.runtime.servos.limp_servos import LOOK_EVERY_S, LimpPose, LimpServos
+from lipservo.runtime.servos.limp_servos import READ_EVERY_S, LimpPose, LimpServos
 from lipsync.arrays import Array
 
 CLOSED, WIDEST, ROUNDED, TOUCHED = "closed", "widest", "rounded", "touched"
@@ -56,7 +56,20 @@ HAND_POSES: Final = (
 
 
 def beyond_limits(servos: MouthServos, positions_deg: Array) -> dict[str, str]:
-    """Why a pose cannot be kept, by the name of the joint that is outside the face's limits."""
+    """Return why a pose cannot be kept, for each joint that is outside the face's limits.
+
+    Parameters
+    ----------
+    servos : MouthServos
+        Of the mouth.
+    positions_deg : Array
+        (n_servos,).
+
+    Returns
+    -------
+    dict[str, str]
+        A line by the joint's name.
+    """
     low_deg, high_deg = servos.limits_deg
     off_deg = np.maximum(low_deg - positions_deg, positions_deg - high_deg)
     return {
@@ -72,10 +85,28 @@ def beyond_limits(servos: MouthServos, positions_deg: Array) -> dict[str, str]:
 def with_hand_poses(
     calibration: Calibration, servos: MouthServos, made_deg: Mapping[str, Array], cap_ma: float
 ) -> Calibration:
-    """The same map with these poses (n_servos,), by name, beside those that were kept before.
+    """Return the calibration with these poses beside those that were kept before.
 
-    cap_ma: proposed with a touch pose where the calibration proposes none. Raises CalibrationError
-    where no pose was made, or a joint was nowhere.
+    Parameters
+    ----------
+    calibration : Calibration
+        The old one.
+    servos : MouthServos
+        Of the mouth.
+    made_deg : Mapping[str, Array]
+        (n_servos,) by the name of the pose.
+    cap_ma : float
+        Proposed with a touch pose where the calibration proposes none.
+
+    Returns
+    -------
+    Calibration
+        With limits in degrees from the poses.
+
+    Raises
+    ------
+    CalibrationError
+        No pose was made, or a joint was nowhere.
     """
     if not made_deg:
         raise CalibrationError("no pose was kept; the calibration stays as it is")
@@ -112,8 +143,8 @@ def pose_lines(before: Calibration, after: Calibration) -> list[str]:
     lines = []
     for name, positions_deg in after.hand_poses.items():
         places = zip(after.servo_names, positions_deg, strict=True)
-        told = ", ".join(f"{joint} {round(deg, 1) + 0.0:.1f}" for joint, deg in places)
-        lines.append(f"{name}: {told} deg")
+        angles = ", ".join(f"{joint} {round(deg, 1) + 0.0:.1f}" for joint, deg in places)
+        lines.append(f"{name}: {angles} deg")
         if name in (WIDEST, ROUNDED) and np.abs(positions_deg).max() < _MEANT_DEG:
             lines.append(f"{name} is where neutral is, so no limit comes of it; was it meant?")
     if after.touch is not None and TOUCHED in after.hand_poses:
@@ -156,7 +187,7 @@ class Keys(Protocol):
 class Posing:
     """Where a person is, and what was made: angles (n_servos,) by the name of the pose.
 
-    keep: told of all that was made after each pose. undivided: what happens in it is not broken
+    keep: called with all poses so far after each. undivided: what happens in it is not broken
     off by a signal.
     """
 
@@ -176,16 +207,30 @@ class Posing:
 def pose_by_hand(
     servos: LimpServos, mouth: MouthServos, posing: Posing, keys: Keys, console: Console
 ) -> Mapping[str, Array]:
-    """Let a person make the poses; what was made, once all are or the person stops.
+    """Let a person make the poses, until all are made or the person stops. Raises PortGone.
 
-    The servos are limp already. Raises PortGone.
+    Parameters
+    ----------
+    servos : LimpServos
+        Limp already.
+    mouth : MouthServos
+        Its servos.
+    posing : Posing
+        The poses to make.
+    keys,console : Keys
+        Of the terminal.
+
+    Returns
+    -------
+    Mapping[str, Array]
+        (n_servos,) degrees by the name of the pose.
     """
     with Live(console=console, transient=True, auto_refresh=False) as live:
         while posing.current < len(posing.poses):
             with posing.undivided():
-                seen = servos.look()
+                seen = servos.read_pose()
             live.update(_page(posing, mouth, seen), refresh=True)
-            key = keys.next_key(LOOK_EVERY_S)
+            key = keys.next_key(READ_EVERY_S)
             if key is None:
                 continue
             posing.note = ""

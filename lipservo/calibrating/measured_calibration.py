@@ -63,7 +63,13 @@ class CalibrationResult:
 
     @property
     def backlash_deg(self) -> Array:
-        """(n_servos,), 0 where nothing is known."""
+        """The backlash of each servo.
+
+        Returns
+        -------
+        Array
+            (n_servos,) degrees, 0 where it is unknown.
+        """
         return backlash_of(self.calibration)
 
     def graded_by(self, setup: CalibrationSetup, on: Robot) -> "CalibrationResult":
@@ -87,7 +93,7 @@ class CalibrationResult:
         return replace(self, calibration=replace(self.calibration, following=following))
 
     def with_memories(self, memories: Sequence[ServoMemory | None]) -> "CalibrationResult":
-        """The same with what the servos hold in themselves, where all of them said so."""
+        """The same result with the servos' own memories, where every servo was read."""
         known = tuple(memory for memory in memories if memory is not None)
         if len(known) != len(self.calibration.servo_names):
             return self
@@ -96,7 +102,18 @@ class CalibrationResult:
 
 
 def backlash_of(calibration: Calibration) -> Array:
-    """(n_servos,) degrees, 0 where the calibration knows none."""
+    """Return the backlash of each servo.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        With or without a measured response.
+
+    Returns
+    -------
+    Array
+        (n_servos,) degrees, 0 where it is unknown.
+    """
     if calibration.following is None:
         return np.zeros(len(calibration.servo_names))
     return calibration.following.backlash_deg
@@ -218,9 +235,23 @@ def calibrate_on_servos(
     passed: Callable[[Array], object] = lambda _: None,
     seed: int = 0,
 ) -> CalibrationResult:
-    """Capture, fit, then the servos' lags.
+    """Capture, fit, then measure the servos' lags.
 
-    passed: hears of every place that the encoders came to, measured or not.
+    Parameters
+    ----------
+    setup : CalibrationSetup
+        Face and options.
+    make_tracker : Callable[[HeldFace], Tracker]
+        Makes the source of markers.
+    passed : Callable[[Array], object]
+        Called with every place that the encoders came to, (n_servos,) degrees, measured or not.
+    seed : int
+        Of the plan.
+
+    Returns
+    -------
+    CalibrationResult
+        The calibration and its errors in mm.
     """
     memories = servo_memories(setup.settings)
     with held_servos(setup) as face:
@@ -302,14 +333,24 @@ def capture_face(
             arrived=on.arrived,
             progress=done,
             strained=on.strained,
-            told=_say,
+            report=_say,
         )
 
 
 def strained_servo(setup: CalibrationSetup, effort: Array) -> str | None:
-    """Who draws nearly all of its `max_current_ma`; None where no model measures, or none does.
+    """Return the servo that draws nearly all of its `max_current_ma`.
 
-    effort: (n_servos,), of the mouth, in stall torques.
+    Parameters
+    ----------
+    setup : CalibrationSetup
+        Has the servos.
+    effort : Array
+        (n_servos,), of the mouth, in stall torques.
+
+    Returns
+    -------
+    str | None
+        Its name; None where no model measures, or none draws so much.
     """
     for (name, servo), share in zip(setup.settings.mouth_servos.items(), effort, strict=True):
         if servo.strain(share) >= _STRAINED:

@@ -58,11 +58,25 @@ class PageWatch:
         self._page.tell("progress", what=what, done=done, total=total, left_min=left_min)
 
     def arrived(self, reached_deg: Array) -> None:
-        """Where the encoders are."""
+        """Send the page where the encoders are.
+
+        Parameters
+        ----------
+        reached_deg : Array
+            (n_servos,).
+        """
         self._page.tell("arrived", deg=_by_name(self._names, reached_deg))
 
     def seen(self, marker_names: tuple[str, ...], markers_mm: Array) -> None:
-        """Markers from the front, and which of them go round the lips."""
+        """Send the page the markers from the front, and the loops of the lips.
+
+        Parameters
+        ----------
+        marker_names : tuple[str, ...]
+            n_markers.
+        markers_mm : Array
+            (n_markers, 3).
+        """
         points = [
             None if np.isnan(place).any() else [round(float(v), 1) for v in place]
             for place in markers_mm[:, :2]

@@ -68,10 +68,18 @@ def stand_in_poses(
     arrived: Callable[[int, Array], object],
     wait: Callable[[], object],
 ) -> None:
-    """Go to one pose after another, each from the side it names; then to neutral, and let go.
+    """Move to one pose after another, each from the side it names; then to neutral, and let go.
 
-    arrived: hears the row of the pose in the plan and the encoders, (n_servos,). wait: returns when
-    the pose has been recorded; the servos are held meanwhile.
+    Parameters
+    ----------
+    setup : CalibrationSetup
+        Face and options.
+    plan : PosePlan
+        n poses.
+    arrived : Callable[[int, Array], object]
+        Called with the row of the pose in the plan and the encoders, (n_servos,) degrees.
+    wait : Callable[[], object]
+        Returns when the pose has been recorded; the servos are held meanwhile.
     """
     with held_servos(setup) as face:
         for row in range(len(plan)):

@@ -70,7 +70,8 @@ def _closing_line(calibration: Calibration, lips: LearntLips) -> str:
     closing, closure = calibration.closing, calibration.closure
     pressed = "" if closure is None else f"; closures go {closure.press_mm:.1f} mm past it"
     if closing is not None and not closing.closes:
-        return f"contact: none; the mouth {closing.told}: widen that limit, or close it by its horn"
+        why = closing.description
+        return f"contact: none; the mouth {why}: widen that limit, or close it by its horn"
     if closing is not None and closing.evidence == PASSED:
         return f"contact: the dots of both lips pass one another{pressed}"
     if closing is not None or lips.stop:
@@ -137,8 +138,8 @@ def _reach_lines(calibration: Calibration) -> list[str]:
     poor = {v: r for v, r in calibration.coverage.items() if r.reachable < _WELL_REACHED}
     if not poor:
         return ["every viseme class is within reach"]
-    told = ", ".join(f"{phonemes[v]} {1 - reach.reachable:.0%}" for v, reach in poor.items())
-    return [f"out of reach of the shapes of each class: {told}; wider limits may help"]
+    shares = ", ".join(f"{phonemes[v]} {1 - reach.reachable:.0%}" for v, reach in poor.items())
+    return [f"out of reach of the shapes of each class: {shares}; wider limits may help"]
 
 
 def following_lines(calibration: Calibration) -> list[str]:
@@ -230,7 +231,7 @@ def grade_values(calibration: Calibration) -> dict[str, object] | None:
 
 
 def closing_values(calibration: Calibration) -> dict[str, object] | None:
-    """Whether the lips meet, and how far past contact closures go; None: nobody looked."""
+    """Whether the lips touch, and how far past contact closures go; None: not observed."""
     closing, closure = calibration.closing, calibration.closure
     if closing is None:
         return None
@@ -241,11 +242,11 @@ def closing_values(calibration: Calibration) -> dict[str, object] | None:
 def shown_values(
     calibration: Calibration, rules: Sequence[PreventSettings] | None
 ) -> dict[str, object]:
-    """Everything for JSON but the map itself. rules: of the face's YAML, None: not asked for."""
+    """Everything for JSON but the map itself. rules: of the face's YAML, None: not wanted."""
     origin, errors = calibration.origin, asdict(calibration.errors)
     lips = calibration.learnt_lips
     errors.pop("joint_rms_deg")
-    told: dict[str, object] = {
+    values: dict[str, object] = {
         "method": origin.method,
         "date": origin.date,
         "poses": origin.poses,
@@ -261,8 +262,8 @@ def shown_values(
         "trim": trim_values(calibration),
     }
     if rules is not None:
-        told["rules"] = [rule.model_dump() for rule in rules]
-    return told
+        values["rules"] = [rule.model_dump() for rule in rules]
+    return values
 
 
 def trim_values(calibration: Calibration) -> dict[str, dict[str, float]]:
@@ -319,12 +320,12 @@ def shown_lines(
 
 
 def coverage_values(calibration: Calibration) -> dict[str, dict[str, float | None]]:
-    """What is known of each viseme class, by its first phoneme; None where nobody can say."""
+    """What is known of each viseme class, by its first phoneme; None where unknown."""
     return {viseme: asdict(reach) for viseme, reach in calibration.coverage.items()}
 
 
 def coverage_table(calibration: Calibration) -> Table:
-    """One row a viseme class; a dash where nobody can say."""
+    """One row a viseme class; a dash where unknown."""
     table = Table(box=None, pad_edge=False)
     table.add_column("class", no_wrap=True)
     for title, _ in _VISEME_COLUMNS.values():
@@ -449,10 +450,10 @@ def _draw_classes(axes: "Axes", calibration: Calibration) -> None:
 def _best_off(
     model: FaceWithAnimPhos, fit: "MeasuredFit", frames: Array
 ) -> tuple[Array, Array, Array]:
-    """Opening and width that are asked for, and how far the best pose is off; (n,) each, mm."""
+    """Wanted opening and width, and how far the best pose is off; (n,) each, mm."""
     from calibration.fit.measured import ShapeErrors
 
     found = ShapeErrors(model, fit.retargeting.mouth, fit.retargeting)
-    asked_mm, best_mm = found.openings_and_widths_mm(frames - model.rest)
-    off_mm = np.abs(best_mm - asked_mm).max(axis=1)
-    return asked_mm[:, 0] - fit.retargeting.closed_mm[0], asked_mm[:, 1], off_mm
+    wanted_mm, best_mm = found.openings_and_widths_mm(frames - model.rest)
+    off_mm = np.abs(best_mm - wanted_mm).max(axis=1)
+    return wanted_mm[:, 0] - fit.retargeting.closed_mm[0], wanted_mm[:, 1], off_mm

@@ -42,7 +42,7 @@ def touch_by_markers(
     calibration: Calibration,
     make_tracker: Callable[[HeldFace], Tracker],
 ) -> tuple[Calibration, float]:
-    """The same map, and how many mm later its lips meet than it said. Raises CalibrationError."""
+    """The map, and how many mm later its lips meet than it had them. Raises CalibrationError."""
     plan = _plan(setup, calibration)
     with held_servos(setup) as face:
         tracker = make_tracker(face)

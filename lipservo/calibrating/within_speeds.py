@@ -1,7 +1,7 @@
 """Whether a calibrated mouth stays within its joints' speeds while it speaks, as `run` moves it.
 
 What the speaker's recorded AnimPhos ask, one after another as they may follow, goes through the
-map, play made up for, and the plan of joint motion. A joint that is asked for more than its
+map, play made up for, and the plan of joint motion. A joint that should go faster than its
 `max_speed_deg_s` is held back by that plan; closures come first, and are counted behind it.
 """
 
@@ -27,14 +27,14 @@ _WINDOW_S = np.array([0.0, 0.05, 0.1])
 _WITHIN_SHARE = 0.01
 _STRENGTHS = np.arange(1.0, 0.35, -0.05)
 #: A closure counts as met where lips would be no farther apart.
-_MET_MM = 0.1
+_REACHED_MM = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class WithinSpeeds:
-    """Shares 0..1. slowest: the joint that is asked for too much most often, and how often.
+    """Shares 0..1. slowest: the joint that is held back most often, and how often.
 
-    closures_met: of those that the map alone meets, behind the plan; None: no contact is known;
+    reached_closures: of those that the map alone meets, behind the plan; None: no contact is known;
     strength: `lipservo set strength` that keeps all but a hundredth of the frames within speeds;
     None: not even .4 does.
     """
@@ -42,7 +42,7 @@ class WithinSpeeds:
     beyond: float
     slowest: str
     slowest_beyond: float
-    closures_met: float | None
+    reached_closures: float | None
     strength: float | None
 
 
@@ -62,16 +62,28 @@ def within_speeds(
         beyond=float(each.any(axis=1).mean()),
         slowest=calibration.servo_names[worst],
         slowest_beyond=float(each[:, worst].mean()),
-        closures_met=_closures_met(model, calibration, faces, goals_deg, speeds_deg_s),
+        reached_closures=_reached_share(model, calibration, faces, goals_deg, speeds_deg_s),
         strength=_strength(model, calibration, faces, speeds_deg_s),
     )
 
 
 def spoken_frames(model: FaceWithAnimPhos, rng: np.random.Generator) -> Array:
-    """(n, n_components) at 100 Hz: walks without pauses through AnimPhos that may follow.
+    """Return random speech: walks without pauses through AnimPhos that may follow.
 
     Each walk is short, as some AnimPhos lead round in a circle, and of a motion that repeats itself
-    nobody can say how late it is.
+    there is no lag to measure.
+
+    Parameters
+    ----------
+    model : FaceWithAnimPhos
+        Has the AnimPhos.
+    rng : np.random.Generator
+        Chooses the way.
+
+    Returns
+    -------
+    Array
+        (n, n_components) at 100 Hz.
     """
     speaking = np.setdiff1d(np.arange(len(model.animphos)), model.animphos.of_phoneme(SILENCE))
     animpho = int(rng.choice(speaking))
@@ -110,7 +122,7 @@ def _strength(
     return None
 
 
-def _closures_met(
+def _reached_share(
     model: FaceWithAnimPhos,
     calibration: Calibration,
     faces: Array,
@@ -128,22 +140,28 @@ def _closures_met(
         sent.append(plan.step(TargetWindow(_WINDOW_S, goals_deg[rows], closes[rows])))
     begins = np.flatnonzero(np.diff(closes.astype(np.int64), prepend=0) == 1)
     ends = np.flatnonzero(np.diff(closes.astype(np.int64), append=0) == -1)
-    asked_mm = calibration.closure.open_mm(goals_deg)[:, 0]
+    wanted_mm = calibration.closure.open_mm(goals_deg)[:, 0]
     shown_mm = calibration.closure.open_mm(np.array(sent))[:, 0]
-    met = [
-        shown_mm[first : last + 1].min() <= _MET_MM
+    reached = [
+        shown_mm[first : last + 1].min() <= _REACHED_MM
         for first, last in zip(begins, ends, strict=True)
-        if asked_mm[first : last + 1].min() <= _MET_MM
+        if wanted_mm[first : last + 1].min() <= _REACHED_MM
     ]
-    return float(np.mean(met)) if met else None
+    return float(np.mean(reached)) if reached else None
 
 
 def speed_line(found: WithinSpeeds) -> str:
     """For a person."""
-    met = found.closures_met
-    told = "" if met is None else f"; behind the plan of joint motion {met:.0%} of closures are met"
+    reached = found.reached_closures
+    closures = (
+        ""
+        if reached is None
+        else f"; behind the plan of joint motion {reached:.0%} of closures are met"
+    )
     if found.beyond <= _WITHIN_SHARE:
-        return f"speeds: no more than {found.beyond:.0%} of speech asks a joint for too much{told}"
+        return (
+            f"speeds: no more than {found.beyond:.0%} of speech asks a joint for too much{closures}"
+        )
     kept = (
         "no strength keeps within"
         if found.strength is None
@@ -151,5 +169,5 @@ def speed_line(found: WithinSpeeds) -> str:
     )
     return (
         f"speeds: {found.beyond:.0%} of speech asks a joint for more than its max_speed_deg_s, "
-        f"most often {found.slowest} ({found.slowest_beyond:.0%}){told}; {kept}"
+        f"most often {found.slowest} ({found.slowest_beyond:.0%}){closures}; {kept}"
     )

@@ -106,7 +106,7 @@ LabelledPhonemes = Annotated[
         show_default=False,
     ),
 ]
-SaidText = Annotated[
+SpokenText = Annotated[
     str,
     typer.Option(
         "--text",

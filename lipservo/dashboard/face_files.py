@@ -5,20 +5,22 @@ line: refused, not_saved, not_available.
 """
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from lipservo_client.protocol import FaceError
 
-from lipservo.runtime.speech.expression import ExpressionWishes
+from lipservo.runtime.speech.expression import ExpressionRequests
 from lipservo.settings import found_limits
 from lipservo.settings.edited_yaml import EditedYaml, Place, edited, read_face_text
 from lipservo.settings.found_limits import PulseLimit
 from lipservo.settings.settings import parse_face
 from lipservo.settings.strict_yaml import SettingsError
 from lipsync.errors import UserError
+from lipsync.output_file import write_whole
 
 
 def own_yaml(config: str | None) -> Path:
@@ -65,6 +67,57 @@ def with_settings(path: Path, values: Mapping[str, float]) -> EditedYaml:
         return edited(path, places)
 
 
+def sound_choices(config: str | None) -> dict[str, Any]:
+    """What may be chosen for a face to speak through and with, and what its YAML says.
+
+    inputs, outputs: names of devices, none without a sound system. languages, voices: of the
+    synthesiser that is chosen.
+    """
+    from lipservo.runtime.servos.assembly import load_settings
+    from lipsync.audio.devices import sound_devices
+    from lipsync.audio.source import SoundError
+    from lipsync.plugins import SYNTHESIZERS, PluginError
+    from lipsync.text_to_speech.synthesis import SynthesisError
+    from lipsync.text_to_speech.synthesizers import synthesizer_for
+
+    if config is None:
+        raise FaceError("not_available", "the face does not say where its YAML is")
+    chosen = load_settings(config)[0].sound
+    found: dict[str, Any] = {"inputs": [], "outputs": [], "languages": [], "voices": []}
+    with suppress(SoundError):
+        found["inputs"] = [each.lasting_name for each in sound_devices("input")]
+        found["outputs"] = [each.lasting_name for each in sound_devices("output")]
+    with suppress(PluginError, SynthesisError, UserError):
+        speaker = synthesizer_for(chosen.synthesizer)
+        found["languages"], found["voices"] = list(speaker.languages()), list(speaker.voices())
+    found["synthesizers"] = SYNTHESIZERS.names()
+    chosen_now = chosen.model_dump(exclude={"output_offset_ms"})
+    return {**found, "chosen": chosen_now, "is_shipped": not config.endswith((".yaml", ".yml"))}
+
+
+def choose_sound(config: str | None, values: Mapping[str, str | float]) -> dict[str, Any]:
+    """Write choices into `sound:` of the face's own YAML; they count from its next start."""
+    path = own_yaml(config)
+    with face_errors():
+        edited(path, {("sound", name): value for name, value in values.items()}).write()
+    return {"saved": dict(values), "in": path.name}
+
+
+def copy_shipped(config: str | None) -> dict[str, Any]:
+    """Copy a shipped face's YAML to a file of the user's own, in the working folder.
+
+    Raises FaceError for a face that is the user's own, and where the file is there already.
+    """
+    if config is None or config.endswith((".yaml", ".yml")):
+        raise FaceError("refused", "this face is your own: its YAML can be changed as it is")
+    path = Path.cwd() / f"my_{config}.yaml"
+    if path.exists():
+        raise FaceError("refused", f"{path} is there already: start that, or move it away")
+    with face_errors():
+        write_whole(path, (resources.files("lipservo.config") / f"{config}.yaml").read_bytes())
+    return {"file": str(path), "command": f"lipservo run --config {path.name} --dashboard"}
+
+
 @contextmanager
 def face_errors() -> Iterator[None]:
     """What a file says wrong is refused; what cannot be written is not saved."""
@@ -78,7 +131,7 @@ def face_errors() -> Iterator[None]:
 
 def _place(name: str) -> Place:
     """Section and key of a setting in the YAML. Raises FaceError for one that is not kept."""
-    if name in ExpressionWishes.PASSING:
+    if name in ExpressionRequests.PASSING:
         raise FaceError("refused", f"{name} is for the moment and not saved")
     return ("expression", "amount") if name == "expression" else ("motion", name)
 
@@ -90,7 +143,7 @@ def _text(path: Path) -> str:
         raise FaceError("not_saved", str(error)) from error
 
 
-def told_calibration(config: str | None) -> dict[str, Any]:
+def calibration_values(config: str | None) -> dict[str, Any]:
     """The same as `lipservo calibrate show --json`, with the file's name. Raises FaceError."""
     from calibration.files.calibration_file import parse_calibration
     from lipservo.calibrating.shown_calibration import shown_values
@@ -105,6 +158,6 @@ def told_calibration(config: str | None) -> dict[str, Any]:
         found = parse_calibration(file.read_text(encoding="utf-8"), file.name)
     except (UserError, OSError, UnicodeDecodeError) as error:
         raise FaceError("not_available", " ".join(str(error).split())) from error
-    told = shown_values(found, settings.prevent)
+    values = shown_values(found, settings.prevent)
     is_current = found.face_checksum == settings.checksum
-    return {"file": file.name, "fits_the_face": is_current, **told}
+    return {"file": file.name, "fits_the_face": is_current, **values}

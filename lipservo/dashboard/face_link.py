@@ -1,4 +1,4 @@
-"""The dashboard's hold on a running face: what it is told, thirty times a second, and commands.
+"""The dashboard's hold on a running face: its state, thirty times a second, and commands.
 
 The dashboard is a client of a face like any other. What it reads is memory that the face writes
 anyway, and a status that it asks for twice a second; if all of it hangs, no face does. Commands go
@@ -37,7 +37,7 @@ from firmware_bridge.process.runtime_folder import ControlError
 from firmware_bridge.stopping import ServoSwitch
 from lipservo.dashboard.live_frames import NO_LAYOUT, RATE_HZ, BoardReader, Moment, encode
 from lipservo.runtime.servos.assembly import load_settings
-from lipservo.runtime.speech.passing_wish import whole_wish
+from lipservo.runtime.speech.passing_wish import with_expiry
 from lipservo.runtime.status.live_board import BoardLayout, LiveBoard
 from lipsync.errors import UserError, shown
 
@@ -114,7 +114,7 @@ class FaceLink:
 
     @property
     def answers(self) -> bool:
-        """Whether the face has said within the last second how it is."""
+        """Whether the face has reported its status within the last second."""
         return self.trouble is None and self.status_age_s < STATUS_OLD_S + STATUS_EVERY_S
 
     def certainty(self) -> dict[str, Any]:
@@ -195,7 +195,7 @@ class FaceLink:
         while loop.time() < give_up_s:
             await asyncio.sleep(_LOOK_EVERY_S)
             with contextlib.suppress(FaceError):
-                status = await self._returned(_asked_status, self._starting)
+                status = await self._returned(_requested_status, self._starting)
                 states = set(dict(status.get("servos") or {}).values())
                 if status.get("state") not in _ON_ITS_WAY or states == {"driven"}:
                     break
@@ -245,12 +245,12 @@ class FaceLink:
         if yaw_deg is None:
             return await self.change({"look_weight": 0.0})
         angles = {"look_yaw_deg": yaw_deg, "look_pitch_deg": pitch_deg or 0.0}
-        return await self.change(whole_wish(angles, time.monotonic()))
+        return await self.change(with_expiry(angles, time.monotonic()))
 
     async def affect(self, valence: float, arousal: float, tau_s: float) -> Answer:
         """A mood, -1 to 1 each, which fades with the time constant `tau_s`."""
         mood = {"affect_valence": valence, "affect_arousal": arousal, "affect_tau_s": tau_s}
-        return await self.change(whole_wish(mood, time.monotonic()))
+        return await self.change(with_expiry(mood, time.monotonic()))
 
     async def say(self, text: str) -> Answer:
         """A text, in the face's own voice."""
@@ -332,7 +332,7 @@ class FaceLink:
             path = self.control_path
             if path is None or self._must_find:
                 path = self._find()
-            answer = dict(_asked_status(path))
+            answer = dict(_requested_status(path))
         except TimeoutError:
             return "the face hangs: it does not answer", None
         except (OSError, UserError, ControlError) as error:
@@ -365,7 +365,7 @@ class FaceLink:
         if isinstance(answer, str):
             self.trouble = answer
         else:
-            self.status, self.trouble, self._status_s = _told(answer), None, self._clock()
+            self.status, self.trouble, self._status_s = _plain_value(answer), None, self._clock()
         if board is not None:
             self._put_away()
             self._reader = BoardReader(board)
@@ -380,7 +380,7 @@ class FaceLink:
 
 
 def not_answering(error: Exception) -> FaceError:
-    """What is told of a face that cannot be spoken to."""
+    """The error of a face that cannot be reached."""
     if isinstance(error, TimeoutError):
         why = "the face hangs; `lipservo stop --limp` lets its servos go"
     elif isinstance(error, PermissionError):
@@ -390,12 +390,12 @@ def not_answering(error: Exception) -> FaceError:
     return FaceError("not_answering", why)
 
 
-def _asked_status(path: Path) -> Answer:
+def _requested_status(path: Path) -> Answer:
     return ask(path, "status", _STATUS_PATIENCE_S)
 
 
 def _reached(url: str) -> str:
-    """A server that listens at every address of this computer is asked at loopback."""
+    """The URL for requests: a server at every address of this computer is reached at loopback."""
     split = urlsplit(url)
     if split.hostname in ("0.0.0.0", "::"):
         host = "127.0.0.1" if split.hostname == "0.0.0.0" else "[::1]"
@@ -403,10 +403,10 @@ def _reached(url: str) -> str:
     return url
 
 
-def _told(value: Any) -> Any:
+def _plain_value(value: Any) -> Any:
     """The same with nothing that is no number: JSON, as others read it, has no NaN."""
     if isinstance(value, dict):
-        return {key: _told(each) for key, each in value.items()}
+        return {key: _plain_value(each) for key, each in value.items()}
     if isinstance(value, list):
-        return [_told(each) for each in value]
+        return [_plain_value(each) for each in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -110,7 +110,7 @@ class BoardReader:
 
 
 def hello(layout: BoardLayout) -> str:
-    """What is said once: the names that a frame counts by."""
+    """The message sent once: the names that a frame counts by."""
     return json.dumps(
         {
             "version": VERSION,
@@ -138,7 +138,7 @@ def flags_of(moment: Moment) -> int:
 
 
 def state_of(moment: Moment, layout: BoardLayout) -> int:
-    """The state's number; 255 where nobody says it any more."""
+    """The state's number; 255 where it is unknown."""
     if moment.servos is None or moment.servos_gone:
         return UNKNOWN
     state = int(moment.servos["state"])
@@ -154,26 +154,67 @@ def phoneme_of(moment: Moment, layout: BoardLayout) -> int:
 
 
 def arousal_of(moment: Moment) -> float:
-    """-1 to 1; 0 where nobody says it."""
+    """-1 to 1; 0 where it is unknown."""
     if moment.speech is None or moment.speech_gone:
         return 0.0
     return float(np.nan_to_num(np.clip(moment.speech["arousal"], -1.0, 1.0)))
 
 
 def goals_of(moment: Moment, layout: BoardLayout, scale: float) -> NDArray[np.int16]:
-    """The goals (n_servos,) in 1/scale degrees; absent before the first."""
+    """Return the servos' goals.
+
+    Parameters
+    ----------
+    moment : Moment
+        The newest records.
+    layout : BoardLayout
+        Names of the servos.
+    scale : float
+        Numbers a degree.
+
+    Returns
+    -------
+    NDArray[np.int16]
+        (n_servos,), in 1/scale degrees; absent before the first.
+    """
     record = moment.servos
     return whole_numbers(nothing(layout) if record is None else record["goal_deg"], scale)
 
 
 def encoders_of(moment: Moment, layout: BoardLayout, scale: float) -> NDArray[np.int16]:
-    """Where the servos are (n_servos,), in 1/scale degrees; absent while nobody reads them."""
+    """Return where the servos are.
+
+    Parameters
+    ----------
+    moment : Moment
+        The newest records.
+    layout : BoardLayout
+        Names of the servos.
+    scale : float
+        Numbers a degree.
+
+    Returns
+    -------
+    NDArray[np.int16]
+        (n_servos,), in 1/scale degrees; absent while they are not read.
+    """
     record = None if moment.servos_gone else moment.servos
     return whole_numbers(nothing(layout) if record is None else record["encoder_deg"], scale)
 
 
 def expression_of(moment: Moment) -> NDArray[np.int16]:
-    """The degrees of freedom in their order; absent where nothing is said about one."""
+    """Return the degrees of freedom in their order.
+
+    Parameters
+    ----------
+    moment : Moment
+        The newest records.
+
+    Returns
+    -------
+    NDArray[np.int16]
+        (n_channels,), in scaled degrees or shares; absent where one is not set.
+    """
     record = None if moment.speech_gone else moment.speech
     return whole_numbers(
         [np.nan] * len(_SCALES) if record is None else record["expression"], _SCALES
@@ -208,19 +249,43 @@ def encode(moment: Moment, layout: BoardLayout) -> bytes:
 
 
 def nothing(layout: BoardLayout) -> NDArray[np.float32]:
-    """An angle for every servo, none of them known."""
+    """Return an unknown angle for every servo.
+
+    Parameters
+    ----------
+    layout : BoardLayout
+        Names of the servos.
+
+    Returns
+    -------
+    NDArray[np.float32]
+        (n_servos,), NaN.
+    """
     return np.full(len(layout.servos), np.nan, np.float32)
 
 
 def whole_numbers(values: ArrayLike, scale: float | NDArray[np.float64]) -> NDArray[np.int16]:
-    """Scaled and rounded; NaN becomes `ABSENT`, what is too large the largest."""
+    """Return values scaled and rounded; what is too large becomes the largest.
+
+    Parameters
+    ----------
+    values : ArrayLike
+        (n,).
+    scale : float | NDArray[np.float64]
+        Numbers a unit, or (n,) of them.
+
+    Returns
+    -------
+    NDArray[np.int16]
+        (n,); NaN becomes `ABSENT`.
+    """
     scaled = np.rint(np.asarray(values, np.float64) * scale)
     held = np.clip(np.nan_to_num(scaled, nan=ABSENT), ABSENT + 1, _MOST)
     return np.where(np.isnan(scaled), ABSENT, held).astype("<i2")
 
 
 def state_hello(layout: BoardLayout) -> str:
-    """What is said once: fields of an array, and the names that they count by."""
+    """The message sent once: fields of an array, and the names that they count by."""
     return json.dumps(
         {
             "version": VERSION,

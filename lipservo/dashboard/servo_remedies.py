@@ -68,12 +68,12 @@ _UNCONFIRMED: Final = (
 )
 
 
-def told_servos(status: Mapping[str, Any] | None, *, is_fresh: bool) -> list[dict[str, Any]]:
+def listed_servos(status: Mapping[str, Any] | None, *, is_fresh: bool) -> list[dict[str, Any]]:
     """Every servo of a status, with remedies. is_fresh: whether the face says it now.
 
     Nothing is reported better than it is: what was never heard is null, and of a face that does not
     answer nothing is known but what its servos are called. While a person has stopped the face, a
-    servo is `limp` or `unconfirmed`, as it said at the stop, or `released` where it cannot say.
+    servo is `limp` or `unconfirmed`, as it answered the stop, or `released` where it cannot answer.
     """
     status = status or {}
     report = (status.get("stop_report") or {}) if is_fresh and is_stopped(status) else {}
@@ -86,7 +86,7 @@ def told_servos(status: Mapping[str, Any] | None, *, is_fresh: bool) -> list[dic
     health = {str(each["name"]): each for each in status.get("health") or ()}
     states: Mapping[str, str] = status.get("servos") or {}
     return [
-        _told(name, at_stop.get(name), states.get(name, ""), health.get(name, {}), is_fresh)
+        _status_line(name, at_stop.get(name), states.get(name, ""), health.get(name, {}), is_fresh)
         | _heard(
             health.get(name, {}), states.get(name, ""), is_fresh=is_fresh, has_heat=has_heat(name)
         )
@@ -126,7 +126,7 @@ def _released(words: str) -> dict[str, Any]:
 def _heard(
     health: Mapping[str, Any], state: str, *, is_fresh: bool, has_heat: bool
 ) -> dict[str, Any]:
-    """heard: whether anything came from it; a bus without a way back hears of none, and asks none.
+    """heard: whether anything came from it; a bus without a way back reads none.
 
     answers: and it does now.
     """
@@ -140,7 +140,7 @@ _FIGURES: Final = (
 )  # fmt: skip
 
 
-def _told(
+def _status_line(
     name: str, at_stop: str | None, state: str, health: Mapping[str, Any], is_fresh: bool
 ) -> dict[str, Any]:
     state = at_stop or str(health.get("state") or state) if is_fresh else "unknown"

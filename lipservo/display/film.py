@@ -1,7 +1,7 @@
 """Pictures and sound become a film: H.264 and AAC in an MP4, by PyAV, whole or not at all.
 
 Both are on one axis of time that begins with the first sample: picture n is shown at n / rate, and
-the samples that the encoder puts before the sound are told to the player (an edit list).
+the samples that the encoder puts before the sound are skipped by the player (an edit list).
 """
 
 import errno

@@ -1,4 +1,4 @@
-"""A film from what was asked for: whose motion, on which face, one or two of them."""
+"""A film of a request: whose motion, on which face, one or two of them."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from lipservo.display.film import Display, write_film
-from lipservo.display.filmed_motion import FilmedMotion, SpeechAsked, filmed, filmed_trace
+from lipservo.display.filmed_motion import FilmedMotion, SpeechRequest, filmed, filmed_trace
 from lipservo.display.photo_display import PhotoDisplay
 from lipservo.display.photo_face import PhotoError, PhotoFace, photo_face
 from lipservo.display.photo_file import framed, read_landmarks, read_photo, tracked
@@ -30,7 +30,7 @@ _HEAD = "face_head"
 
 
 @dataclass(frozen=True, slots=True)
-class FilmAsked:
+class FilmRequest:
     """A film as it was typed; see `lipservo film --help`."""
 
     speech: str | None
@@ -49,36 +49,36 @@ class FilmAsked:
     still_head: bool = False
 
 
-def make_film(asked: FilmAsked, chosen: ChosenMotion, advance: Advance) -> dict[str, float]:
-    """Make it; what it took. Raises UserError."""
+def make_film(request: FilmRequest, chosen: ChosenMotion, advance: Advance) -> dict[str, float]:
+    """Make it; return durations in s by name. Raises UserError."""
     began_s = time.perf_counter()
     # What can be wrong with the face is told before anything is heard.
-    displays = [_display(asked)]
-    if asked.beside is not None:
-        displays.append(_display(asked))
+    displays = [_display(request)]
+    if request.beside is not None:
+        displays.append(_display(request))
     with ExitStack() as stack:
         advance("listening", 0, 1)
-        if asked.trace is not None:
-            sound = None if asked.speech is None else Path(asked.speech)
-            motions = [filmed_trace(asked.trace, sound, asked.model, asked.rate_hz)]
+        if request.trace is not None:
+            sound = None if request.speech is None else Path(request.speech)
+            motions = [filmed_trace(request.trace, sound, request.model, request.rate_hz)]
         else:
-            assert asked.speech is not None
-            speech = _speech(asked, chosen)
-            motions = [stack.enter_context(filmed(asked.speech, speech, asked.rate_hz))]
-            if asked.beside is not None:
-                motions.append(_other(asked, chosen, motions[0], stack))
+            assert request.speech is not None
+            speech = _speech(request, chosen)
+            motions = [stack.enter_context(filmed(request.speech, speech, request.rate_hz))]
+            if request.beside is not None:
+                motions.append(_other(request, chosen, motions[0], stack))
         advance("listening", 1, 1)
         n_all = len(motions[0].frames)
         n = write_film(
             _pictures(motions, displays),
             (sum(each.size[0] for each in displays), displays[0].size[1]),
             motions[0].sound,
-            asked.output,
-            asked.rate_hz,
+            request.output,
+            request.rate_hz,
             lambda n_done: advance("filming", n_done, n_all),
         )
     seconds = time.perf_counter() - began_s
-    return {"pictures": n, "duration_s": n / asked.rate_hz, "seconds": round(seconds, 3)}
+    return {"pictures": n, "duration_s": n / request.rate_hz, "seconds": round(seconds, 3)}
 
 
 class Beside:
@@ -104,7 +104,7 @@ def photograph(
     size: tuple[int, int],
     face: FaceModel,
 ) -> PhotoFace:
-    """A photograph in the size of a film, its face found or told. Raises UserError."""
+    """A photograph in the size of a film, its face detected or given. Raises UserError."""
     picture, share = read_photo(path)
     if landmarks is not None:
         points = read_landmarks(landmarks, share)
@@ -116,49 +116,53 @@ def photograph(
         raise PhotoError(f"{path}: {error}") from error
 
 
-def _display(asked: FilmAsked) -> Display:
-    face = load_face(asked.model)
-    if asked.face == "twin":
-        return PhotoDisplay(twin_face(face, asked.size))
-    if asked.face == "robot":
-        return RobotDisplay(assemble_face(asked.config, asked.model), asked.size, 1 / asked.rate_hz)
-    if asked.face == "beside":
-        return Beside(_display(replace(asked, face="twin")), _display(replace(asked, face="robot")))
+def _display(request: FilmRequest) -> Display:
+    face = load_face(request.model)
+    if request.face == "twin":
+        return PhotoDisplay(twin_face(face, request.size))
+    if request.face == "robot":
+        return RobotDisplay(
+            assemble_face(request.config, request.model), request.size, 1 / request.rate_hz
+        )
+    if request.face == "beside":
+        return Beside(
+            _display(replace(request, face="twin")), _display(replace(request, face="robot"))
+        )
     return PhotoDisplay(
-        photograph(Path(asked.face), asked.landmarks, asked.landmarker, asked.size, face)
+        photograph(Path(request.face), request.landmarks, request.landmarker, request.size, face)
     )
 
 
-def _speech(asked: FilmAsked, chosen: ChosenMotion) -> SpeechAsked:
-    settings, folder = load_settings(asked.config)
-    return SpeechAsked(
+def _speech(request: FilmRequest, chosen: ChosenMotion) -> SpeechRequest:
+    settings, folder = load_settings(request.config)
+    return SpeechRequest(
         motion_options(chosen, settings.motion, folder),
-        asked.config,
-        asked.model,
-        asked.script,
-        asked.text,
-        None if asked.still_head else _HEAD,
+        request.config,
+        request.model,
+        request.script,
+        request.text,
+        None if request.still_head else _HEAD,
     )
 
 
 def _other(
-    asked: FilmAsked, chosen: ChosenMotion, first: FilmedMotion, stack: ExitStack
+    request: FilmRequest, chosen: ChosenMotion, first: FilmedMotion, stack: ExitStack
 ) -> FilmedMotion:
     """The motion at the right: of a performance, or of the same sound with another strategy."""
-    assert asked.beside is not None
-    if Path(asked.beside).suffix == SUFFIX:
-        other = _speech(asked, chosen)
-        found = stack.enter_context(filmed(asked.beside, other, asked.rate_hz))
+    assert request.beside is not None
+    if Path(request.beside).suffix == SUFFIX:
+        other = _speech(request, chosen)
+        found = stack.enter_context(filmed(request.beside, other, request.rate_hz))
     else:
-        if first.sound is None or (asked.speech or "").endswith(SUFFIX):
-            raise UserError(f"--beside {asked.beside}: beside a performance stands another one")
-        strategy = next((each for each in STRATEGIES if each == asked.beside), None)
+        if first.sound is None or (request.speech or "").endswith(SUFFIX):
+            raise UserError(f"--beside {request.beside}: beside a performance stands another one")
+        strategy = next((each for each in STRATEGIES if each == request.beside), None)
         if strategy is None:
             raise UserError(
-                f"--beside {asked.beside}: name a performance (.perf), or {', '.join(STRATEGIES)}"
+                f"--beside {request.beside}: name a performance (.perf), or {', '.join(STRATEGIES)}"
             )
-        other = _speech(asked, replace(chosen, strategy=strategy))
-        found = stack.enter_context(filmed(asked.speech or "", other, asked.rate_hz))
+        other = _speech(request, replace(chosen, strategy=strategy))
+        found = stack.enter_context(filmed(request.speech or "", other, request.rate_hz))
     frames = found.frames[: len(first.frames)]
     frames += (frames[-1],) * (len(first.frames) - len(frames))
     return replace(found, frames=frames)

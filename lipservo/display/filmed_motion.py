@@ -44,7 +44,7 @@ class FilmedMotion:
 
 
 @dataclass(frozen=True, slots=True)
-class SpeechAsked:
+class SpeechRequest:
     """What a sound or text says, and how it becomes motion.
 
     script: a TextGrid; text: what the sound says; neither: the recogniser listens. head: the face,
@@ -60,7 +60,7 @@ class SpeechAsked:
 
 
 @contextmanager
-def filmed(speech: str, asked: SpeechAsked, rate_hz: int) -> Iterator[FilmedMotion]:
+def filmed(speech: str, request: SpeechRequest, rate_hz: int) -> Iterator[FilmedMotion]:
     """The motion of a sound file, of a performance, or of a text that is spoken first.
 
     Its sound is there as long as it is entered. Raises UserError.
@@ -69,7 +69,7 @@ def filmed(speech: str, asked: SpeechAsked, rate_hz: int) -> Iterator[FilmedMoti
         path = Path(speech)
         if path.suffix == SUFFIX:
             performance = read_performance(path)
-            performance.check_face(load_face(asked.model), speech)
+            performance.check_face(load_face(request.model), speech)
             sound = stack.enter_context(sound_file(performance.sound, path))
             yield FilmedMotion(_performed(performance, rate_hz), sound)
             return
@@ -77,9 +77,9 @@ def filmed(speech: str, asked: SpeechAsked, rate_hz: int) -> Iterator[FilmedMoti
             if path.suffix and " " not in speech:
                 raise UserError(f"{speech}: no such file; name a sound, or give a text in quotes")
             folder = Path(stack.enter_context(TemporaryDirectory(prefix="lipservo-")))
-            path, script = _spoken(speech, asked.config, folder)
-            asked = replace(asked, script=script, text="" if script else speech)
-        yield FilmedMotion(_heard(path, asked, rate_hz), path)
+            path, script = _spoken(speech, request.config, folder)
+            request = replace(request, script=script, text="" if script else speech)
+        yield FilmedMotion(_heard(path, request, rate_hz), path)
 
 
 def filmed_trace(trace: Path, sound: Path | None, model: Path | None, rate_hz: int) -> FilmedMotion:
@@ -113,35 +113,37 @@ def _performed(performance: Performance, rate_hz: int) -> tuple[Frame, ...]:
     times_s = _times_s(performance.duration_s, rate_hz)
     known_s = np.arange(len(performance.coefficients)) / RATE_HZ
     columns = [np.interp(times_s, known_s, column) for column in performance.coefficients.T]
-    told = {
+    tracks = {
         name: np.interp(times_s, known_s, values) for name, values in performance.expression.items()
     }
-    return _frames(times_s, np.stack(columns, axis=1), told)
+    return _frames(times_s, np.stack(columns, axis=1), tracks)
 
 
-def _heard(path: Path, asked: SpeechAsked, rate_hz: int) -> tuple[Frame, ...]:
-    spoken = SpokenSound(path, asked.script, asked.motion, asked.config, asked.model, asked.text)
+def _heard(path: Path, request: SpeechRequest, rate_hz: int) -> tuple[Frame, ...]:
+    spoken = SpokenSound(
+        path, request.script, request.motion, request.config, request.model, request.text
+    )
     times_s = _times_s(spoken.duration_s, rate_hz)
     found = spoken.frames(times_s)
-    if asked.head is None:
+    if request.head is None:
         return tuple(found)
     n_known = int(np.ceil(spoken.duration_s * RATE_HZ)) + 1
     line = Line(tuple(spoken.events()), read_speech(path))
     known_s = np.arange(n_known) / RATE_HZ
-    told = {
+    tracks = {
         name: np.interp(times_s, known_s, values)
-        for name, values in line_expression(asked.head, line, n_known).items()
+        for name, values in line_expression(request.head, line, n_known).items()
     }
-    return _frames(times_s, np.stack([frame.coefficients for frame in found]), told)
+    return _frames(times_s, np.stack([frame.coefficients for frame in found]), tracks)
 
 
-def _frames(times_s: Array, faces: Array, told: dict[str, Array]) -> tuple[Frame, ...]:
-    known = {each.name for each in fields(Expression)} & set(told)
+def _frames(times_s: Array, faces: Array, tracks: dict[str, Array]) -> tuple[Frame, ...]:
+    known = {each.name for each in fields(Expression)} & set(tracks)
     return tuple(
         Frame(
             float(time_s),
             faces[n].astype(np.float64),
-            Expression(**{name: float(told[name][n]) for name in known})
+            Expression(**{name: float(tracks[name][n]) for name in known})
             if known
             else NO_EXPRESSION,
         )

@@ -68,7 +68,20 @@ class LipContact:
         return float(self._gaps.gaps_mm(coefficients).max())
 
     def held(self, skin_px: Array, frame: Frame) -> Array:
-        """The skin (n, 3) with its lips in contact where they should be; changes it in place."""
+        """Bring the lips in contact where they should be, in place.
+
+        Parameters
+        ----------
+        skin_px : Array
+            (n, 3), changed.
+        frame : Frame
+            Which gaps are wanted.
+
+        Returns
+        -------
+        Array
+            `skin_px`.
+        """
         nearer = 1.0 - self._widest_mm(frame.coefficients) / self._own_gap_mm
         closing = self._excess_px * min(1.0, max(0.0, nearer))
         closing = np.minimum(closing, self._gap_px(skin_px) - self._least_px) / 2
@@ -99,7 +112,18 @@ class Unfolding:
         self._areas = areas_px2(rest_px, self._triangles)
 
     def unfolded(self, moved_px: Array) -> Array:
-        """Vertices (n, 2); corners of folded triangles are brought to go as their middle goes."""
+        """Bring corners of folded triangles to go as their middle goes.
+
+        Parameters
+        ----------
+        moved_px : Array
+            (n, 2).
+
+        Returns
+        -------
+        Array
+            (n, 2) pixels.
+        """
         moves = moved_px - self._rest
         for _ in range(_MOST_ROUNDS):
             areas = areas_px2(self._rest + moves, self._triangles)
@@ -116,7 +140,20 @@ class Unfolding:
 
 
 def areas_px2(places_px: Array, triangles: Indices) -> Array:
-    """(n_triangles,): twice the area, with the sign of the way round."""
+    """Return twice the area of triangles, with the sign of the way round.
+
+    Parameters
+    ----------
+    places_px : Array
+        (n, 2).
+    triangles : Indices
+        (n_triangles, 3).
+
+    Returns
+    -------
+    Array
+        (n_triangles,).
+    """
     a, b, c = (places_px[triangles[:, corner]] for corner in range(3))
     across, down = b - a, c - a
     return np.asarray(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0])

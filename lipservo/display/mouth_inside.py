@@ -74,7 +74,19 @@ class MouthInside:
     def draw_into(
         self, picture: Picture, frame: Frame, lips_px: Array, turned: tuple[Array, Array]
     ) -> None:
-        """Fill what is open between the inner lips (n, 3), in pixels; turned: of the head."""
+        """Fill what is open between the inner lips.
+
+        Parameters
+        ----------
+        picture : Picture
+            (height, width, 3), changed in place.
+        frame : Frame
+            What the mouth shows.
+        lips_px : Array
+            (n, 3).
+        turned : tuple[Array, Array]
+            Rotation and shift of the head, in pixels.
+        """
         import cv2
 
         flat = lips_px[:, :2]

@@ -100,11 +100,30 @@ class PhotoDisplay:
 
     @property
     def own(self) -> Array:
-        """Coefficients of the mouth as it was photographed."""
+        """Coefficients of the mouth as it was photographed.
+
+        Returns
+        -------
+        Array
+            (n_components,).
+        """
         return self._photo.own
 
     def model_moves_px(self, face: FaceModel, coefficients: Array) -> Array:
-        """(n_points, 2): how far the model's points are from where the photograph has them."""
+        """Return how far the model's points are from where the photograph has them.
+
+        Parameters
+        ----------
+        face : FaceModel
+            The model.
+        coefficients : Array
+            (n_components,).
+
+        Returns
+        -------
+        Array
+            (n_points, 2) pixels.
+        """
         moves = face.markers_mm((coefficients - self._photo.own)[None])[0] - face.mean_mm
         return np.asarray((moves @ self._photo.matrix.T)[:, :2])
 
@@ -130,7 +149,18 @@ class PhotoDisplay:
         return picture
 
     def moved(self, frame: Frame) -> tuple[Array, Array]:
-        """Where the mesh's vertices are, (n, 2) in pixels; and the depth of those of the skin."""
+        """Return where the mesh's vertices are.
+
+        Parameters
+        ----------
+        frame : Frame
+            Mouth and expression.
+
+        Returns
+        -------
+        tuple[Array, Array]
+            (n, 2) pixels; and the depth of the skin's vertices, (n_skin,).
+        """
         places = self._skin_places(frame)
         turn, shift = self._turn(frame)
         skin = self._contact.held(self._photo.in_picture(places), frame) @ turn.T + shift
@@ -147,7 +177,18 @@ class PhotoDisplay:
         return self._unfold.unfolded(np.vstack([skin[:, :2], *eyes, rings])), skin[:, 2]
 
     def source_of(self, moved_px: Array) -> NDArray[np.float32]:
-        """(2, rows, columns) of the part that moves: from where in the photograph a pixel comes."""
+        """Return from where in the photograph each pixel of the moving part comes.
+
+        Parameters
+        ----------
+        moved_px : Array
+            (n, 2), of `moved`.
+
+        Returns
+        -------
+        NDArray[np.float32]
+            (2, rows, columns) pixels.
+        """
         rest = self._mesh.rest_px
         still = np.asarray((np.abs(moved_px - rest) < _STILL_PX).all(axis=1))
         # Where nothing moves the map is there already; but what lies over what moves is drawn.
@@ -220,9 +261,9 @@ class PhotoDisplay:
 def amounts_of(frame: Frame, components: tuple[str, ...]) -> dict[str, float]:
     """How much of each target a frame asks for; what it leaves open is at rest."""
     amounts = dict(zip(components, np.asarray(frame.coefficients).tolist(), strict=True))
-    said = {each.name: getattr(frame.expression, each.name) for each in fields(frame.expression)}
+    values = {each.name: getattr(frame.expression, each.name) for each in fields(frame.expression)}
     for name, (least, most) in _MOST.items():
-        amounts[name] = min(most, max(least, said[name] or 0.0))
+        amounts[name] = min(most, max(least, values[name] or 0.0))
     for side in ("left", "right"):
         lid = amounts[f"lid_{side}"]
         amounts[f"lid_{side}_over"] = lid * (1 - lid)
@@ -231,18 +272,26 @@ def amounts_of(frame: Frame, components: tuple[str, ...]) -> dict[str, float]:
 
 def pose_rad(frame: Frame) -> tuple[float, float, float]:
     """Pitch, yaw and roll of the head that a photograph bears."""
-    said = frame.expression
-    asked = (said.neck_pitch_deg, said.neck_yaw_deg, said.neck_roll_deg)
+    expression = frame.expression
+    angles_deg = (expression.neck_pitch_deg, expression.neck_yaw_deg, expression.neck_roll_deg)
     most = _MOST_POSE_DEG.values()
-    within = [max(-m, min(m, deg or 0.0)) for deg, m in zip(asked, most, strict=True)]
+    within = [max(-m, min(m, deg or 0.0)) for deg, m in zip(angles_deg, most, strict=True)]
     pitch, yaw, roll = np.radians(within).tolist()
     return pitch, yaw, roll
 
 
 def rotation(pitch: float, yaw: float, roll: float) -> Array:
-    """(3, 3) of x to the picture's right, y up, z to the viewer: by roll, then pitch, then yaw.
+    """Return the rotation by roll, then pitch, then yaw; x to the right, y up, z to the viewer.
 
-    Pitch up, yaw to the face's own left, roll to its left shoulder, in radians.
+    Parameters
+    ----------
+    pitch,yaw,roll : float
+        Radians: up, to the face's own left, to its left shoulder.
+
+    Returns
+    -------
+    Array
+        (3, 3).
     """
     (cx, sx), (cy, sy), (cz, sz) = ((np.cos(a), np.sin(a)) for a in (-pitch, yaw, -roll))
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])

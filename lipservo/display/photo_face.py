@@ -68,11 +68,35 @@ class LipGaps:
     each: Array
 
     def gaps_mm(self, coefficients: Array) -> Array:
-        """(n,) of a mouth."""
+        """Return the gaps of a mouth.
+
+        Parameters
+        ----------
+        coefficients : Array
+            (n_components,).
+
+        Returns
+        -------
+        Array
+            (n,) mm.
+        """
         return np.asarray(self.at_zero + self.each @ coefficients)
 
     def at(self, along: Array, coefficients: Array) -> Array:
-        """The gaps at other places along the lips, mm."""
+        """Return the gaps at other places along the lips.
+
+        Parameters
+        ----------
+        along : Array
+            (k,), 0 to 1 from corner to corner.
+        coefficients : Array
+            (n_components,).
+
+        Returns
+        -------
+        Array
+            (k,) mm.
+        """
         known = np.concatenate([[0.0], self.along, [1.0]])
         gaps = np.concatenate([[0.0], self.gaps_mm(coefficients), [0.0]])
         return np.asarray(np.interp(along, known, gaps))
@@ -100,16 +124,45 @@ class PhotoFace:
         return float(np.cbrt(abs(np.linalg.det(self.matrix))))
 
     def in_picture(self, places_mm: Array) -> Array:
-        """(n, 3) of the head as pixels and depth."""
+        """Return places of the head as pixels and depth.
+
+        Parameters
+        ----------
+        places_mm : Array
+            (n, 3).
+
+        Returns
+        -------
+        Array
+            (n, 3) pixels.
+        """
         return np.asarray(places_mm @ self.matrix.T + self.shift_px)
 
 
 def photo_face(picture: Picture, landmarks_px: Mapping[int, Array], face: FaceModel) -> PhotoFace:
-    """The head in a photograph.
+    """Fit the head to a photograph.
 
-    landmarks_px: by number in the 478-point face mesh (2,) or (3,), x right, y down, z away from
-    the viewer; all of a tracker, or those of `HAND_POINTS` at the least. Raises PhotoError, and
-    TwinError for a model that no head can wear.
+    Parameters
+    ----------
+    picture : Picture
+        (height, width, 3).
+    landmarks_px : Mapping[int, Array]
+        By number in the 478-point face mesh (2,) or (3,), x right, y down, z away from the viewer;
+        all of a tracker, or those of `HAND_POINTS` at the least.
+    face : FaceModel
+        The model.
+
+    Returns
+    -------
+    PhotoFace
+        With its scale in pixels a mm.
+
+    Raises
+    ------
+    PhotoError
+        The photograph cannot be used.
+    TwinError
+        No head can wear the model.
     """
     missing = [name for name, number in HAND_POINTS.items() if number not in landmarks_px]
     if missing:

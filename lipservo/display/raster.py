@@ -25,7 +25,20 @@ class Covered:
     triangle: Indices
 
     def interpolated(self, corners_px: Array, values: Array) -> Array32:
-        """(k, n): what triangles (m, 3, 2) have at their corners, (m, 3, k), at each pixel."""
+        """Interpolate values of triangles' corners at each pixel.
+
+        Parameters
+        ----------
+        corners_px : Array
+            (m, 3, 2).
+        values : Array
+            (m, 3, k).
+
+        Returns
+        -------
+        Array32
+            (k, n).
+        """
         x, y = corners_px[..., 0], corners_px[..., 1]
         sides = np.stack([x[:, 1:] - x[:, :1], y[:, 1:] - y[:, :1]], axis=-1)
         rises = values[:, 1:] - values[:, :1]
@@ -44,9 +57,21 @@ class Covered:
 
 
 def covered(corners_px: Array, height: int, width: int) -> Covered:
-    """The pixels under triangles (n, 3, 2), x right and y down, a pixel's middle at whole numbers.
+    """Return the pixels under triangles, x right and y down, a pixel's middle at whole numbers.
 
     What lies outside the picture is left out; so are triangles without area.
+
+    Parameters
+    ----------
+    corners_px : Array
+        (n, 3, 2).
+    height,width : int
+        Pixels.
+
+    Returns
+    -------
+    Covered
+        Row, column and triangle of each pixel.
     """
     x, y = corners_px[..., 0], corners_px[..., 1]
     first = np.clip(np.ceil(y.min(axis=1)), 0, height).astype(np.int64)

@@ -66,7 +66,20 @@ class RobotDisplay:
         return self.draw_angles(self._names, positions_deg)
 
     def draw_angles(self, names: Sequence[str], positions_deg: Array) -> Picture:
-        """The robot with its servos at angles (n,), by their names."""
+        """Draw the robot with its servos at angles.
+
+        Parameters
+        ----------
+        names : Sequence[str]
+            n servos.
+        positions_deg : Array
+            (n,).
+
+        Returns
+        -------
+        Picture
+            (height, width, 3).
+        """
         moved = moved_channels(self._rig, dict(zip(names, positions_deg.tolist(), strict=True)))
         canvas = _Canvas(self._size, self._scale, self._shift, moved)
         canvas.head(bool({"eye_yaw", "eye_pitch", "lid"} & {channel for channel, _ in moved}))

@@ -1,4 +1,4 @@
-"""The face that comes with the program: the twin's own picture, a photograph of nobody."""
+"""The face that comes with the program: the twin's own picture, a photograph of no person."""
 
 from importlib import resources
 from typing import Final

@@ -1,1 +1,1 @@
-"""The servo health log: written while a face runs, read and judged by `lipservo health`."""
+"""The servo health log: written while a face runs, read and evaluated by `lipservo health`."""

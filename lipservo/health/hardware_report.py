@@ -73,15 +73,15 @@ def labels(settings: FaceSettings) -> list[str]:
 
 def plain_values(settings: BaseModel) -> dict[str, object]:
     """What of settings is a number, a flag, or a word that the schema lists."""
-    told: dict[str, object] = {}
+    values: dict[str, object] = {}
     for name, field in type(settings).model_fields.items():
         value = getattr(settings, name)
         is_listed = name == "kind" or get_origin(field.annotation) is Literal
         if isinstance(value, (bool, int, float)) or (is_listed and isinstance(value, str)):
-            told[name] = value
+            values[name] = value
     if model := getattr(settings, "make", None):
-        told["model"] = model
-    return told
+        values["model"] = model
+    return values
 
 
 def examined(
@@ -143,17 +143,17 @@ def limp_loop(bus: ServoBus, rate_hz: float, seconds: float, clock: Clock) -> Re
     for time_s, late in ticks(clock, rate_hz):
         if time_s - began_s >= seconds:
             break
-        moments_s = [clock.now()]
-        late_ms.append(1e3 * (moments_s[0] - time_s))
+        times_s = [clock.now()]
+        late_ms.append(1e3 * (times_s[0] - time_s))
         n_late += late
         bus.write_positions(goals_deg)
-        moments_s.append(clock.now())
+        times_s.append(clock.now())
         feedback = bus.feedback()
-        moments_s.append(clock.now())
+        times_s.append(clock.now())
         bus.look_after()
-        moments_s.append(clock.now())
+        times_s.append(clock.now())
         for name, spent_s in zip(
-            ("write_ms", "read_ms", "look_after_ms"), np.diff(moments_s), strict=True
+            ("write_ms", "read_ms", "look_after_ms"), np.diff(times_s), strict=True
         ):
             durations[name].append(1e3 * float(spent_s))
         unanswered += feedback.age_s > 0.0
@@ -179,7 +179,20 @@ def spread(values: Sequence[float]) -> dict[str, float] | None:
 
 
 def step_goals(min_deg: float, max_deg: float, rate_hz: float) -> Array:
-    """(n, 1) goals of a joint: steps to one side of 0 and back, within its limits."""
+    """Return goals of a joint: steps to one side of 0 and back, within its limits.
+
+    Parameters
+    ----------
+    min_deg,max_deg : float
+        Its limits.
+    rate_hz : float
+        Goals a second.
+
+    Returns
+    -------
+    Array
+        (n, 1) degrees.
+    """
     size_deg = min(STEP_DEG, max_deg) if max_deg >= -min_deg else max(-STEP_DEG, min_deg)
     held = round(STEP_S * rate_hz)
     there_and_back = np.repeat([size_deg, 0.0], held)
@@ -189,10 +202,22 @@ def step_goals(min_deg: float, max_deg: float, rate_hz: float) -> Array:
 def step_answers(
     goals_deg: Array, seen_deg: Array, rate_hz: float
 ) -> list[dict[str, float | None]]:
-    """How a shaft answered each step; goals and places (n,), one a tick.
+    """Return how a shaft answered each step.
 
     late_ms: until it has gone a tenth of the way; settled_ms: until it stays near its goal, None:
     it does not; beyond_deg: how far past it; off_deg: where it comes to rest.
+
+    Parameters
+    ----------
+    goals_deg,seen_deg : Array
+        (n,), one a tick.
+    rate_hz : float
+        Ticks a second.
+
+    Returns
+    -------
+    list[dict[str, float | None]]
+        One mapping a step.
     """
     edges = [0, *(np.flatnonzero(np.diff(goals_deg)) + 1).tolist(), len(goals_deg)]
     answers: list[dict[str, float | None]] = []
@@ -240,8 +265,8 @@ def _lines(value: Mapping[str, Any], depth: int) -> Iterator[str]:
         elif isinstance(each, list) and each and isinstance(each[0], Mapping):
             yield f"{indent}{name}:"
             for entry in each:
-                told = ", ".join(f"{key} {_shown(one)}" for key, one in entry.items())
-                yield f"{indent}  - {told}"
+                pairs = ", ".join(f"{key} {_shown(one)}" for key, one in entry.items())
+                yield f"{indent}  - {pairs}"
         elif isinstance(each, list) and each and isinstance(each[0], str):
             yield f"{indent}{name}:"
             yield from (f"{indent}  - {entry}" for entry in each)

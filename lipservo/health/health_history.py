@@ -67,7 +67,7 @@ class History:
 
 @dataclass(slots=True)
 class _Column:
-    """What one servo said in the course of a day, reading by reading."""
+    """The readings of one servo in the course of a day."""
 
     values: dict[str, list[float]] = field(
         default_factory=lambda: {name: [] for name in _QUANTITIES}
@@ -241,7 +241,20 @@ def findings(servos: Mapping[str, Sequence[ServoDay]]) -> list[str]:
 
 
 def theil_sen_slope(times: NDArray[np.float64], values: NDArray[np.float64]) -> float:
-    """The median of the slopes of all pairs: Sen, J. Am. Stat. Assoc. 63 (1968) 1379."""
+    """Return the median of the slopes of all pairs: Sen, J. Am. Stat. Assoc. 63 (1968) 1379.
+
+    Parameters
+    ----------
+    times : NDArray[np.float64]
+        (n,), different.
+    values : NDArray[np.float64]
+        (n,).
+
+    Returns
+    -------
+    float
+        Values a unit of time.
+    """
     slopes = [
         (values[j] - values[i]) / (times[j] - times[i])
         for i, j in combinations(range(len(times)), 2)
@@ -311,7 +324,7 @@ def _trends(name: str, days: Sequence[ServoDay], shared: Mapping[date, float]) -
 
 
 def _change(values: Mapping[date, float]) -> tuple[float, int] | None:
-    """How much it rose, and within how many days; None where that cannot be told from chance."""
+    """How much it rose, and within how many days; None where that may be chance."""
     known = sorted((day.toordinal(), v) for day, v in values.items() if math.isfinite(v))
     if len(known) < _FEWEST_DAYS:
         return None

@@ -1,6 +1,6 @@
 """How the servos were, on disk: a line of JSON every ten seconds, a file a UTC day, bounded.
 
-Whoever runs a face calls `offer` from its loop; a thread writes. Whatever the disk does, `offer`
+The loop that runs a face calls `offer`; a thread writes. Whatever the disk does, `offer`
 returns at once and the face goes on. `lipservo health` reads what lies here (`health_history`). The
 folder is that of the user's or the service's state, where a person's stop is kept too.
 """
@@ -97,9 +97,9 @@ def _own_state(environment: Mapping[str, str]) -> Path | None:
 
     https://specifications.freedesktop.org/basedir-spec/latest/ : a relative path is ignored.
     """
-    asked = environment.get("LIPSERVO_STATE")
-    if asked:
-        return Path(asked)
+    folder = environment.get("LIPSERVO_STATE")
+    if folder:
+        return Path(folder)
     state = environment.get("XDG_STATE_HOME", "")
     if os.path.isabs(state):
         return Path(state) / "lipservo"

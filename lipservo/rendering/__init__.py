@@ -1,1 +1,1 @@
-"""Lines rendered to performances: what is said in a sound, one line, many lines on all cores."""
+"""Lines rendered to performances: the phonemes of a sound, one line, many lines on all cores."""

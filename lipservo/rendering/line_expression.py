@@ -1,7 +1,7 @@
 """Head, eyes, lids and brows of a line that is known to its end, as its face moves them live.
 
-What knowing the end changes: the voice is judged by the whole line's own loudness and pitch, not
-by what was said so far; a turn is over when its last phone is, not 0.3 s later; and the head is no
+What knowing the end changes: the voice is compared with the whole line's own loudness and pitch,
+not with the part before; a turn is over when its last phone is, not 0.3 s later; and the head is no
 later than a human one.
 """
 
@@ -33,10 +33,28 @@ _PAUSE_S: Final = 0.3
 
 
 def line_expression(face: str, line: Line, n_frames: int) -> dict[str, NDArray[np.float32]]:
-    """Of every name of `EXPRESSION_NAMES` the values (n_frames,) at i / 100 s of sound time.
+    """Return the expression of a line; the same line always moves the same, another one otherwise.
 
-    face: whose expression, by the name of a shipped face or its YAML. The same line always moves
-    the same, another one otherwise. Raises SettingsError, ExpressionModelError.
+    Parameters
+    ----------
+    face : str
+        Whose expression, by the name of a shipped face or its YAML.
+    line : Line
+        The line.
+    n_frames : int
+        100 a second.
+
+    Returns
+    -------
+    dict[str, NDArray[np.float32]]
+        (n_frames,) at i / 100 s of sound time, by names of `EXPRESSION_NAMES`.
+
+    Raises
+    ------
+    SettingsError
+        The face cannot be read.
+    ExpressionModelError
+        Its expression model cannot be read.
     """
     settings, folder = load_settings(face)
     seed = settings.expression.seed ^ int.from_bytes(sha256(line.samples.tobytes()).digest()[:4])
@@ -62,7 +80,18 @@ def line_expression(face: str, line: Line, n_frames: int) -> dict[str, NDArray[n
 
 
 def voice_frames(samples: NDArray[np.float32]) -> list[VoiceFrame]:
-    """One for each 10 ms of 16 kHz samples, against the baselines of all of them."""
+    """Return the prosody of a sound, against the baselines of all of it.
+
+    Parameters
+    ----------
+    samples : NDArray[np.float32]
+        (n,) at 16 kHz.
+
+    Returns
+    -------
+    list[VoiceFrame]
+        One for each 10 ms.
+    """
     tracker = VoiceTracker()
     for _ in range(2):  # once to learn what is usual in this line
         frames = [tracker.feed(block) for block in _blocks(samples)]
@@ -70,7 +99,7 @@ def voice_frames(samples: NDArray[np.float32]) -> list[VoiceFrame]:
 
 
 def silent_s(events: Sequence[PhonemeEvent], n_frames: int) -> Iterator[float]:
-    """For each 10 ms how long nobody has spoken, as the face counts it: 0 in a sentence."""
+    """Yield for each 10 ms the seconds of silence so far: 0 within a sentence."""
     spoken = [event for event in events if event.phoneme != SILENCE]
     end_s = -np.inf  # of what was said so far
     ahead = iter(spoken)

@@ -39,7 +39,7 @@ class Rendering:
 
 @dataclass(frozen=True, slots=True)
 class Rendered:
-    """What became of a line: duration_s of sound, seconds it took, and notes for a person."""
+    """A rendered line: duration_s of sound, seconds of computing, and notes for a person."""
 
     output: Path
     duration_s: float
@@ -74,14 +74,31 @@ def rendered_line(sound: Path, script: Script, how: Rendering) -> tuple[Performa
     )
     seconds = time.perf_counter() - began_s
     duration_s = len(line.samples) / SAMPLE_RATE_HZ
-    told = (*heard_notes, *notes)
-    return performance, Rendered(sound, duration_s, len(line.events), seconds, told)
+    all_notes = (*heard_notes, *notes)
+    return performance, Rendered(sound, duration_s, len(line.events), seconds, all_notes)
 
 
 def rendered_faces(
     speaker: Speaker, line: Line, method: LineMethod, strength: float = 1.0
 ) -> tuple[Array, tuple[str, ...]]:
-    """Faces (n, n_components), 100 a second from 0 to the end of the sound, and notes."""
+    """Render a line.
+
+    Parameters
+    ----------
+    speaker : Speaker
+        Models.
+    line : Line
+        Sound and phones.
+    method : LineMethod
+        Of the motion.
+    strength : float
+        0 to 1 and beyond.
+
+    Returns
+    -------
+    tuple[Array, tuple[str, ...]]
+        (n, n_components), 100 a second from 0 to the end of the sound, and notes.
+    """
     synthesizer, notes = line_synthesizer(speaker, line, method, strength)
     n_frames = int(np.ceil(len(line.samples) / SAMPLE_RATE_HZ * RATE_HZ)) + 1
     return shown_faces(synthesizer, np.arange(n_frames) / RATE_HZ), tuple(notes)

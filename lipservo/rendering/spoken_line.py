@@ -1,4 +1,4 @@
-"""What is said in a sound file: by a file of phones, by its text, or by the recogniser."""
+"""The phonemes of a sound file: by a file of phones, by its text, or by the recogniser."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +32,7 @@ class LineError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class Script:
-    """What is known of a sound. phones: a file of phones with times. text: what is said.
+    """What is known of a sound. phones: a file of phones with times. text: its words.
 
     With neither the recogniser listens.
     """

@@ -56,14 +56,25 @@ class SpokenSound:
         return list(settled_events(FileSource(self.path), recognizer))
 
     def _recognizer(self) -> FallbackRecognizer:
-        """Told the text. Raises PronunciationError."""
+        """Make the recogniser, with the text given to it. Raises PronunciationError."""
         recognizer = make_recognizer(self.motion.engine, None, self.motion.weights)
         if self.text:
             recognizer.tell(spoken_words(self.text))
         return recognizer
 
     def frames(self, times_s: Sequence[float] | Array) -> list[Frame]:
-        """The faces of ascending sound times, as the robot shows them."""
+        """Return the faces of a sound, as the robot shows them.
+
+        Parameters
+        ----------
+        times_s : Sequence[float] | Array
+            (n,) sound times, ascending.
+
+        Returns
+        -------
+        list[Frame]
+            n frames.
+        """
         face = assemble_face(self.config, self.model)
         synthesizer = make_synthesizer(face.model, self.motion, self.model)
         script = None if self.script is None else ScriptedPhonemes(read_phonemes(self.script))

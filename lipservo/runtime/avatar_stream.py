@@ -52,7 +52,7 @@ class AvatarStream:
         self._has_vowels = has_vowels
         self._due_s = -math.inf
         self._sound_s = 0.0
-        self._said: set[str] = set(_MOUTH)
+        self._sent_names: set[str] = set(_MOUTH)
         #: Datagrams that were handed to the system, and those that it did not take.
         self.n_sent = 0
         self.n_failed = 0
@@ -62,7 +62,7 @@ class AvatarStream:
         self.show(tick.report.time_s, tick.sound_s, tick.frame)
 
     def show(self, time_s: float, sound_s: float, frame: Frame) -> None:
-        """The same where nobody ticks. time_s: monotonic, ascending."""
+        """Send a frame outside the tick of a face. time_s: monotonic, ascending."""
         if time_s < self._due_s - _ROUNDING_S:
             return
         # On a grid, so that ticks a little late make the frames no fewer.
@@ -84,13 +84,13 @@ class AvatarStream:
         self._send(self._sound_s, Frame(self._sound_s, self._rest))
 
     def _shapes(self, values: Array) -> list[tuple[str, float]]:
-        """The mouth's shapes, and of the others those of which anything was ever said."""
+        """The mouth's shapes, and of the others those that were ever above 0."""
         pairs = list(zip(ARKIT_NAMES, values.tolist(), strict=True))
-        self._said.update(name for name, value in pairs if value > 0.0)
-        said = [pair for pair in pairs if pair[0] in self._said]
+        self._sent_names.update(name for name, value in pairs if value > 0.0)
+        known_pairs = [pair for pair in pairs if pair[0] in self._sent_names]
         if not self._has_vowels:
-            return said
-        return [*vowels(values).items(), *(pair for pair in said if pair[0] not in _MOUTH)]
+            return known_pairs
+        return [*vowels(values).items(), *(pair for pair in known_pairs if pair[0] not in _MOUTH)]
 
     def _hand_over(self, to: socket.socket, packet: bytes) -> None:
         try:
@@ -135,7 +135,7 @@ def entered_avatars(
 
 
 def resolved_avatars(targets: AvatarTargets) -> AvatarTargets:
-    """The targets with the numbers of their hosts, so that nobody need ask for them again.
+    """The targets with the numbers of their hosts, so that no name is looked up again.
 
     Raises AvatarError for a target that cannot be sent to.
     """

@@ -109,9 +109,9 @@ def run_face(
             play(street, life, is_over=end.is_over, tally=tally, observers=observers)
         heard_s = max(0.0, min(length_s, clock.now() - zero_s))
         status = run.status(driven.bridge)
-    took_s = time.perf_counter() - began_s
+    elapsed_s = time.perf_counter() - began_s
     assert life.report is not None
-    summary = tally.summary(status, heard_s, took_s)
+    summary = tally.summary(status, heard_s, elapsed_s)
     return RunOutcome(summary, status, life.report, life.signal_number)
 
 
@@ -126,7 +126,7 @@ def play(
     """Run the street until it is over or a person stops the face; then to rest.
 
     A life cycle that waits for a start goes on: sound is heard and dropped meanwhile, so that
-    nothing has to be caught up with. is_over: asked at the monotonic time of each tick.
+    nothing has to be caught up with. is_over: called at the monotonic time of each tick.
     """
     for time_s, late in life.ticks():
         if not life.stopping and is_over(time_s):
@@ -187,9 +187,10 @@ class _Run:
     def observers(
         self, bridge: Bridge, board: LiveBoard, stack: ExitStack, *, live: bool, on_time: bool
     ) -> list[TickObserver]:
-        """Who watches: settings, trace, avatars, and the view when somebody looks at a terminal.
+        """The observers of ticks: settings, trace, avatars, and the view where there is a terminal.
 
-        on_time: whether ticks come at their time, whoever has not done with the one before.
+        on_time: whether ticks come at their time, even when an observer is not done with the one
+        before.
         """
         request, face = self._requested.request, self._requested.face
         observers: list[TickObserver] = [self]

@@ -17,12 +17,12 @@ from lipsync.recognition.recognizers import make_recognizer, no_recognizer
 from lipsync.text_to_speech.pronunciation import spoken_words
 
 #: In place of who listens, of what it has learned and of the strategy, where all was rendered.
-_NOBODY: Final = "none"
+_NO_STRATEGY: Final = "none"
 _PERFORMED: Final = "performed"
 
 
 class FaceSpeech:
-    """What a requested face hears, says and shows, and how that is."""
+    """The sound, motion and expression of a requested face, and their status."""
 
     def __init__(
         self,
@@ -34,7 +34,7 @@ class FaceSpeech:
         timer_s: Callable[[], float] | None = None,
         synthesizer: Synthesizer | None = None,
     ) -> None:
-        """source: entered. board, timer_s: None on a clock of its own, where nobody looks or waits.
+        """source: entered. board, timer_s: None on a clock of its own, without watcher or deadline.
 
         synthesizer: of what needs no recogniser; None: whom the request's motion asks for.
         """
@@ -68,7 +68,7 @@ class FaceSpeech:
         playout = source if isinstance(source, Playout) else None
         output = None if playout is None else playout.loudspeaker
         expression = speech.expression
-        asked = motion.style_settings
+        style = motion.style_settings
         words, word = speech.saying
         named: dict[str, str] = {
             "recognizer": self.recognizer.level,
@@ -77,18 +77,18 @@ class FaceSpeech:
             "strategy": motion.strategy,
         }
         if motion.performed:
-            named = {**dict.fromkeys(named, _NOBODY), "strategy": _PERFORMED}
+            named = {**dict.fromkeys(named, _NO_STRATEGY), "strategy": _PERFORMED}
         return SpeechStatus(
             **named,
             sound=source.name,
             fallback_level=len(self.recognizer.reasons),
             fallback_reasons=self.recognizer.reasons,
-            hears=speech.hears,
+            hears=speech.hearing,
             moved_by=speech.moved_by,
             words=words,
             word=word if words and speech.moved_by != "sound" else None,
             settings={
-                **{name: settings.get(name, value) for name, value in asked.items()},
+                **{name: settings.get(name, value) for name, value in style.items()},
                 **({} if speech.lip_gap is None else {LIP_GAP_OFFSET: speech.lip_gap.wanted_mm}),
             },
             delay_ms=round(speech.delay.total_s * 1e3, 3),
@@ -102,5 +102,5 @@ class FaceSpeech:
             arousal=None if expression is None else round(expression.arousal, 3),
             mouth_closes=self._mouth_closes,
             is_resting=None if expression is None else expression.is_resting,
-            expression={} if expression is None else expression.wishes.values,
+            expression={} if expression is None else expression.requests.values,
         )

@@ -65,8 +65,8 @@ class MotionOptions:
 
     weights: shipped ones by name, or a file; read and refused here, as a live face would fall back
     to a lesser recogniser. recognizer_latency_s: when a phoneme is settled; sooner is less right.
-    performed: how the performance was rendered that is played; then nobody listens and no strategy
-    plans anything. Raises WeightsError, StyleError, PluginError.
+    performed: how the performance was rendered that is played; then no recogniser runs and no
+    strategy plans anything. Raises WeightsError, StyleError, PluginError.
     """
 
     engine: str = DEFAULT_RECOGNIZER

@@ -1,4 +1,4 @@
-"""A face in three processes: one that owns the port, one that hears, one that watches over both."""
+"""A face in three processes: one owns the port, one listens and speaks, one supervises both."""
 
 import logging
 import os
@@ -40,7 +40,7 @@ class Handed:
     """What a process inherits from the supervisor.
 
     channel, board, live: descriptors of the socket of targets, of the notes that the processes
-    share, and of what whoever watches may read.
+    share, and of what watching programs may read.
     """
 
     channel: int
@@ -60,7 +60,7 @@ def run_bridge_process(
 ) -> int:
     """Own the port and drive the servos; targets come through a socket. The exit status.
 
-    control: the descriptor of the face's control socket. stopped: what a person had asked of the
+    control: the descriptor of the face's control socket. stopped: what a person had ordered of the
     bridge that died before this one. given_up: servos that stay limp, by index, and why.
     """
     from firmware_bridge.clock import MonotonicClock
@@ -111,7 +111,7 @@ def run_bridge_process(
 def _drive(
     driven: DrivenFace, lifeline: Lifeline, observers: Sequence[Callable[[TickReport], None]]
 ) -> None:
-    """Arm, and tick on the grid until told to stop, by a signal or the control socket."""
+    """Arm, and tick on the grid until a signal or the control socket ends it."""
     driven.life.start()
     began = False
     for time_s, late in driven.life.ticks():
@@ -126,7 +126,7 @@ def _drive(
 def run_speech_process(
     request: RunRequest, handed: Handed, agents: int | None, zero_s: float | None
 ) -> None:
-    """Hear, recognise, and publish targets through a socket, until told to end.
+    """Hear, recognise, and publish targets through a socket, until a signal ends it.
 
     agents: the socket where voice agents connect. zero_s: monotonic time at which the sound began;
     a file is taken up where it is by now.

@@ -48,7 +48,10 @@ class RequestedFace:
     def commands(
         self, on_change: Callable[[Mapping[str, float]], None] | None = None
     ) -> CommandQueue:
-        """What may be asked of it while it runs. on_change: as `CommandQueue` has it."""
+        """The queue of commands that the face accepts while it runs.
+
+        on_change: as `CommandQueue` has it.
+        """
         offset_mm, most_mm = self.settings.motion.lip_gap_offset_mm, FARTHEST_LIP_GAP_OFFSET_MM
         settings = {
             **self.request.motion.live_settings(),

@@ -1,4 +1,4 @@
-"""What the user asked for: run this face, with this sound, this motion, these outputs.
+"""The user's request: run this face, with this sound, this motion, these outputs.
 
 Made once, from a command's options. The processes of a supervised face receive it whole, as one
 argument of JSON: an option cannot fall out on the way.
@@ -29,8 +29,8 @@ class Sound:
     """Which sound a face is to hear, or to say.
 
     name: a file's path, a microphone by number or name, or the text. language: of the text.
-    phonemes: a file of what is said when; text: what a file says, in English, to be found in it;
-    without both it is recognised. Raises RequestError.
+    phonemes: a file of phonemes and times; text: the words of a file, in English, to be found in
+    it; without both it is recognised. Raises RequestError.
     """
 
     kind: Literal["clip", "file", "microphone", "silence", "text"]
@@ -65,8 +65,8 @@ DEFAULT_OUTPUT = "default"
 class VoiceOptions:
     """A robot that speaks by itself.
 
-    output: its loudspeaker, by number, name or part of a name; None: nobody plays, or whoever sends
-    the sound does. token_file: whose first line clients must send; None: those of this computer
+    output: its loudspeaker, by number, name or part of a name; None: no sound, or the sender of
+    the sound plays it. token_file: whose first line clients must send; None: those of this computer
     need none. sounds: the folder below which they may let sound files be played. queue: whether
     they wait for their turn while another speaks, or are refused. origins: of web pages that may
     connect, as the face's YAML lists them, with commas between.
@@ -88,7 +88,7 @@ _HIGHEST_PORT: Final = 65_535
 
 
 class AvatarError(UserError):
-    """Nobody can be sent to where the user says; one line."""
+    """An address of the user's that cannot be sent to; one line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +112,7 @@ class AvatarTargets:
     With `/vowels` behind it OSC carries the shapes A I U E O in place of ARKit's.
 
     Nothing is sent anywhere by default: another computer has to be named by the user. Raises
-    AvatarError for what is no address; whether there is such a host, nobody asks here.
+    AvatarError for what is no address; hosts are not looked up here.
     """
 
     osc: str | None = None

@@ -22,14 +22,14 @@ _TAIL_S = 0.15
 def settled_events(source: AudioSource, recognizer: FallbackRecognizer) -> Iterator[PhonemeEvent]:
     """Every phoneme of the source with its start and end, as soon as its end is settled.
 
-    A file is recognised as fast as the computer can, and to its end; a microphone until nobody asks
-    any more: its recogniser needs a clock.
+    A file is recognised as fast as the computer can, and to its end; a microphone until the caller
+    stops: its recogniser needs a clock.
     """
     length_s = source.duration_s
     sound = source if length_s is None else SilenceAfter(source)
     ahead, stream = SoundAhead(sound, recognizer), RecognizerStream(recognizer)
     end_s = math.inf if length_s is None else length_s
-    timeline, told_until_s, heard_s = PhonemeTimeline(), 0.0, 0.0
+    timeline, settled_until_s, heard_s = PhonemeTimeline(), 0.0, 0.0
     with sound:
         while heard_s < end_s + recognizer.latency_s + _TAIL_S:
             heard_s = math.inf if length_s is None else heard_s + BLOCK_S
@@ -39,18 +39,18 @@ def settled_events(source: AudioSource, recognizer: FallbackRecognizer) -> Itera
                 time.sleep(0.0 if step.blocks else _ASK_EVERY_S)
             for update in step.updates:
                 timeline.apply(update)
-            for event in _settled(timeline, told_until_s, end_s):
-                told_until_s = event.end_s or told_until_s
+            for event in _settled(timeline, settled_until_s, end_s):
+                settled_until_s = event.end_s or settled_until_s
                 yield event
 
 
 def _settled(
-    timeline: PhonemeTimeline, told_until_s: float, length_s: float
+    timeline: PhonemeTimeline, settled_until_s: float, length_s: float
 ) -> Iterator[PhonemeEvent]:
-    """Final events not told yet; the last one is cut at the sound's end."""
+    """Yield final events not yielded yet; the last one is cut at the sound's end."""
     for event in timeline.events:
         end_s = min(math.inf if event.end_s is None else event.end_s, length_s)
-        if end_s <= told_until_s + 1e-9 or event.start_s >= length_s:
+        if end_s <= settled_until_s + 1e-9 or event.start_s >= length_s:
             continue
         # One that reaches what is not final may yet go on, but not beyond the sound's end.
         if end_s < timeline.final_until_s - 1e-9 or timeline.final_until_s >= length_s:

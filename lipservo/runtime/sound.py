@@ -1,4 +1,4 @@
-"""The sound of a face: what it hears, and what it says besides the streams of its agents."""
+"""The sound of a face: what it listens to, and its speech besides the streams of its agents."""
 
 import logging
 import threading
@@ -87,11 +87,12 @@ class QueueFullError(UserError):
 
 @dataclass(eq=False, slots=True)
 class Spoken:
-    """Something to be said, in one stream or in several of which each is requested after the last.
+    """Speech in one stream or in several, of which each is requested after the last.
 
     pieces: every `next` does a bounded piece of work, and gives the stream that it belongs to.
-    streams: the first one; grows, and loses from its beginning what was said. ahead_s: so much may
-    wait to be said before the work goes on. duration_s: of all of it, or of the streams until now.
+    streams: the first one; grows, and loses from its beginning what was spoken. ahead_s: so much
+    may wait to be spoken before the work goes on. duration_s: of all of it, or of the streams until
+    now.
     """
 
     pieces: Generator[PlayoutStream, None, None]
@@ -103,17 +104,17 @@ class Spoken:
 
     @property
     def is_dropped(self) -> bool:
-        """Cut off: no more of it is said."""
+        """Whether it was cut off: no more of it is spoken."""
         return self.streams[-1].is_dropped
 
     @property
     def is_over(self) -> bool:
-        """Nothing of it waits to be said any more."""
+        """Whether nothing of it waits to be spoken any more."""
         return self.is_dropped or (self.is_whole and self.streams[-1].is_over)
 
     @property
     def is_ahead(self) -> bool:
-        """Enough of it waits to be said."""
+        """Whether enough of it waits to be spoken."""
         while len(self.streams) > 1 and self.streams[0].is_over:
             self.streams.popleft()
         waiting_s = sum(stream.waiting_s for stream in self.streams)
@@ -123,7 +124,22 @@ class Spoken:
 def spoken_chunks(
     chunks: Iterator[NDArray[np.float32]], stream: PlayoutStream, duration_s: float
 ) -> Spoken:
-    """Chunks of sound, mono (n,), of the rate of an empty stream."""
+    """Queue chunks of sound in an empty stream of their rate.
+
+    Parameters
+    ----------
+    chunks : Iterator[NDArray[np.float32]]
+        (n,) mono each.
+    stream : PlayoutStream
+        Empty.
+    duration_s : float
+        Of all chunks.
+
+    Returns
+    -------
+    Spoken
+        Its pieces push one chunk each.
+    """
 
     def pieces() -> Generator[PlayoutStream, None, None]:
         for chunk in chunks:
@@ -143,7 +159,7 @@ def spoken_file(
 ) -> Spoken:
     """A sound file from `start_s` to its end.
 
-    name: of its stream; the file's, where there is none. phonemes: a file of what is said when,
+    name: of its stream; the file's, where there is none. phonemes: a file of timed units,
     phonemes or words.
     Raises SoundError, LabelError.
     """
@@ -170,15 +186,15 @@ def spoken_text(
     from lipsync.text_to_speech.synthesis import Voice
     from lipsync.text_to_speech.synthesizers import speak_in_pieces, synthesizer_for
 
-    voice = Voice(language or _LANGUAGE, speaker.voice)
+    voice = Voice(language or speaker.language or _LANGUAGE, speaker.voice)
     sentences = speak_in_pieces(synthesizer_for(speaker.synthesizer), text, voice)
 
     def stream_of(sentence: "SynthesizedSpeech") -> PlayoutStream:
         rates_hz = sentence.sample_rate_hz, playout.output_rate_hz
         stream = PlayoutStream(name, *rates_hz, sentence.phonemes)
         stream.push(sentence.samples)
-        if sentence.told is not None:
-            _tell(stream, sentence.told, voice.language)
+        if sentence.units is not None:
+            _tell(stream, sentence.units, voice.language)
         else:
             starts = (round(word.start_s * sentence.sample_rate_hz) for word in sentence.words)
             labels = (word.text[:LONGEST_LABEL] for word in sentence.words)
@@ -198,12 +214,12 @@ def spoken_text(
     return Spoken(pieces(first), deque([first]), _TEXT_AHEAD_S, _sounding_s(first))
 
 
-def _tell(stream: PlayoutStream, told: SpokenText, language: str) -> None:
+def _tell(stream: PlayoutStream, units: SpokenText, language: str) -> None:
     """Let the words be followed in the sound; where they cannot be pronounced, it is heard."""
     from lipsync.text_to_speech.pronunciation import PronunciationError, pronounced_units
 
     try:
-        stream.tell(told, pronounced_units(told, language))
+        stream.tell(units, pronounced_units(units, language))
     except PronunciationError as error:
         _LOG.warning("%s; the voice is heard as any other", error)
 
@@ -214,13 +230,15 @@ class Speaker:
 
     synthesizer: str
     voice: str = ""
+    language: str = ""
 
 
 def speaker_of(settings: SoundSettings, folder: Path | None) -> Speaker:
     """The one that a face's YAML names. folder: of the YAML, in which a model may lie."""
     beside = (folder or Path()) / settings.voice
     is_file = bool(settings.voice) and len(settings.voice) < _LONGEST_NAME and beside.is_file()
-    return Speaker(settings.synthesizer, str(beside) if is_file else settings.voice)
+    voice = str(beside) if is_file else settings.voice
+    return Speaker(settings.synthesizer, voice, settings.language)
 
 
 def _sounding_s(stream: PlayoutStream) -> float:
@@ -228,7 +246,7 @@ def _sounding_s(stream: PlayoutStream) -> float:
 
 
 class SpeechQueue:
-    """At most `MOST_WAITING`, said in the order in which they were added.
+    """At most `MOST_WAITING`, spoken in the order in which they were added.
 
     An interruption, which is the playout's, drops all that were added before it.
     """
@@ -253,7 +271,7 @@ class SpeechQueue:
                 )
 
     def add(self, spoken: Spoken, name: str) -> None:
-        """Let it be said after all that was requested before. Raises QueueFullError."""
+        """Queue it after all that was requested before. Raises QueueFullError."""
         with self._changed:
             self.check_room(name)
             if self._closed:
@@ -391,7 +409,9 @@ def _entered_loudspeaker(
     from lipsync.audio.loudspeaker import LoudspeakerOutput
 
     device = settings.output if voice.output == DEFAULT_OUTPUT else voice.output
-    return stack.enter_context(LoudspeakerOutput(device, settings.output_offset_ms))
+    return stack.enter_context(
+        LoudspeakerOutput(device, settings.output_offset_ms, volume=settings.volume)
+    )
 
 
 def _first_words(

@@ -43,7 +43,7 @@ class Street:
         sound_s, phoneme, frame = self.side.shown(time_s)
         captured_s = self.speech.captured_s(time_s)
         return StreetTick(
-            sound_s, phoneme, frame, report, captured_s, self.speech.hears, self.speech.moved_by
+            sound_s, phoneme, frame, report, captured_s, self.speech.hearing, self.speech.moved_by
         )
 
     def rest(self, time_s: float, late: int) -> StreetTick:

@@ -1,6 +1,5 @@
 """What a run amounted to: counted while it goes on, in bounded memory, printed at its end."""
 
-import resource
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -124,7 +123,7 @@ class Tally:
             self._latency.add(self._clock.now() - tick.captured_s + actuation_s)
 
     def summary(self, status: Status, duration_s: float, seconds: float) -> Summary:
-        """The figures of a run that ended like this. seconds: what it took on a real clock."""
+        """The figures of a run that ended like this. seconds: of the run on a real clock."""
         speech = self._street.speech
         n_frames = max(self.frames_sent, 1)
         return Summary(
@@ -166,6 +165,8 @@ def _often(names: Sequence[str], shares: Array) -> dict[str, float]:
 
 def peak_resident_mb() -> float:
     """The largest resident memory of this process so far, in MB (10^6 bytes)."""
+    import resource
+
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
 

@@ -1,6 +1,6 @@
 """The trace of a face in three processes, written by the one that drives the servos.
 
-What was sent it knows; what was shown it reads on the live board, where the process that hears
+Goals sent are known here; what was shown is read from the live board, where the speech process
 writes it a hundred times a second.
 """
 

@@ -56,7 +56,7 @@ def voice_agents(
     side: "SpeechSide",
     requested: RequestedFace,
 ) -> Iterator[str | None]:
-    """Serve voice agents at a listener that is bound; the address. None: nobody is waited for."""
+    """Serve voice agents at a listener that is bound; the address. None: no agent is served."""
     options = requested.request.voice
     if listener is None or side.voice is None or options is None:
         yield None

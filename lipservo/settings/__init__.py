@@ -1,1 +1,1 @@
-"""A face's YAML: what it may say, and how an error in it is told."""
+"""A face's YAML: its keys, and how an error in it is reported."""

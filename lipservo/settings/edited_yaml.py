@@ -3,7 +3,6 @@
 The text is changed in place, read back, and written only when it then says what was meant.
 """
 
-import fcntl
 import json
 import os
 import re
@@ -55,21 +54,21 @@ def read_face_text(path: Path) -> str:
 
 
 def edited(path: Path, values: Mapping[Place, float | str]) -> EditedYaml:
-    """The file at `path` with these numbers, or words that YAML takes as they are, in it.
+    """The file at `path` with these numbers or words in it.
 
     Raises SettingsError for a file that is no face YAML or would be none with them, and UserError
     for one that is written so that there is no safe place.
     """
     before = read_face_text(path)
-    wanted = _told(parse_face(before, path.name))
+    wanted = _plain_mapping(parse_face(before, path.name))
     text: str | None = before
     for place, value in values.items():
         if _at(wanted, place) == value:
             continue
-        written = value if isinstance(value, str) else f"{value:g}"
+        written = _written(value)
         text = None if text is None else _with_value(text, place, written)
         _put(wanted, place, value if isinstance(value, str) else float(written))
-    if text is None or not _is_yaml(text) or _told(parse_face(text, path.name)) != wanted:
+    if text is None or not _is_yaml(text) or _plain_mapping(parse_face(text, path.name)) != wanted:
         lines = "; ".join(lines_by_hand(*each).replace("\n", " / ") for each in values.items())
         raise UserError(f"{path.name}: no safe place to write it; add by hand: {lines}")
     return EditedYaml(path, before, text)
@@ -77,25 +76,36 @@ def edited(path: Path, values: Mapping[Place, float | str]) -> EditedYaml:
 
 def lines_by_hand(place: Place, value: float | str) -> str:
     """What a person would write."""
-    return _block(list(place), value if isinstance(value, str) else f"{value:g}", 0, "\n")
+    return _block(list(place), _written(value), 0, "\n")
 
 
-def _told(face: FaceSettings) -> dict[str, Any]:
+def _written(value: float | str) -> str:
+    """As it stands in YAML: words in quotes where they would mean something else without."""
+    if not isinstance(value, str):
+        return f"{value:g}"
+    try:
+        is_plain = yaml.safe_load(f"a: {value}") == {"a": value}
+    except yaml.YAMLError:
+        is_plain = False
+    return value if is_plain else json.dumps(value, ensure_ascii=False)
+
+
+def _plain_mapping(face: FaceSettings) -> dict[str, Any]:
     return face.model_dump(exclude_none=True)
 
 
-def _at(told: Any, place: Place) -> Any:
+def _at(node: Any, place: Place) -> Any:
     for key in place:
-        told = told.get(key) if isinstance(told, dict) else None
-    return told
+        node = node.get(key) if isinstance(node, dict) else None
+    return node
 
 
-def _put(told: dict[str, Any], place: Place, value: float | str) -> None:
+def _put(node: dict[str, Any], place: Place, value: float | str) -> None:
     *sections, key = place
     for each in sections:
-        told[each] = dict(told.get(each) or {})
-        told = told[each]
-    told[key] = value
+        node[each] = dict(node.get(each) or {})
+        node = node[each]
+    node[key] = value
 
 
 def _is_yaml(text: str) -> bool:
@@ -156,6 +166,8 @@ def _key(name: str) -> str:
 @contextmanager
 def _alone(path: Path) -> Iterator[None]:
     """No other program of ours writes a face YAML in this folder meanwhile."""
+    import fcntl
+
     try:
         folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     except OSError as error:

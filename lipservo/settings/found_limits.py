@@ -74,7 +74,7 @@ def pulse_values(pulse: JointPulse, limit: PulseLimit, pulse_us: float) -> dict[
 
 
 def range_values(least_deg: float, most_deg: float) -> dict[str, float]:
-    """Keys of a servo whose joint a hand turned from least to most, as its encoder said.
+    """Keys of a servo whose joint a hand turned from least to most, by its encoder.
 
     The limits lie `INSIDE_DEG` inside. Raises UserError for one that was not turned, or whose range
     does not hold its neutral.

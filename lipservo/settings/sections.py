@@ -56,7 +56,8 @@ class SoundSettings(Strict):
     output, input: None = the system's default. output_offset_ms: by device name or part of it, how
     much later than the device says sound leaves it; `lipservo calibrate audio` finds it.
     synthesizer: who speaks texts; voice: what it calls one of its voices, a file beside the YAML or
-    a command among them, "": its own choice.
+    a command among them, "": its own choice. language: of texts that name none, "": en-us. volume:
+    1 is as loud as the sound is, 0 silent.
     """
 
     output: Text | None = None
@@ -64,6 +65,8 @@ class SoundSettings(Strict):
     output_offset_ms: Mapping[Text, OffsetMs] = Field(default_factory=dict)
     synthesizer: Annotated[Text, AfterValidator(SYNTHESIZERS.check)] = DEFAULT_SYNTHESIZER
     voice: Annotated[str, Field(max_length=1000)] = ""
+    language: Annotated[str, Field(max_length=40)] = ""
+    volume: Annotated[float, within(0.0, 1.0)] = 1.0
 
 
 #: As browsers send it: lower case, no path, no port where it is the scheme's own.
@@ -141,11 +144,11 @@ class ServoExpression(Strict):
 
 
 class ExpressionSettings(Strict):
-    """amount: 0 still, 1 as measured on people. seed: of the motion that nobody asked for.
+    """amount: 0 still, 1 as measured on people. seed: of the spontaneous motion.
 
-    eye_contact: share of the time in which the face looks at whoever it speaks with. rest_after_s:
-    after so long a silence the servos are let go until somebody speaks. model: learned from tracks
-    (`lipservo learn expression`), a file from the folder of the YAML.
+    eye_contact: share of the time in which the face looks at the person it speaks with.
+    rest_after_s: after so long a silence the servos are let go until a person speaks. model:
+    learned from tracks (`lipservo learn expression`), a file from the folder of the YAML.
     """
 
     amount: Annotated[float, within(0.0, LIVELIEST)] = 1.0

@@ -72,7 +72,7 @@ class ServoSettings(BusServo):
 
 
 class _UnknownBus(BusSettings):
-    """`bus:` of a kind that is not installed: its other keys cannot be judged."""
+    """`bus:` of a kind that is not installed: its other keys cannot be checked."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -90,7 +90,7 @@ class _UnknownBus(BusSettings):
 class FaceSettings(Strict):
     """A whole face. The order of `servos` is the order of positions everywhere.
 
-    Which keys `bus` and its servos have is said by the kind of the bus: `face_schema`, which
+    Which keys `bus` and its servos have is defined by the kind of the bus: `face_schema`, which
     `model_validate` goes by.
     """
 
@@ -236,7 +236,7 @@ class FaceSettings(Strict):
     def at_port(self, port: str) -> Self:
         """The same face with its servos at a port; of several buses as `port_names` has it.
 
-        Raises SettingsError where it is not said which bus is there.
+        Raises SettingsError where no bus is named.
         """
         if self.buses:
             return self._at_named_ports(port)
@@ -291,7 +291,7 @@ class FaceSettings(Strict):
 def face_schema(content: Mapping[Any, Any]) -> type[FaceSettings]:
     """What a face may hold whose YAML has this content: bus and servos as its kind of bus has them.
 
-    For a kind that nobody knows, the servos are those of the default kind.
+    For an unknown kind, the servos are those of the default kind.
     """
     buses = content.get("buses")
     if isinstance(buses, Mapping) and buses:
@@ -328,7 +328,7 @@ def _servo_of(kind: BusKind) -> Any:
 
 
 class _ServoOfUnknownBus(ServoSettings):
-    """A servo whose other keys cannot be judged."""
+    """A servo whose other keys cannot be checked."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -406,8 +406,8 @@ def _settings_of(kind: BusKind | None) -> type[BusSettings]:
 
 def bus_of(servo: object) -> str:
     """What a servo, read or not, says of its bus; empty: nothing."""
-    said = servo.get("bus") if isinstance(servo, Mapping) else getattr(servo, "bus", None)
-    return said if isinstance(said, str) else ""
+    bus_name = servo.get("bus") if isinstance(servo, Mapping) else getattr(servo, "bus", None)
+    return bus_name if isinstance(bus_name, str) else ""
 
 
 def _kind_of(bus: object) -> BusKind | None:
@@ -423,8 +423,8 @@ def _kind_of(bus: object) -> BusKind | None:
 def _no_bus(servo: Mapping[Any, Any], name: str, known: Sequence[str]) -> ValidationError:
     """Of a servo that does not say its bus, or one that there is not."""
     buses = f"the buses of this face: {', '.join(known)}"
-    said = servo.get("bus")
-    why = f"is missing; {buses}" if said is None else f"{shown(said)} is not one of {buses}"
+    bus_name = servo.get("bus")
+    why = f"is missing; {buses}" if bus_name is None else f"{shown(bus_name)} is not one of {buses}"
     line = InitErrorDetails(
         type="value_error", loc=("bus",), input=name, ctx={"error": ValueError(why)}
     )

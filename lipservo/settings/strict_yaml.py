@@ -2,7 +2,7 @@
 
 Numbers are those of YAML 1.2 (https://yaml.org/spec/1.2.2/#1032-tag-resolution): `011` is 11 and
 `3e2` is 300, where YAML 1.1, which PyYAML reads, has 9 and a text; and a date is a text. Errors of
-pydantic are said in the words of the person who wrote the file.
+pydantic are rephrased in the words of the person who wrote the file.
 """
 
 import re

@@ -27,20 +27,25 @@ class PageLine:
     """Both ways between a step and the page that leads it."""
 
     def __init__(self) -> None:
-        self._told: queue.Queue[str] = queue.Queue(_MOST_WAITING)
+        self._pending_lines: queue.Queue[str] = queue.Queue(_MOST_WAITING)
         self._orders: queue.Queue[Order] = queue.Queue(_MOST_WAITING)
         for work in (self._write, self._read):
             threading.Thread(target=work, name="page", daemon=True).start()
 
     def tell(self, event: str, **content: Any) -> None:
-        """One event, of which the newest counts; left out where nothing is taken any more."""
-        with contextlib.suppress(queue.Full):
-            self._told.put_nowait(json.dumps({"event": event, **content}))
+        """Send one event; where the page reads no more, the oldest one waiting makes room."""
+        line = json.dumps({"event": event, **content})
+        while True:
+            with contextlib.suppress(queue.Full):
+                return self._pending_lines.put_nowait(line)
+            with contextlib.suppress(queue.Empty):
+                self._pending_lines.get_nowait()
+                self._pending_lines.task_done()
 
     def finish(self) -> None:
-        """Wait until all that was told is written, a second at most."""
+        """Wait until all lines are written, a second at most."""
         until_s = time.monotonic() + _PATIENCE_S
-        while self._told.unfinished_tasks and time.monotonic() < until_s:
+        while self._pending_lines.unfinished_tasks and time.monotonic() < until_s:
             time.sleep(0.01)
 
     def next_order(self, timeout_s: float | None = None) -> Order | None:
@@ -51,10 +56,10 @@ class PageLine:
 
     def _write(self) -> None:
         while True:
-            line = self._told.get()
+            line = self._pending_lines.get()
             with contextlib.suppress(OSError):  # nobody reads: the servos' end is told otherwise
                 os.write(sys.stdout.fileno(), f"{line}\n".encode())
-            self._told.task_done()
+            self._pending_lines.task_done()
 
     def _read(self) -> None:
         while line := sys.stdin.readline(_LONGEST_ORDER):

@@ -58,10 +58,23 @@ _LAST_PICTURE_S = 0.5
 def draw_mouth(
     markers_mm: Array, rest_mm: Array, layout: PointLayout, *, ascii_only: bool = False
 ) -> list[str]:
-    """Lines of text, all of `MOUTH_COLUMNS`, that show both lips from the front.
+    """Draw both lips from the front in text; of the layout those lips that it has.
 
-    markers_mm: (n_points, 3); rest_mm: (n_points, 3), the same speaker's closed mouth. Of the
-    layout are drawn the lips that it has.
+    Parameters
+    ----------
+    markers_mm : Array
+        (n_points, 3).
+    rest_mm : Array
+        (n_points, 3), the same speaker's closed mouth.
+    layout : PointLayout
+        Of the points.
+    ascii_only : bool
+        No Braille.
+
+    Returns
+    -------
+    list[str]
+        Lines of `MOUTH_COLUMNS` characters.
     """
     canvas = np.zeros((MOUTH_ROWS, MOUTH_COLUMNS), dtype=np.int64)
     for loop_mm in lip_loops_mm(markers_mm, rest_mm, layout):
@@ -73,9 +86,21 @@ def draw_mouth(
 
 
 def lip_loops_mm(markers_mm: Array, rest_mm: Array, layout: PointLayout) -> list[Array]:
-    """Each lip that the layout has, outer first, as seen from the front: (n, 2), y upwards.
+    """Return each lip that the layout has, outer first, as seen from the front.
 
-    markers_mm, rest_mm: as `draw_mouth` takes them. At rest both are of one mouth that is even.
+    At rest both are of one mouth that is even.
+
+    Parameters
+    ----------
+    markers_mm,rest_mm : Array
+        (n_points, 3), as `draw_mouth`.
+    layout : PointLayout
+        Of the points.
+
+    Returns
+    -------
+    list[Array]
+        (n, 2) each, y upwards.
     """
     moved_mm = (markers_mm - rest_mm)[:, :2]
     return [at_rest_mm + moved_mm[loop] for loop, at_rest_mm in _neutral_lips(rest_mm, layout)]
@@ -158,10 +183,10 @@ class TerminalView:
         joints: Sequence[Joint],
         model: FaceModel,
     ) -> None:
-        """status: of the face; asked once a second, by whoever calls `observe`."""
+        """status: of the face; called once a second, by the caller of `observe`."""
         self._ask_status = status
         self._status = status()
-        self._asked_at_s = 0.0
+        self._status_at_s = 0.0
         self._joints = joints
         self._model = model
         self._rest_mm = model.markers_mm(model.rest[None])[0]
@@ -176,8 +201,8 @@ class TerminalView:
 
     def observe(self, tick: StreetTick) -> None:
         """Show this tick at the next refresh."""
-        if abs(tick.sound_s - self._asked_at_s) >= _STATUS_EVERY_S:
-            self._asked_at_s = tick.sound_s
+        if abs(tick.sound_s - self._status_at_s) >= _STATUS_EVERY_S:
+            self._status_at_s = tick.sound_s
             self._status = self._ask_status()
         if not self._phonemes or self._phonemes[-1] != tick.phoneme:
             self._phonemes.append(tick.phoneme)
@@ -227,7 +252,7 @@ class TerminalView:
         width = min(_WIDEST_BAR, room - _GAP_COLUMNS)
         openness = self._bar(gap_mm / _WIDEST_GAP_MM, width).append(f"  {gap_mm:5.1f} mm")
         head = Table.grid(padding=(0, 2))
-        heard = "" if tick.hears is None else f"   {tick.hears}"
+        heard = "" if tick.hearing is None else f"   {tick.hearing}"
         head.add_row("sound", f"{max(0.0, tick.sound_s):6.2f} s{heard}")
         head.add_row("phonemes", spoken)
         head.add_row("lip gap", openness)

@@ -126,10 +126,12 @@ def overlay(a: Trace, b: Trace, models: tuple[FaceModel, FaceModel]) -> Overlay:
     ]
     apart_mm = np.linalg.norm(faces[1][:, lips[1]] - faces[0][:, lips[0]], axis=2)
     nearest = np.clip(np.searchsorted(b.sound_s, times_s - 1e-9), 0, len(b.sound_s) - 1)
-    said = np.array(a.phonemes)[within]
+    phoneme_of_tick = np.array(a.phonemes)[within]
     return Overlay(
         sound_s=times_s,
-        phonemes=tuple(zip(said.tolist(), np.array(b.phonemes)[nearest].tolist(), strict=True)),
+        phonemes=tuple(
+            zip(phoneme_of_tick.tolist(), np.array(b.phonemes)[nearest].tolist(), strict=True)
+        ),
         gaps_mm=(models[0].lip_gaps_mm(faces[0]), models[1].lip_gaps_mm(faces[1])),
         lips_mm=np.sqrt((apart_mm**2).mean(axis=1)),
         sent_deg=(a.sent_deg[within], _at(b.sound_s, b.sent_deg, times_s)),
@@ -190,10 +192,21 @@ def excesses(servos: tuple[str, ...], found: Difference, tolerance: Tolerance) -
 
 
 def motion_lag_s(times_s: Array, first: Array, second_s: Array, second: Array) -> float | None:
-    """How much later the second curve moves: where their cross-correlation is largest.
+    """Return how much later the second curve moves: where their cross-correlation is largest.
 
-    times_s, first: (n,); second_s, second: (m,), at times of its own. A quarter of a second at
-    most, refined by a parabola; None where either stands still or they hardly overlap.
+    A quarter of a second at most, refined by a parabola.
+
+    Parameters
+    ----------
+    times_s,first : Array
+        (n,).
+    second_s,second : Array
+        (m,), at times of its own.
+
+    Returns
+    -------
+    float | None
+        Seconds; None where either stands still or they hardly overlap.
     """
     if min(first.std(), second.std()) < _STILL_MM:
         return None

@@ -46,7 +46,7 @@ def is_trace(head: bytes) -> bool:
 
 
 class TraceFile:
-    """Writes each tick at once. For `replay`, where nobody waits for a tick."""
+    """Writes each tick at once. For `replay`, where no loop waits for a tick."""
 
     def __init__(self, path: Path, header: Mapping[str, object]) -> None:
         """header: what a reader needs to know first, such as the servo names.
@@ -148,7 +148,7 @@ def _record_of(number: int, tick: StreetTick) -> dict[str, object]:
         "tick": number,
         "sound_s": round(tick.sound_s, 6),
         "phoneme": tick.phoneme,
-        "hears": tick.hears,
+        "hears": tick.hearing,
         "moved_by": tick.moved_by,
         "coefficients": _rounded(tick.coefficients.tolist()),
         "wanted_deg": _rounded(report.wanted_deg.tolist()),

@@ -50,7 +50,22 @@ class SelectionStrategy(Protocol):
 
 
 def smoothness_energy(units: AnimPhoUnits, previous: int, candidates: Indices) -> Array:
-    """||E(a_{t-1}) - B(eta)|| for each candidate (k,); lower is smoother. Wei and Deng, eq. (1)."""
+    """Return ||E(a_{t-1}) - B(eta)|| for each candidate; lower is smoother. Wei and Deng, eq. (1).
+
+    Parameters
+    ----------
+    units : AnimPhoUnits
+        All AnimPhos.
+    previous : int
+        Number of the AnimPho before.
+    candidates : Indices
+        (k,) numbers.
+
+    Returns
+    -------
+    Array
+        (k,).
+    """
     end = units.samples[previous, -1]
     return np.asarray(np.linalg.norm(units.samples[candidates, 0] - end, axis=1))
 
@@ -62,10 +77,23 @@ def nearest_to_rest(units: AnimPhoUnits, candidates: Indices) -> int:
 
 
 def chain_lengths(units: AnimPhoUnits, candidates: Indices, previous: Array) -> Array:
-    """v_i for each AnimPho (m,): 0 outside `candidates`, else eq. (2).
+    """Return v_i for each AnimPho: 0 outside `candidates`, else Wei and Deng, eq. (2).
 
-    previous: (m,), the v_j of the phoneme before, 0 outside L(p_{t-1}); so the longest chain
-    through a predecessor is its v_j + 1, and 0 + 1 = 1 where there is none.
+    The longest chain through a predecessor is its v_j + 1, and 0 + 1 = 1 where there is none.
+
+    Parameters
+    ----------
+    units : AnimPhoUnits
+        m AnimPhos.
+    candidates : Indices
+        (k,) numbers.
+    previous : Array
+        (m,), the v_j of the phoneme before, 0 outside L(p_{t-1}).
+
+    Returns
+    -------
+    Array
+        (m,).
     """
     before = units.predecessors
     # reduceat needs a non-empty stretch for every row: the appended 0 serves AnimPhos without any.
@@ -185,9 +213,21 @@ class GuidedSelection:
         self._candidates = {p: _candidates(units, p) for p in units.known_phonemes}
 
     def choose(self, phoneme: str, target: Array, joint: Joint) -> int:
-        """The AnimPho of a known phoneme for what is left of a phone; its number.
+        """Choose the AnimPho of a known phoneme for the rest of a phone.
 
-        target: (5, n_components), from now until the phone's end.
+        Parameters
+        ----------
+        phoneme : str
+            Of the model's.
+        target : Array
+            (5, n_components), from now until the phone's end.
+        joint : Joint
+            What the AnimPho continues.
+
+        Returns
+        -------
+        int
+            Its number.
         """
         candidates = self._candidates[phoneme]
         centre = target.mean(axis=0)

@@ -1,6 +1,6 @@
 """The published live method, end to end: phonemes in, face coefficients at any time out.
 
-A phoneme is planned once, when its first instant is asked for; what was shown is never taken back.
+A phoneme is planned once, when its first instant is due; frames already shown never change.
 The caller shows sound `longest_phone_s` late, so that the end of every phoneme up to that length
 is known by then; a longer one plays for that long and is then held.
 """
@@ -78,7 +78,7 @@ class PublishedSynthesizer:
 
     @property
     def lookahead_s(self) -> float:
-        """How much sound after an instant must have been heard before its face is asked for."""
+        """Seconds of sound needed after an instant before its face can be computed."""
         return self.longest_phone_s
 
     @property
@@ -119,7 +119,20 @@ class PublishedSynthesizer:
         return Frame(time_s, self._units.rest)
 
     def faces_after(self, frame: Frame, times_s: Array) -> Array:
-        """The frame's face for each later time (k,): the published method plans no further."""
+        """Return the frame's face for each later time: the published method plans no further.
+
+        Parameters
+        ----------
+        frame : Frame
+            The newest.
+        times_s : Array
+            (k,).
+
+        Returns
+        -------
+        Array
+            (k, n_components).
+        """
         return np.tile(frame.coefficients, (len(times_s), 1))
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:

@@ -24,23 +24,54 @@ def choose_connected(units: AnimPhoUnits, previous: int, chosen: int) -> int:
 
 
 def translate(animpho: Array, start: Array) -> Array:
-    """b'_t: the AnimPho (5, n_components) moved so that it begins at `start` (n_components,)."""
+    """Return b'_t: the AnimPho moved so that it begins at `start`. Wei and Deng.
+
+    Parameters
+    ----------
+    animpho : Array
+        (5, n_components).
+    start : Array
+        (n_components,).
+
+    Returns
+    -------
+    Array
+        (5, n_components).
+    """
     return np.asarray(animpho + (start - animpho[0]))
 
 
 def left_samples(share: float) -> Array:
-    """(5, 5): samples of what is left of an AnimPho after a share of it, 0 to below 1, by its own.
+    """Return weights that resample the rest of an AnimPho after a share of it, linearly.
 
-    Five times anew, by straight lines between its own.
+    Parameters
+    ----------
+    share : float
+        0 to below 1.
+
+    Returns
+    -------
+    Array
+        (5, 5): new samples by the AnimPho's own.
     """
     at = np.linspace(share, 1.0, SAMPLES_PER_ANIMPHO) * (SAMPLES_PER_ANIMPHO - 1)
     return np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(SAMPLES_PER_ANIMPHO)))
 
 
 def blend(connected: Array, chosen: Array, joined_by: float = 1.0) -> Array:
-    """m_t: begins as b'_t, ends as a_t; both (5, n_components). Wei and Deng, eq. (4).
+    """Return m_t, which begins as b'_t and ends as a_t. Wei and Deng, eq. (4).
 
-    joined_by: by which share of it m_t has become a_t; in the paper at its end.
+    Parameters
+    ----------
+    connected,chosen : Array
+        (5, n_components): b'_t and a_t.
+    joined_by : float
+        0 to 1: by which share of it m_t has become a_t; in the paper at its end.
+
+    Returns
+    -------
+    Array
+        (5, n_components).
     """
     weight = np.linspace(0.0, 1.0, SAMPLES_PER_ANIMPHO)[:, None]
     weight = np.minimum(1.0, weight / joined_by)
@@ -48,7 +79,20 @@ def blend(connected: Array, chosen: Array, joined_by: float = 1.0) -> Array:
 
 
 def sample_derivatives(samples: Array, first: Array) -> Array:
-    """d_t per sample spacing (5, n_components), `first` carried over. Wei and Deng, eq. (5)."""
+    """Return d_t per sample spacing. Wei and Deng, eq. (5).
+
+    Parameters
+    ----------
+    samples : Array
+        (5, n_components).
+    first : Array
+        (n_components,), the derivative carried over.
+
+    Returns
+    -------
+    Array
+        (5, n_components).
+    """
     derivatives = np.empty_like(samples)
     derivatives[0] = first
     derivatives[1:-1] = (samples[2:] - samples[:-2]) / 2.0
@@ -83,9 +127,17 @@ class Trajectory:
         return self.duration_s / (len(self.samples) - 1)
 
     def at(self, time_s: float) -> tuple[Array, Array]:
-        """Position and derivative per second, each (n_components,), at a time >= start_s.
+        """Return position and derivative at a time. Wei and Deng, Algorithm 1.
 
-        Wei and Deng, Algorithm 1. Past the end: the last sample at rest.
+        Parameters
+        ----------
+        time_s : float
+            At least start_s; past the end: the last sample at rest.
+
+        Returns
+        -------
+        tuple[Array, Array]
+            (n_components,), and (n_components,) per second.
         """
         if time_s > self.end_s + _ROUNDING_S:
             return self.samples[-1], np.zeros_like(self.samples[-1])
@@ -107,7 +159,22 @@ class Trajectory:
 def ease(
     start_s: float, duration_s: float, position: Array, velocity: Array, to: Array
 ) -> Trajectory:
-    """From a position moving at `velocity` per second to rest at `to`; all (n_components,)."""
+    """Return the trajectory from a moving position to rest.
+
+    Parameters
+    ----------
+    start_s,duration_s : float
+        Seconds.
+    position,to : Array
+        (n_components,).
+    velocity : Array
+        (n_components,) per second.
+
+    Returns
+    -------
+    Trajectory
+        From `position` to `to`, with the end of `duration_s` seconds at rest.
+    """
     return Trajectory(
         start_s,
         duration_s,

@@ -92,7 +92,13 @@ class AnimPhoUnits:
 
     @property
     def frames(self) -> Array:
-        """(5 m, n_components), every sample of every AnimPho: faces that speech makes."""
+        """Every sample of every AnimPho: faces that speech makes.
+
+        Returns
+        -------
+        Array
+            (5 m, n_components).
+        """
         return self.samples.reshape(-1, self.samples.shape[2])
 
     def of_phoneme(self, phoneme: str) -> Indices:
@@ -135,7 +141,18 @@ def read_animphos(file: ModelFile, face: FaceModel) -> AnimPhoUnits:
 
 
 def animpho_arrays(units: AnimPhoUnits) -> dict[str, NDArray[np.generic]]:
-    """What a file keeps of AnimPhos; the rest pose is the face's."""
+    """Return the arrays that a file keeps of AnimPhos; the rest pose is the face's.
+
+    Parameters
+    ----------
+    units : AnimPhoUnits
+        m AnimPhos.
+
+    Returns
+    -------
+    dict[str, NDArray[np.generic]]
+        By name; `samples` has shape (m, 5, n_components).
+    """
     return {
         "samples": units.samples.astype(np.float32),
         "successor_starts": units.successors.starts.astype(np.int32),
@@ -196,7 +213,10 @@ class FaceInOtherLayout(FaceWithAnimPhos):
 
 
 def in_layout(model: FaceWithAnimPhos, layout: PointLayout) -> FaceWithAnimPhos:
-    """The face at the points of a layout. Raises LayoutError for a point that cannot be told."""
+    """The face at the points of a layout.
+
+    Raises LayoutError for a point that cannot be computed.
+    """
     if model.layout == layout:
         return model
     basis = model.basis.reshape(model.n_components, -1, 3)

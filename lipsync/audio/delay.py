@@ -64,7 +64,7 @@ def find_delay(recorded: Samples, expected_s: Seconds) -> Delay:
     """How late the clicks are in a recording (n,) at 16 kHz.
 
     expected_s: (n_clicks,) when each would be heard without a delay, in seconds from the first
-    sample. Raises SoundError, in one line, where no delay can be told.
+    sample. Raises SoundError, in one line, where no delay can be measured.
     """
     if np.max(np.abs(recorded), initial=0.0) < _LEAST_PEAK:
         raise SoundError("the microphone heard nothing: is it the right one, is either muted?")

@@ -1,6 +1,6 @@
 """Sound devices, through PortAudio: which there are, opening one, and opening a lost one again.
 
-sounddevice is imported only when a device is asked for: a robot that plays files to a face without
+sounddevice is imported only when a device is used: a robot that plays files to a face without
 a loudspeaker needs no PortAudio.
 
 A lost device is opened again by name, in a thread of its own: who plays or listens never waits.
@@ -29,7 +29,7 @@ _CARD_NUMBER: Final = re.compile(r"\s*\(hw:\d+,\d+\)$")
 class SoundDevice:
     """A device that can be listened to, or played on; `sample_rate_hz` is the rate it likes best.
 
-    n_channels: the most it has in the direction that was asked for.
+    n_channels: the most it has in the direction of use.
     """
 
     index: int
@@ -148,7 +148,7 @@ def is_number(device: str | int | None) -> bool:
 def offset_ms_of(device: str, offsets_ms: Mapping[str, float]) -> float:
     """What a face says of a device of this name: by its whole name, else by the longest part of it.
 
-    0 where nothing is said.
+    0 where none is given.
     """
     named = [name for name in offsets_ms if name in device]
     return offsets_ms[max(named, key=len)] if named else 0.0

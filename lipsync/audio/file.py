@@ -420,7 +420,18 @@ def _refuse_nothing(path: Path, duration_s: float, has_sound: bool) -> None:
 
 
 def read_speech(path: Path) -> NDArray[np.float32]:
-    """The file as samples (n,) float32 mono in [-1, 1] at 16 kHz; else as `read_sound`."""
+    """Read a sound file as mono at 16 kHz. Raises as `read_sound` does.
+
+    Parameters
+    ----------
+    path : Path
+        Any format of libsndfile.
+
+    Returns
+    -------
+    NDArray[np.float32]
+        (n,) float32 in [-1, 1] at 16 kHz.
+    """
     samples, rate_hz = read_sound(path)
     if rate_hz == SAMPLE_RATE_HZ:
         return samples

@@ -71,7 +71,7 @@ class SampleRing:
 
     @property
     def n_underruns(self) -> int:
-        """How often sound ran out while the loudspeaker asked for more."""
+        """How often sound ran out while the loudspeaker needed more."""
         return self._n_underruns
 
     def write(self, samples: Samples) -> None:
@@ -143,7 +143,7 @@ class PositionReport:
     def at(self, now_s: float) -> tuple[float, float]:
         """(monotonic seconds, timeline seconds that leave then), as far as is known at `now_s`.
 
-        A device that has not asked for more by the time that all has left stands still, and its
+        A device that has not taken more by the time that all has left stands still, and its
         position with it.
         """
         if now_s > self.ends_s:
@@ -179,10 +179,11 @@ class LoudspeakerOutput:
         device: str | int | None = None,
         offsets_ms: Mapping[str, float] | None = None,
         *,
+        volume: float = 1.0,
         clock: Callable[[], float] = time.monotonic,
         is_watched: bool = True,
     ) -> None:
-        """is_watched: False where somebody else calls `watch.look` from time to time."""
+        """volume: 0 to 1, of the samples. is_watched: False: the caller calls `watch.look`."""
         self._sounddevice = import_sounddevice()
         with opening():
             self._device = find_device(device, "output")
@@ -190,6 +191,7 @@ class LoudspeakerOutput:
         # A number may be another device's after the next plug.
         self._wanted = self._device.lasting_name if is_number(device) else device
         self._offsets_ms = dict(offsets_ms or {})
+        self._volume = np.float32(volume)
         self._clock = clock
         self._is_watched = is_watched
         self._ring = SampleRing(rate_hz)
@@ -217,7 +219,7 @@ class LoudspeakerOutput:
 
     @property
     def output_offset_ms(self) -> float:
-        """How much later than it says sound leaves this device, as far as was told."""
+        """How much later than it reports sound leaves this device, ms, as configured."""
         return offset_ms_of(self._device.name, self._offsets_ms)
 
     @property
@@ -248,7 +250,7 @@ class LoudspeakerOutput:
 
     @property
     def n_underruns(self) -> int:
-        """How often nothing was written in time while the device asked for more."""
+        """How often nothing was written in time while the device needed more."""
         return self._ring.n_underruns
 
     @property
@@ -263,7 +265,7 @@ class LoudspeakerOutput:
 
     def write(self, samples: Samples) -> None:
         """The next samples (n,) float32 mono of the timeline."""
-        self._ring.write(samples)
+        self._ring.write(samples if self._volume == 1.0 else samples * self._volume)
 
     def silence_rest(self) -> float:
         """Play silence in place of all that is written and not on its way to the device.

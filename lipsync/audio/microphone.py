@@ -56,7 +56,7 @@ class MicrophoneSource:
         clock: Callable[[], float] = time.monotonic,
         is_watched: bool = True,
     ) -> None:
-        """is_watched: False where somebody else calls `watch.look` from time to time."""
+        """is_watched: False where the caller calls `watch.look` from time to time."""
         self._sounddevice = import_sounddevice()
         with opening():
             self._device = find_device(device, "input")

@@ -111,7 +111,7 @@ class SteadyClock:
         return self._zero_s + sound_s
 
     def arrived(self, now_s: float, until_s: float) -> None:
-        """Changes nothing: sound that nobody captures is never late."""
+        """Changes nothing: sound that no device captures is never late."""
 
     def captured_s(self, sound_s: float) -> float:
         """The sound of a file counts as captured when it would be heard."""
@@ -165,38 +165,38 @@ class OwnPlaybackClock:
         self._zero_s = 0.0
         # The lag was `_lag_s` at `_since_s`, and goes to `_wanted_s` from there.
         self._lag_s = self._wanted_s = 0.0
-        self._since_s = self._asked_s = 0.0
+        self._since_s = self._queried_s = 0.0
 
     def begin(self, zero_s: float) -> None:
         """The recogniser gets sound time 0 at monotonic `zero_s`; it is played a lead later."""
         self._zero_s = zero_s
         self._lag_s = self._wanted_s = 0.0
-        self._since_s = self._asked_s = zero_s
+        self._since_s = self._queried_s = zero_s
 
     def played(self, now_s: float, position_s: float) -> None:
         """At monotonic `now_s` sound time `position_s` left the loudspeaker.
 
         Positions may be in error and reports may come late or out of order: a report counts from
-        the last time that was asked for, so that nothing told before is taken back.
+        the last time that was queried, so that no earlier answer changes.
         """
-        self._lag_s = self._lag_at(self._asked_s)
-        self._since_s = self._asked_s
+        self._lag_s = self._lag_at(self._queried_s)
+        self._since_s = self._queried_s
         self._wanted_s = now_s - self._zero_s - (position_s + self.lead_s)
 
     def sound_s(self, now_s: float) -> float:
         """The sound time that the recogniser may hear at monotonic `now_s`."""
-        self._asked_s = max(self._asked_s, now_s)
+        self._queried_s = max(self._queried_s, now_s)
         return now_s - (self._zero_s + self._lag_at(now_s))
 
     def monotonic_s(self, sound_s: float) -> float:
         """When the recogniser gets a sound time, as far as the reports so far tell."""
-        return self._zero_s + self._lag_at(self._asked_s) + sound_s
+        return self._zero_s + self._lag_at(self._queried_s) + sound_s
 
     def arrived(self, now_s: float, until_s: float) -> None:
         """Changes nothing: the position is what counts."""
 
     def captured_s(self, sound_s: float) -> float:
-        """Nobody captures it: as if when the recogniser gets it."""
+        """Sound that no device captures: the time at which the recogniser gets it."""
         return self.monotonic_s(sound_s)
 
     def _lag_at(self, now_s: float) -> float:

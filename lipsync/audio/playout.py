@@ -1,7 +1,7 @@
 """What the robot says, on one timeline: streams of speech one after the other, silence between.
 
-The live loop asks for blocks as sound time passes. A block is *committed* then: the recogniser
-hears it at once, the loudspeaker plays it a declared delay later. So the loudspeaker always holds
+The live loop takes blocks as sound time passes. A block is *committed* then: the recogniser
+gets it at once, the loudspeaker plays it a declared delay later. So the loudspeaker always holds
 that delay in sound, and lips and sound meet. Where a stream has nothing ready, silence is
 committed, and the stream goes on when more has come.
 
@@ -29,9 +29,9 @@ from lipsync.audio.playout_stream import (
     PlayoutEvent,
     PlayoutRequest,
     PlayoutStream,
-    ToldWords,
+    StartedWords,
     add_playing,
-    told_phonemes,
+    phonemes_or_visemes,
 )
 from lipsync.audio.source import BLOCK_SAMPLES, AudioSource, Loudspeaker
 from lipsync.audio_block import BLOCK_S, AudioBlock, samples_before
@@ -46,7 +46,7 @@ _MOST_EVENTS: Final = 1024
 #: Phonemes that wait to be told; nobody is told those of a minute ago.
 _MOST_PHONEMES: Final = 256
 #: Texts of streams that wait for who looks for them; each tick takes them all.
-_MOST_TOLD: Final = 256
+_MOST_STARTED: Final = 256
 #: Words that are shown around the one that is said.
 _WORDS_BEFORE, _WORDS_AFTER = 3, 11
 #: Words that were said so long ago are not looked for any more.
@@ -68,7 +68,7 @@ _MOST_ON_WAY: Final = 1000
 
 
 class ListenedMicrophone:
-    """The blocks of a microphone on another's timeline: one whenever one is asked for."""
+    """The blocks of a microphone on another's timeline: one for each call."""
 
     def __init__(self, microphone: AudioSource) -> None:
         """microphone: entered, and live."""
@@ -97,7 +97,7 @@ class ListenedMicrophone:
         return self._blocks.popleft() if self._blocks else None
 
     def discard(self) -> None:
-        """What was heard until now is nobody's business."""
+        """Discard what was captured until now."""
         self._microphone.blocks(float("inf"))
         self._blocks.clear()
         self._is_primed = False
@@ -114,7 +114,7 @@ class Playout:
         loudspeaker: Loudspeaker | None = None,
         microphone: ListenedMicrophone | None = None,
     ) -> None:
-        """loudspeaker: None where nobody plays, or whoever sends the stream does.
+        """loudspeaker: None where no sound is played, or the sender of the stream plays it.
 
         microphone: heard, not played, while the robot is silent.
         """
@@ -139,7 +139,7 @@ class Playout:
         )
         self._is_paused = False
         self._known = KnownPhonemes()
-        self._told: deque[ToldWords] = deque(maxlen=_MOST_TOLD)
+        self._started_words: deque[StartedWords] = deque(maxlen=_MOST_STARTED)
         self._telling: PlayingStream | None = None
         self._n_blocks = 0
         self._n_underruns = 0
@@ -157,7 +157,10 @@ class Playout:
 
     @property
     def lost_blocks(self) -> int:
-        """Blocks that the microphone lost; of what is said nothing is: it is said later."""
+        """Blocks that the microphone lost.
+
+        Blocks of speech are never lost: they are played later.
+        """
         return 0 if self._microphone is None else self._microphone.lost_blocks
 
     @property
@@ -182,17 +185,17 @@ class Playout:
 
     @property
     def position_s(self) -> float:
-        """What leaves the loudspeaker, on the timeline, as `advance` was told last."""
+        """The timeline position that leaves the loudspeaker, in s, as of the last `advance`."""
         return self._position_s
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing is being said or heard, and nothing waits or was announced."""
+        """Whether no sound is played or heard, and nothing waits or was announced."""
         return not (self.announced or self.requests or self._playing)
 
     @property
     def speaking(self) -> str | None:
-        """The stream that is being said, by name."""
+        """The name of the stream that is being played."""
         return self._playing[0].stream.name if self._playing else None
 
     def n_played(self, stream: str) -> int | None:
@@ -206,7 +209,7 @@ class Playout:
         """The timeline begins now, and is played `lead_s` after it was committed.
 
         What the loudspeaker does not hold back by itself is filled with silence. quiet_s: nothing
-        is said so long.
+        Nothing is played for so long, in s.
         """
         self._quiet_s = quiet_s
         if self.loudspeaker is None:
@@ -217,13 +220,13 @@ class Playout:
         self.preroll_s = max(0, n_blocks) * BLOCK_S
 
     def be_quiet(self, for_s: float) -> None:
-        """Nothing is said for so long, but afterwards."""
+        """Play nothing for `for_s` seconds, then go on."""
         self._quiet_s = max(self._quiet_s, self.committed_s + for_s)
 
     def report(self) -> tuple[float, float] | None:
         """(monotonic seconds, position on the timeline then), the newest that is known.
 
-        Of whoever plays what is said now: who sent it, or the loudspeaker. None: nobody tells.
+        Of the speech that plays now: by its sender, or by the loudspeaker. None: not known.
         """
         while self.reports:
             now_s, stream, n_samples = self.reports.popleft()
@@ -240,7 +243,7 @@ class Playout:
         return report[0], report[1] - self.preroll_s
 
     def stream_at(self, timeline_s: float) -> tuple[PlayoutStream, float] | None:
-        """Which stream is said there, and seconds since its first sample; None: none."""
+        """Return the stream that plays there, and seconds since its first sample; None: none."""
         for playing in self._playing:
             for segment in playing.segments:
                 if segment.start_s <= timeline_s < segment.end_s:
@@ -287,11 +290,11 @@ class Playout:
         """Stretches of the timeline that end after `from_s` and whose phonemes are known."""
         return self._known.after(from_s)
 
-    def take_words(self) -> list[ToldWords]:
-        """What is said where the timeline is settled, in its seconds; each once."""
-        told = list(self._told)
-        self._told.clear()
-        return told
+    def take_words(self) -> list[StartedWords]:
+        """Return, once each, the words where the timeline is settled, in its seconds."""
+        started = list(self._started_words)
+        self._started_words.clear()
+        return started
 
     def timed_words(self) -> tuple[tuple[str, ...], int] | None:
         """Words around the one that is heard now, and which of them it is, by their times.
@@ -299,29 +302,29 @@ class Playout:
         None where nothing is heard whose words have times.
         """
         playing = self._playing[0] if self._playing else None
-        told = None if playing is None else playing.stream.spoken.get("word")
-        if playing is None or told is None or not told.is_timed:
+        words = None if playing is None else playing.stream.spoken.get("word")
+        if playing is None or words is None or not words.is_timed:
             return None
         n_played = playing.n_played(self._position_s)
-        number = max(0, bisect_right(told.units, n_played, key=_start_sample) - 1)
+        number = max(0, bisect_right(words.units, n_played, key=_start_sample) - 1)
         first = max(0, number - _WORDS_BEFORE)
-        around = told.units[first : number + _WORDS_AFTER]
+        around = words.units[first : number + _WORDS_AFTER]
         return tuple(unit.label for unit in around), number - first
 
     def known_kind(self, timeline_s: float) -> Literal["phonemes", "visemes"] | None:
-        """What is known of the sound there by its stream; None: nothing, or nothing is said."""
+        """Return the kind of units known of the sound there; None: none, or nothing plays."""
         if not any(start_s <= timeline_s < end_s for start_s, end_s, _ in self._known.after(0.0)):
             return None
         if (found := self.stream_at(timeline_s)) is None:
             return None
-        told = told_phonemes(found[0])
-        return "visemes" if told is not None and told.kind == "viseme" else "phonemes"
+        units = phonemes_or_visemes(found[0])
+        return "visemes" if units is not None and units.kind == "viseme" else "phonemes"
 
     def __enter__(self) -> "Playout":
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """Nothing to give back; the loudspeaker is whoever's opened it."""
+        """Release nothing: the loudspeaker is closed by its opener."""
 
     def _commit(self, n_until: int) -> Iterator[tuple[AudioBlock, AudioBlock]]:
         while self._n_blocks < n_until:
@@ -333,7 +336,7 @@ class Playout:
             yield AudioBlock(heard, start_s), AudioBlock(spoken, start_s)
 
     def _next(self, start_s: float) -> tuple[Samples, Samples, Samples]:
-        """10 ms for the recogniser, for the loudspeaker, and for whoever hears how it is said."""
+        """The next 10 ms for the recogniser, for the loudspeaker, and for the prosody tracker."""
         waiting = (each for each in self._playing if not each.stream.is_over)
         may_speak = start_s >= self._quiet_s and not self._is_paused
         playing = next(waiting, None) if may_speak else None
@@ -355,16 +358,16 @@ class Playout:
         return heard, played, block.heard
 
     def _tell_words(self, playing: PlayingStream, start_s: float) -> None:
-        """What the stream that goes on at `start_s` was told to say since the last block."""
+        """Pass on the words that came since the last block for the stream at `start_s`."""
         is_other = playing is not self._telling
         if is_other:
             self._forget_words()
             self._telling = playing
-        told_words = playing.stream.told_words
-        while told_words:
-            told = told_words.popleft()
-            shift_s, behind_s, given = playing.shift_s, 0.0, told.words
-            began_s = given[0].start_s if told.kind == "text" and given else None
+        started_words = playing.stream.started_words
+        while started_words:
+            passed = started_words.popleft()
+            shift_s, behind_s, given = playing.shift_s, 0.0, passed.words
+            began_s = given[0].start_s if passed.kind == "text" and given else None
             if began_s is not None and began_s + shift_s < start_s:
                 behind_s, given = start_s - began_s - shift_s, (_untimed(given[0]), *given[1:])
             words = tuple(
@@ -373,12 +376,12 @@ class Playout:
                 if each.start_s is None or each.start_s + shift_s > start_s - _OVER_S
             )
             playing.is_followed = True
-            self._told.append(ToldWords(told.kind, words, told.is_new, behind_s))
+            self._started_words.append(StartedWords(passed.kind, words, passed.is_new, behind_s))
 
     def _forget_words(self) -> None:
-        """What was told of the last stream is not said any more."""
+        """Drop the words of the last stream that were not spoken."""
         if self._telling is not None and self._telling.is_followed:
-            self._told.append(ToldWords("text", (), is_new=True))
+            self._started_words.append(StartedWords("text", (), is_new=True))
         self._telling = None
 
     def _listened(self, start_s: float) -> Samples:
@@ -404,7 +407,7 @@ class Playout:
         self.events.append(PlayoutEvent("underrun", name, self._position_s, n_played))
 
     def _interrupt(self) -> bool:
-        """Everything ends here; whether anything was being said."""
+        """End all streams; return whether any was playing."""
         if not self._playing:
             return False
         cut_s = self._silenced()
@@ -422,7 +425,7 @@ class Playout:
         return True
 
     def _pause(self) -> bool:
-        """Everything stands still here; whether anything was being said.
+        """Hold all streams; return whether any was playing.
 
         A block that has begun to be heard counts as heard: up to 10 ms of it never are.
         """
@@ -444,7 +447,7 @@ class Playout:
             self._tell_all("resumed")
 
     def _silenced(self) -> float:
-        """Where on the timeline the loudspeaker falls silent; what was heard by then is told."""
+        """Where on the timeline the loudspeaker falls silent; events until then are reported."""
         if self.loudspeaker is not None:
             silent_s = self.loudspeaker.silence_rest() - self.preroll_s
             self._position_s = max(self._position_s, silent_s)
@@ -481,13 +484,13 @@ class Playout:
         while self._playing:
             playing, position_s = self._playing[0], self._position_s
             name = playing.stream.name
-            if not playing.is_told:
+            if not playing.has_begun:
                 begins_s = playing.segments[0].start_s if playing.segments else None
                 if begins_s is None and not playing.stream.is_over:
                     return
                 if begins_s is not None and position_s < begins_s:
                     return
-                playing.is_told = True
+                playing.has_begun = True
                 self.events.append(PlayoutEvent("started", name, position_s))
             n_played = playing.n_played(position_s)
             for mark in playing.stream.marks_until(n_played):

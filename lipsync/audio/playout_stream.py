@@ -38,14 +38,14 @@ _MOST_WORDS: Final = 2_000
 
 
 class PlayoutTextError(ValueError):
-    """Too much is told of a stream, or for a time that is too far off; the message is one line."""
+    """Too many units of a stream, or a time that is too far off; the message is one line."""
 
 
 @dataclass(frozen=True, slots=True)
-class ToldWords:
-    """What is said next, in seconds of a timeline or of a stream.
+class StartedWords:
+    """The words that come next, in seconds of a timeline or of a stream.
 
-    is_new: what was told before and was not said yet never will be. behind_s: so much of the sound
+    is_new: they replace earlier words that were not spoken yet. behind_s: so much of the sound
     of these words has gone by already.
     """
 
@@ -70,7 +70,7 @@ class PlayoutBlock:
 class PlayoutStream:
     """Samples in, blocks out. One thread pushes, one takes.
 
-    name: the stream's id. phonemes: what is said in it, where that is known beforehand, in seconds
+    name: the stream's id. phonemes: its phonemes, where they are known beforehand, in seconds
     from its first sample; empty: a recogniser finds out. played_elsewhere: who sends it plays it,
     and our loudspeaker is silent.
     """
@@ -95,7 +95,7 @@ class PlayoutStream:
         self.phonemes = tuple(phonemes)
         #: What its sender told by now: of each kind all, and the words that nobody has taken.
         self.spoken: dict[UnitKind, SpokenText] = {}
-        self.told_words: deque[ToldWords] = deque()
+        self.started_words: deque[StartedWords] = deque()
         self._words: tuple[PronouncedWord, ...] = ()
         self.played_elsewhere = played_elsewhere
         self._heard = _Resampled(sample_rate_hz, SAMPLE_RATE_HZ)
@@ -118,7 +118,7 @@ class PlayoutStream:
 
     @property
     def waiting_s(self) -> float:
-        """Speech that waits to be said, in whole blocks."""
+        """Seconds of speech that wait to be played, in whole blocks."""
         return len(self._blocks) * BLOCK_S
 
     @property
@@ -138,7 +138,7 @@ class PlayoutStream:
 
     @property
     def is_dropped(self) -> bool:
-        """Nobody will hear what was not taken."""
+        """Whether the blocks that were not taken will never be played."""
         return self._dropped
 
     @property
@@ -165,8 +165,8 @@ class PlayoutStream:
         self._played.push(samples)
         self._cut()
 
-    def tell(self, told: SpokenText, words: Sequence[PronouncedWord] = ()) -> None:
-        """What is said in it: more of it, late or early, or in place of what was told before.
+    def tell(self, spoken: SpokenText, words: Sequence[PronouncedWord] = ()) -> None:
+        """Add units of the speech: more, late or early, or in place of earlier ones.
 
         Phonemes and visemes with times move the mouth; all else is looked for in the sound. words:
         of the text, as they may sound, in seconds of the stream. Raises PlayoutTextError and
@@ -174,37 +174,39 @@ class PlayoutStream:
         """
         if self._ended and (self._dropped or not self._blocks):
             return
-        newest = max((t for unit in told.units[-1:] for t in (unit.start_sample or 0,)), default=0)
+        newest = max(
+            (t for unit in spoken.units[-1:] for t in (unit.start_sample or 0,)), default=0
+        )
         if newest > self._n_received + MOST_WAITING_S * self.sample_rate_hz:
             raise PlayoutTextError(
                 f"sample {newest} is more than {MOST_WAITING_S:g} s after the sound that was sent"
             )
-        waiting = list(self.told_words)  # at once: the live loop takes them meanwhile
+        waiting = list(self.started_words)  # at once: the live loop takes them meanwhile
         if sum(len(each.words) for each in waiting) + len(words) > _MOST_WORDS:
             raise PlayoutTextError(f"{_MOST_WORDS} words wait to be said; tell the others later")
-        before = self.spoken.get(told.kind)
-        whole = told if before is None else before.revised(told)
+        before = self.spoken.get(spoken.kind)
+        whole = spoken if before is None else before.revised(spoken)
         if words:
             # Words have times, or are nearer to the sound than a text is.
-            is_better = told.kind != "text" and "text" in self.spoken and before is None
-            is_worse = told.kind == "text" and "word" in self.spoken
+            is_better = spoken.kind != "text" and "text" in self.spoken and before is None
+            is_worse = spoken.kind == "text" and "word" in self.spoken
             if not is_worse:
-                self._note_words(told, words, whole, is_better=is_better)
-        if told.is_timed or not told.moves_mouth:
-            self.spoken = {**self.spoken, told.kind: whole}
+                self._note_words(spoken, words, whole, is_better=is_better)
+        if spoken.is_timed or not spoken.moves_mouth:
+            self.spoken = {**self.spoken, spoken.kind: whole}
 
     def _note_words(
         self,
-        told: SpokenText,
+        spoken: SpokenText,
         words: Sequence[PronouncedWord],
         whole: SpokenText,
         *,
         is_better: bool,
     ) -> None:
-        before = self.spoken.get(told.kind)
+        before = self.spoken.get(spoken.kind)
         n_units = 0 if before is None else len(before.units)
-        is_correction = len(whole.units) < n_units + len(told.units)
-        from_s = (told.units[0].start_sample or 0) / self.sample_rate_hz
+        is_correction = len(whole.units) < n_units + len(spoken.units)
+        from_s = (spoken.units[0].start_sample or 0) / self.sample_rate_hz
         if is_better or is_correction:
             self._words = tuple(
                 each
@@ -212,10 +214,10 @@ class PlayoutStream:
                 if is_correction and from_s and (each.start_s is None or each.start_s < from_s)
             )
             self._words += tuple(words)
-            self.told_words.append(ToldWords(told.kind, self._words, is_new=True))
+            self.started_words.append(StartedWords(spoken.kind, self._words, is_new=True))
         else:
             self._words = (*self._words, *words)[-MOST_UNITS:]
-            self.told_words.append(ToldWords(told.kind, tuple(words), is_new=False))
+            self.started_words.append(StartedWords(spoken.kind, tuple(words), is_new=False))
 
     def mark(self, name: str) -> None:
         """Tell when all that was pushed until now has been heard."""
@@ -248,7 +250,7 @@ class PlayoutStream:
         return self._blocks.popleft() if self._blocks and not self._dropped else None
 
     def put_back(self, block: PlayoutBlock) -> None:
-        """The taker's: the block that it took last is taken again."""
+        """Return the last taken block to the front, to be taken again."""
         if not self._dropped:
             self._blocks.appendleft(block)
 
@@ -314,7 +316,7 @@ EventKind = Literal[
 
 @dataclass(frozen=True, slots=True)
 class PlayoutEvent:
-    """What became of a stream, told when it leaves the loudspeaker.
+    """What became of a stream, reported when it leaves the loudspeaker.
 
     position_s: on the timeline. n_played: samples of the stream, at its own rate, that were heard
     so far; n_dropped: that never will be. name: of a mark.
@@ -330,7 +332,7 @@ class PlayoutEvent:
 
 @dataclass(frozen=True, slots=True)
 class PlayoutRequest:
-    """What is asked of the playout.
+    """A request to the playout.
 
     say: a new stream, after those that wait, or right after `after`, of which it is the next part:
     it is dropped where that was. interrupt: silence at once, and everything that was
@@ -345,7 +347,7 @@ class PlayoutRequest:
 
 #: Phonemes are looked up so far ahead, which is more than is ever asked for, and again so often;
 #: where more of them came, sooner.
-_KNOWN_AHEAD_S, _LOOKED_UP_S, _TOLD_S = 2.0, 0.5, 0.05
+_KNOWN_AHEAD_S, _LOOKED_UP_S, _WORDS_LATE_S = 2.0, 0.5, 0.05
 #: Between two phonemes that were told: a shorter gap is silence, in a longer one somebody may hear.
 _GAP_S: Final = 0.5
 #: Phonemes that were known beforehand are remembered so long after they were said: a recogniser
@@ -371,12 +373,12 @@ class Segment:
 
 @dataclass(slots=True)
 class PlayingStream:
-    """A stream that was asked to be said, and where it lies on the timeline so far."""
+    """A stream that was queued to play, and where it lies on the timeline so far."""
 
     stream: PlayoutStream
     segments: list[Segment] = field(default_factory=list)
     n_taken: int = 0
-    is_told: bool = False
+    has_begun: bool = False
     is_starved: bool = False
     is_followed: bool = False
 
@@ -433,12 +435,12 @@ class PlayingStream:
         return last.start_s - last.n_before / self.stream.sample_rate_hz
 
     def known_from(self, start_s: float) -> list[KnownStretch]:
-        """The phonemes of what is said from `start_s` on, as if without another gap."""
+        """The known phonemes from `start_s` on, as if without another gap."""
         shift_s = start_s - self.n_taken / self.stream.sample_rate_hz
         events = self.stream.phonemes
-        if not events and (told := told_phonemes(self.stream)) is not None:
-            n_ahead = round(_KNOWN_AHEAD_S * told.sample_rate_hz)
-            events = told.events(self.n_taken, self.n_taken + n_ahead)
+        if not events and (units := phonemes_or_visemes(self.stream)) is not None:
+            n_ahead = round(_KNOWN_AHEAD_S * units.sample_rate_hz)
+            events = units.events(self.n_taken, self.n_taken + n_ahead)
         moved = [
             replace(
                 event,
@@ -462,12 +464,12 @@ class PlayingStream:
         return [(first_s, end_s, tuple(group)) for first_s, end_s, group in stretches]
 
 
-def told_phonemes(stream: PlayoutStream) -> SpokenText | None:
-    """What its sender told that moves the mouth by itself: phonemes, else visemes, with times."""
+def phonemes_or_visemes(stream: PlayoutStream) -> SpokenText | None:
+    """The sender's units that move the mouth by themselves: phonemes, else visemes, with times."""
     for kind in ("phoneme", "viseme"):
-        told = stream.spoken.get(kind)
-        if told is not None and told.units and told.units[-1].start_sample is not None:
-            return told
+        units = stream.spoken.get(kind)
+        if units is not None and units.units and units.units[-1].start_sample is not None:
+            return units
     return None
 
 
@@ -496,12 +498,12 @@ class KnownPhonemes:
     def __init__(self) -> None:
         self._stretches: deque[KnownStretch] = deque()
         self._going_on: PlayingStream | None = None
-        self._told: SpokenText | None = None
+        self._units: SpokenText | None = None
         self._looked_up_s = 0.0
         self._began_s = 0.0  # to be said, the stream that goes on, without a gap since
 
     def is_silent(self, start_s: float, end_s: float) -> None:
-        """Between them nothing is said, and nobody is listened to."""
+        """Note that no stream plays in between, and that no recogniser listens."""
         self.sounds(None, start_s)
         last = self._stretches[-1] if self._stretches else None
         if last is not None and last[2] == _SILENCE and abs(last[1] - start_s) < 1e-6:
@@ -510,17 +512,18 @@ class KnownPhonemes:
             self._stretches.append((start_s, end_s, _SILENCE))
 
     def sounds(self, playing: PlayingStream | None, start_s: float) -> None:
-        """From `start_s` on this stream is said; None: nothing is."""
-        told = None if playing is None else told_phonemes(playing.stream)
+        """Note that this stream plays from `start_s` on; None: none does."""
+        units = None if playing is None else phonemes_or_visemes(playing.stream)
         if playing is self._going_on and (
-            told is None
-            or start_s < self._looked_up_s + (_LOOKED_UP_S if told is self._told else _TOLD_S)
+            units is None
+            or start_s
+            < self._looked_up_s + (_LOOKED_UP_S if units is self._units else _WORDS_LATE_S)
         ):
             return
         goes_on = playing is self._going_on
         if self._going_on is not None:
             self.cut(start_s)
-        if playing is not None and (playing.stream.phonemes or told is not None):
+        if playing is not None and (playing.stream.phonemes or units is not None):
             stretches = playing.known_from(start_s)
             if not goes_on:
                 self._began_s = start_s
@@ -531,10 +534,10 @@ class KnownPhonemes:
                 self.cut(first_s)
                 stretches[0] = (first_s, end_s, events)
             self._stretches.extend(stretches)
-            self._going_on, self._told, self._looked_up_s = playing, told, start_s
+            self._going_on, self._units, self._looked_up_s = playing, units, start_s
 
     def cut(self, cut_s: float) -> None:
-        """What was to be said from `cut_s` on never is."""
+        """Remove the stretches after `cut_s`, which will not be played."""
         self._stretches = deque(
             (start_s, min(end_s, cut_s), events)
             for start_s, end_s, events in self._stretches
@@ -547,6 +550,6 @@ class KnownPhonemes:
         return [stretch for stretch in self._stretches if stretch[1] > from_s]
 
     def forget(self, committed_s: float) -> None:
-        """Those that nobody asks for any more, the timeline being settled until `committed_s`."""
+        """Drop stretches older than any query, the timeline being settled until `committed_s`."""
         while self._stretches and self._stretches[0][1] < committed_s - _REMEMBERED_S:
             self._stretches.popleft()

@@ -70,7 +70,13 @@ class Loudspeaker(Protocol):
         """How often the device itself had nothing to play: the computer was too slow for it."""
 
     def write(self, samples: NDArray[np.float32]) -> None:
-        """The next samples (n,) float32 mono of the timeline."""
+        """Write the next samples of the timeline.
+
+        Parameters
+        ----------
+        samples : NDArray[np.float32]
+            (n,) float32 mono.
+        """
 
     def silence_rest(self) -> float:
         """Play silence in place of all that is written and still within reach.
@@ -102,7 +108,13 @@ class BlockCutter:
         return (self._n_out + len(self._waiting)) / SAMPLE_RATE_HZ
 
     def push(self, samples: NDArray[np.float32]) -> None:
-        """Add samples (n,) at 16 kHz."""
+        """Add samples.
+
+        Parameters
+        ----------
+        samples : NDArray[np.float32]
+            (n,) at 16 kHz.
+        """
         self._waiting = np.concatenate((self._waiting, samples))
 
     def take(self, until_s: float) -> list[AudioBlock]:

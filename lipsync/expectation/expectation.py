@@ -97,7 +97,22 @@ def context_at(
 def contexts(
     track: PhonemeTrack, times_s: Sequence[float] | Array, lookahead_s: float
 ) -> tuple[Indices, Array]:
-    """`context_at` for many instants: phonemes (n, 5) and times (n, 6)."""
+    """Return `context_at` for many instants.
+
+    Parameters
+    ----------
+    track : PhonemeTrack
+        Phonemes with their times.
+    times_s : Sequence[float] | Array
+        (n,).
+    lookahead_s : float
+        Seconds known beyond each.
+
+    Returns
+    -------
+    tuple[Indices, Array]
+        Phonemes (n, 5) and times (n, 6) in s.
+    """
     found = [context_at(track, float(t), float(t) + lookahead_s) for t in times_s]
     phonemes = np.array([p for p, _ in found], dtype=np.int64).reshape(-1, SLOTS)
     return phonemes, np.array([t for _, t in found]).reshape(-1, 6)
@@ -125,7 +140,20 @@ N_TIMING = 6 + 3 + 2 + 3 * len(_NEAR_S) + 3 + 1 + 3
 
 
 def timing_features(times_s: Array, lookahead_s: Array) -> Array:
-    """What the times of a context mean, between 0 and about 1; (n, 6), (n,) -> (n, N_TIMING)."""
+    """Return features of the times of contexts, between 0 and about 1.
+
+    Parameters
+    ----------
+    times_s : Array
+        (n, 6), NaN: not known.
+    lookahead_s : Array
+        (n,).
+
+    Returns
+    -------
+    Array
+        (n, N_TIMING).
+    """
     known = ~np.isnan(times_s)
     share = np.where(known, np.clip(times_s, 0.0, _LONGEST_S), 0.0) / _LONGEST_S
     ends_s = np.where(known[:, 3:], times_s[:, 3:], np.inf)
@@ -184,9 +212,21 @@ def timing_features_at(times_s: list[float], lookahead_s: float) -> list[float]:
 
 
 def window_shares(times_s: Array, lookahead_s: Array) -> Array:
-    """How much of each window each phoneme of a context fills: (n, N_WINDOWS, SLOTS), 0 to 1.
+    """Return how much of each window each phoneme of a context fills.
 
-    What is not known, and what lies beyond t + L, fills nothing.
+    Phonemes not known, and what lies beyond t + L, fill nothing.
+
+    Parameters
+    ----------
+    times_s : Array
+        (n, 6), NaN: not known.
+    lookahead_s : Array
+        (n,): L.
+
+    Returns
+    -------
+    Array
+        (n, N_WINDOWS, SLOTS), 0 to 1.
     """
     limit_s = lookahead_s[:, None]
     ends_s = np.where(np.isnan(times_s[:, 3:]), limit_s, np.minimum(times_s[:, 3:], limit_s))
@@ -211,7 +251,20 @@ class Stack:
     output: Array
 
     def faces(self, first: Array, timing: Array) -> Array:
-        """(n, n_components) from what the phonemes add up to (n, m h1), and timing features."""
+        """Return the stack's faces.
+
+        Parameters
+        ----------
+        first : Array
+            (n, m h1): sums of the phonemes' table rows.
+        timing : Array
+            (n, N_TIMING).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         first = first + timing @ self.timing[:-1] + self.timing[-1]
         np.maximum(first, 0.0, out=first)
         n_networks, n_first = len(self.hidden), self.hidden.shape[1] - 1
@@ -238,7 +291,22 @@ class Expectation:
     windows: Stack
 
     def at(self, phonemes: list[int], times_s: list[float], lookahead_s: float) -> Array:
-        """The expected face (n_components,) in one context: `faces` in two thirds of its time."""
+        """Return the expected face in one context: `faces` in two thirds of its time.
+
+        Parameters
+        ----------
+        phonemes : list[int]
+            5 numbers.
+        times_s : list[float]
+            6 times relative to the instant, NaN: not known.
+        lookahead_s : float
+            Seconds known beyond it.
+
+        Returns
+        -------
+        Array
+            (n_components,).
+        """
         timing = np.array([timing_features_at(times_s, lookahead_s)])
         by_slot = self.slot_tables[_SLOT_NUMBERS, phonemes].sum(axis=0)[None]
         filled = window_shares(np.array([times_s]), np.array([lookahead_s]))[0]
@@ -249,7 +317,22 @@ class Expectation:
         return face
 
     def faces(self, phonemes: Indices, times_s: Array, lookahead_s: Array) -> Array:
-        """Expected faces (n, n_components) in contexts: (n, 5), (n, 6), (n,)."""
+        """Return the expected faces in contexts.
+
+        Parameters
+        ----------
+        phonemes : Indices
+            (n, 5) numbers.
+        times_s : Array
+            (n, 6), NaN: not known.
+        lookahead_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         if len(phonemes) <= _FEW:
             each = zip(times_s.tolist(), lookahead_s.tolist(), strict=True)
             timing = np.array([timing_features_at(*context) for context in each])
@@ -263,14 +346,36 @@ class Expectation:
         return self.slots.faces(by_slot, timing) + self.windows.faces(by_window, timing)
 
     def faces_after(self, track: PhonemeTrack, times_s: Array, known_until_s: float) -> Array:
-        """Expected faces (n, n_components) at times (n,), by what is known until one instant."""
+        """Return the expected faces at times, by what is known until one instant.
+
+        Parameters
+        ----------
+        track : PhonemeTrack
+            Phonemes with their times.
+        times_s : Array
+            (n,).
+        known_until_s : float
+            Sound time.
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         found = [context_at(track, time_s, known_until_s) for time_s in times_s.tolist()]
         phonemes = np.array([phonemes for phonemes, _ in found])
         known_s = np.maximum(known_until_s - times_s, 0.0)
         return self.faces(phonemes, np.array([times for _, times in found]), known_s)
 
     def arrays(self) -> dict[str, Array]:
-        """All that a file must keep, by name."""
+        """Return all arrays that a file must keep.
+
+        Returns
+        -------
+        dict[str, Array]
+            By name; `slot_tables` has a row of each phoneme of each slot, shape (slots, phonemes, m
+            h1).
+        """
         return {
             "slot_tables": self.slot_tables,
             "window_tables": self.window_tables,
@@ -304,7 +409,23 @@ _STACK = ("timing", "hidden", "output")
 
 
 def expectation_of(arrays: dict[str, Array]) -> Expectation:
-    """From what `Expectation.arrays` gave; raises KeyError for what is missing."""
+    """Make an expectation from the arrays of `Expectation.arrays`.
+
+    Parameters
+    ----------
+    arrays : dict[str, Array]
+        By name, in the same shape.
+
+    Returns
+    -------
+    Expectation
+        An equal expectation.
+
+    Raises
+    ------
+    KeyError
+        An array is missing.
+    """
     slots, windows = (
         Stack(*(arrays[f"{family}_{name}"] for name in _STACK)) for family in ("slots", "windows")
     )
@@ -312,9 +433,19 @@ def expectation_of(arrays: dict[str, Array]) -> Expectation:
 
 
 def constant_expectation(faces: Array) -> Expectation:
-    """One that knows only the phoneme going on; faces (40, n_components), a row for each phoneme.
+    """Make an expectation that knows only the present phoneme, for corpora too small to learn from.
 
-    For corpora too small to learn from. Exact: each phoneme has two rectifiers a component.
+    Exact: each phoneme has two rectifiers a component.
+
+    Parameters
+    ----------
+    faces : Array
+        (40, n_components), a row for each phoneme.
+
+    Returns
+    -------
+    Expectation
+        Its faces are rows of `faces`.
     """
     n_components = faces.shape[1]
     width = 2 * n_components
@@ -353,5 +484,16 @@ def read_expectation(file: ModelFile, n_components: int) -> Expectation:
 
 
 def expectation_arrays(expectation: Expectation) -> dict[str, NDArray[np.generic]]:
-    """What a file keeps of an expectation, float32."""
+    """Return the arrays that a file keeps of an expectation.
+
+    Parameters
+    ----------
+    expectation : Expectation
+        Any.
+
+    Returns
+    -------
+    dict[str, NDArray[np.generic]]
+        By name, float32, in the shape of `Expectation.arrays`.
+    """
     return {name: values.astype(np.float32) for name, values in expectation.arrays().items()}

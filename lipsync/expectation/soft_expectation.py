@@ -1,8 +1,8 @@
-"""What the mouth is expected to do by all that a recogniser believes, not by what it decides alone.
+"""The mouth expected from all posteriors of a recogniser, not from its decision alone.
 
 A decoder names one phoneme for each instant and throws away how sure it was; what it throws away
 is what the eye misses. Here the posteriors of the frames around an instant, written as what
-phonemes look like (articulation and viseme class, so that words never met are made of known
+phonemes look like (articulation and viseme class, so that unknown words are made of known
 parts), become a face: by a ridge over random cosines (Rahimi and Recht, "Random features for
 large-scale kernel machines", NIPS 2007) and a small network of rectifiers, averaged. The face has
 its share in the motion where the recogniser doubts, and none where it is sure: phonemes known from
@@ -72,10 +72,24 @@ class BelievedFrames:
             self._frames[places] = frames[kept]
 
     def around(self, track: PhonemeTrack, times_s: Array, known_until_s: float) -> Array32:
-        """(n, n_frames, n_phonemes) around times (n,), frame by frame of all `WINDOWS`.
+        """Return the posteriors around times, frame by frame of all `WINDOWS`.
 
-        Where nothing was believed the decided phonemes stand, all or nothing, as far as they are
-        known; beyond `known_until_s` all is 0.
+        Where there are none the decided phonemes stand, all or nothing, as far as they are known;
+        beyond `known_until_s` all is 0.
+
+        Parameters
+        ----------
+        track : PhonemeTrack
+            Decided phonemes.
+        times_s : Array
+            (n,).
+        known_until_s : float
+            Sound time.
+
+        Returns
+        -------
+        Array32
+            (n, n_frames, n_phonemes), 0 to 1.
         """
         frames = np.rint(times_s * FRAMES_PER_S).astype(np.int64)[:, None] + OFFSETS
         places = frames % _KEPT
@@ -94,13 +108,35 @@ _SHARP = np.eye(len(PHONEMES), dtype=np.float32)
 
 
 def window_means(rows: Array32) -> Array32:
-    """(n, n_frames, k) -> (n, n_windows, k): the mean of each of `WINDOWS`."""
+    """Return the mean of each of `WINDOWS`.
+
+    Parameters
+    ----------
+    rows : Array32
+        (n, n_frames, k).
+
+    Returns
+    -------
+    Array32
+        (n, n_windows, k).
+    """
     sums = np.add.reduceat(rows, _FIRST_OF, axis=1)
     return np.asarray(sums / _LENGTHS, np.float32)
 
 
 def shares_of(rows: Array32) -> Array:
-    """(n, n_frames, n_phonemes) -> (n,): how much of the motion is the soft face."""
+    """Return how much of the motion is the soft face: more where the posteriors are in doubt.
+
+    Parameters
+    ----------
+    rows : Array32
+        (n, n_frames, n_phonemes).
+
+    Returns
+    -------
+    Array
+        (n,), 0 to `LARGEST_SHARE`.
+    """
     surest = rows[:, _NEAR].max(axis=2)
     known = np.maximum((surest > 0.0).sum(axis=1), 1)
     doubt = 1.0 - surest.sum(axis=1) / known
@@ -124,11 +160,33 @@ class SoftExpectation:
     output: Array32
 
     def faces(self, means: Array32) -> Array:
-        """Faces (n, n_components) by means (n, n_windows, n_phonemes)."""
+        """Return the faces expected by mean posteriors.
+
+        Parameters
+        ----------
+        means : Array32
+            (n, n_windows, n_phonemes).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         return np.asarray(self.hidden(means) @ self.output, np.float64)
 
     def hidden(self, means: Array32) -> Array32:
-        """What the faces are a sum of: (n, n_cosines + d + h2 + 1)."""
+        """Return the values whose weighted sum is a face.
+
+        Parameters
+        ----------
+        means : Array32
+            (n, n_windows, n_phonemes).
+
+        Returns
+        -------
+        Array32
+            (n, n_cosines + d + h2 + 1).
+        """
         inputs = (means @ self.looks).reshape(len(means), -1)
         cosines = np.cos(inputs @ self.frequencies + self.phases)
         once = np.maximum(inputs @ self.first[:-1] + self.first[-1], 0.0)
@@ -144,7 +202,26 @@ class SoftExpectation:
         times_s: Array,
         known_until_s: float,
     ) -> Array:
-        """Faces (n, n_components) of decided phonemes at times (n,), with the soft ones' share."""
+        """Mix the faces of decided phonemes with the soft ones, by `shares_of`.
+
+        Parameters
+        ----------
+        faces : Array
+            (n, n_components), by decided phonemes.
+        believed : BelievedFrames
+            Posteriors so far.
+        track : PhonemeTrack
+            Decided phonemes.
+        times_s : Array
+            (n,).
+        known_until_s : float
+            Sound time.
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         rows = believed.around(track, times_s, known_until_s)
         shares = shares_of(rows)
         if not shares.any():
@@ -182,7 +259,26 @@ def softened_line(
     posteriors: FramePosteriors,
     times_s: Array,
 ) -> Array:
-    """Faces (n, n_components) at times (n,) of a line that was heard whole, as `mixed` has them."""
+    """Return the faces of a line that was heard whole, as `SoftExpectation.mixed` has them.
+
+    Parameters
+    ----------
+    soft : SoftExpectation
+        The expectation by posteriors.
+    faces : Array
+        (n, n_components), by decided phonemes.
+    events : Sequence[PhonemeEvent]
+        Decided phonemes.
+    posteriors : FramePosteriors
+        Of the whole line.
+    times_s : Array
+        (n,).
+
+    Returns
+    -------
+    Array
+        (n, n_components).
+    """
     believed, track = BelievedFrames(), track_of(events)
     mixed, n_heard = faces.copy(), 0
     stretches = (times_s * FRAMES_PER_S / _STRETCH_FRAMES).astype(np.int64)
@@ -219,5 +315,16 @@ def read_soft_expectation(file: ModelFile, n_components: int) -> SoftExpectation
 
 
 def soft_arrays(soft: SoftExpectation) -> dict[str, NDArray[np.generic]]:
-    """What a file keeps of it, float16: half precision moves no lip by a hundredth of a mm."""
+    """Return the arrays that a file keeps: float16, since half precision moves no lip by 0.01 mm.
+
+    Parameters
+    ----------
+    soft : SoftExpectation
+        Any.
+
+    Returns
+    -------
+    dict[str, NDArray[np.generic]]
+        By name, in their own shape.
+    """
     return {name: getattr(soft, name).astype(np.float16) for name in _NAMES}

@@ -62,7 +62,18 @@ class LipMeasures:
     spread_mm: Array
 
     def of(self, coefficients: Array) -> Array:
-        """(..., n_components) -> (..., n_measures)."""
+        """Return measures of the mouth in mm from rest.
+
+        Parameters
+        ----------
+        coefficients : Array
+            (..., n_components).
+
+        Returns
+        -------
+        Array
+            (..., n_measures).
+        """
         return np.asarray((coefficients - self.rest) @ self.per_face)
 
 
@@ -141,7 +152,18 @@ class ArkitMap:
         self._narrowest_mm = -(self._lowest("corner_left") + self._lowest("corner_right"))
 
     def values(self, frame: Frame) -> Array:
-        """(52,), each from 0 to 1."""
+        """Return the ARKit blendshapes of a frame.
+
+        Parameters
+        ----------
+        frame : Frame
+            Mouth and expression.
+
+        Returns
+        -------
+        Array
+            (52,), each from 0 to 1, in the order of `ARKIT_NAMES`.
+        """
         found = np.zeros(len(ARKIT_NAMES))
         found[_OUT] = self.mouth(frame.coefficients)
         if frame.expression != NO_EXPRESSION:
@@ -149,10 +171,20 @@ class ArkitMap:
         return found
 
     def mouth(self, coefficients: Array) -> Array:
-        """(n_components,) -> (10,), the coefficients of `MOUTH_NAMES`.
+        """Return the blendshapes of the mouth, `MOUTH_NAMES`.
 
         jawOpen less mouthClose is what is seen of the gap: lips that touch do so whatever the jaw
         does, and it never falls while the gap grows.
+
+        Parameters
+        ----------
+        coefficients : Array
+            (n_components,).
+
+        Returns
+        -------
+        Array
+            (10,), each from 0 to 1.
         """
         mm = self._measures.of(coefficients)
         gap = _share(mm[_IN[GAP]] - self._shut_mm, self._highest(GAP) - self._shut_mm)
@@ -187,10 +219,20 @@ class ArkitMap:
 
 
 def vowels(values: Array) -> dict[str, float]:
-    """The mouth as weights of VRM's five vowels, together 1 at most. values: (52,), of ARKit.
+    """Return the mouth as weights of VRM's five vowels.
 
     An open mouth is A, rounded O, drawn wide E; a nearly closed one U where it is rounded, I where
     it is wide.
+
+    Parameters
+    ----------
+    values : Array
+        (52,), of ARKit.
+
+    Returns
+    -------
+    dict[str, float]
+        By vowel, 0 to 1; together 1 at most.
     """
     jaw, closed, funnel, pucker, left, right = values[_OUT[:6]].tolist()
     opened, rounded = max(0.0, jaw - closed), min(1.0, funnel + pucker)
@@ -210,8 +252,8 @@ def _share(value: float, full: float) -> float:
 
 
 def _add_expression(found: Array, expression: Expression) -> None:
-    """Set eyes, lids and brows where something is said of them. found: (52,)."""
-    said = {
+    """Set eyes, lids and brows from those values that are not None. found: (52,)."""
+    values = {
         "eyeBlinkLeft": expression.lid_left,
         "eyeBlinkRight": expression.lid_right,
         "browInnerUp": expression.brow,
@@ -221,11 +263,11 @@ def _add_expression(found: Array, expression: Expression) -> None:
     pitch_deg, yaw_deg = expression.eye_pitch_deg, expression.eye_yaw_deg
     if pitch_deg is not None:
         for side in ("Left", "Right"):
-            said[f"eyeLookUp{side}"] = pitch_deg / _EYE_RANGE_DEG
-            said[f"eyeLookDown{side}"] = -pitch_deg / _EYE_RANGE_DEG
+            values[f"eyeLookUp{side}"] = pitch_deg / _EYE_RANGE_DEG
+            values[f"eyeLookDown{side}"] = -pitch_deg / _EYE_RANGE_DEG
     if yaw_deg is not None:  # to the face's own left: outwards for its left eye
         for name, sign in (("OutLeft", 1), ("InRight", 1), ("InLeft", -1), ("OutRight", -1)):
-            said[f"eyeLook{name}"] = sign * yaw_deg / _EYE_RANGE_DEG
-    for name, value in said.items():
+            values[f"eyeLook{name}"] = sign * yaw_deg / _EYE_RANGE_DEG
+    for name, value in values.items():
         if value is not None:
             found[_AT[name]] = _share(value, 1.0)

@@ -4,7 +4,7 @@ Shapes and file formats: the README of Rhubarb Lip Sync 1.13
 (https://github.com/DanielSWolf/rhubarb-lip-sync), sections "Mouth shapes" and "Output formats".
 
 The rules are in our own words and code. Which shapes a phone may have, and every duration, are
-those of Rhubarb Lip Sync 1.13. What differs is said where it does, and in docs/avatars.md: the
+those of Rhubarb Lip Sync 1.13. Differences are noted where they are, and in docs/avatars.md: the
 nearest of several shapes is found by their openness and rounding, and short shapes go to a
 neighbour.
 """
@@ -159,7 +159,7 @@ _TWEENS: Mapping[tuple[str, str], tuple[Shape, str]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class _Wish:
+class _MouthSpan:
     """The shapes that a part of a phone may have."""
 
     shapes: str
@@ -184,49 +184,51 @@ def rule_cues(
     end_cs = centiseconds(duration_s)
     if end_cs <= 0:
         return []
-    wishes = _wishes(events, end_cs, stops_at_burst=stops_at_burst)
-    cues = _without_pauses(_animated(wishes))
+    spans = _mouth_spans(events, end_cs, stops_at_burst=stops_at_burst)
+    cues = _without_pauses(_animated(spans))
     return _tweened(_without_short_shapes(_with_long_closures(cues)))
 
 
-def _wishes(events: Iterable[PhonemeEvent], total_cs: int, *, stops_at_burst: bool) -> list[_Wish]:
-    wishes: list[_Wish] = []
+def _mouth_spans(
+    events: Iterable[PhonemeEvent], total_cs: int, *, stops_at_burst: bool
+) -> list[_MouthSpan]:
+    spans: list[_MouthSpan] = []
     now_cs = before_cs = 0
     for event in events:
         start_cs = min(max(now_cs, centiseconds(event.start_s)), total_cs)
         end = total_cs if event.end_s is None else centiseconds(event.end_s)
         end_cs = min(max(start_cs, end), total_cs)
-        wishes.append(_Wish("X", now_cs, start_cs))
+        spans.append(_MouthSpan("X", now_cs, start_cs))
         if stops_at_burst and event.phoneme in _STOPS:
             closed = min(max(before_cs // 2, _CLOSURE_CS[0]), _CLOSURE_CS[1])
             first, then = _STOPS[event.phoneme]
-            wishes = _cut_at(wishes, max(0, start_cs - closed))
-            wishes.append(_Wish(first, max(0, start_cs - closed), start_cs))
-            wishes.append(_Wish(then, start_cs, end_cs))
+            spans = _cut_at(spans, max(0, start_cs - closed))
+            spans.append(_MouthSpan(first, max(0, start_cs - closed), start_cs))
+            spans.append(_MouthSpan(then, start_cs, end_cs))
         else:
-            wishes += _of_phone(event.phoneme, start_cs, end_cs)
+            spans += _of_phone(event.phoneme, start_cs, end_cs)
         before_cs, now_cs = end_cs - start_cs, end_cs
-    wishes.append(_Wish("X", now_cs, total_cs))
-    return [wish for wish in wishes if wish.end_cs > wish.start_cs]
+    spans.append(_MouthSpan("X", now_cs, total_cs))
+    return [span for span in spans if span.end_cs > span.start_cs]
 
 
-def _cut_at(wishes: Sequence[_Wish], time_cs: int) -> list[_Wish]:
+def _cut_at(spans: Sequence[_MouthSpan], time_cs: int) -> list[_MouthSpan]:
     return [
-        _Wish(w.shapes, w.start_cs, min(w.end_cs, time_cs), w.is_vowel)
-        for w in wishes
+        _MouthSpan(w.shapes, w.start_cs, min(w.end_cs, time_cs), w.is_vowel)
+        for w in spans
         if w.start_cs < time_cs
     ]
 
 
-def _of_phone(phone: str, start_cs: int, end_cs: int) -> list[_Wish]:
+def _of_phone(phone: str, start_cs: int, end_cs: int) -> list[_MouthSpan]:
     shapes = _shapes_of(phone, end_cs - start_cs)
     is_vowel = phone in _VOWELS
     if len(shapes) == 1:
-        return [_Wish(shapes[0], start_cs, end_cs, is_vowel)]
+        return [_MouthSpan(shapes[0], start_cs, end_cs, is_vowel)]
     border_cs = start_cs + int(_FIRST_PART * (end_cs - start_cs))
     return [
-        _Wish(shapes[0], start_cs, border_cs, is_vowel),
-        _Wish(shapes[1], border_cs, end_cs, is_vowel),
+        _MouthSpan(shapes[0], start_cs, border_cs, is_vowel),
+        _MouthSpan(shapes[1], border_cs, end_cs, is_vowel),
     ]
 
 
@@ -259,27 +261,27 @@ def _nearest(shape: Shape, allowed: str) -> Shape:
     )
 
 
-def _animated(wishes: Sequence[_Wish]) -> list[MouthCue]:
+def _animated(spans: Sequence[_MouthSpan]) -> list[MouthCue]:
     """Each part takes the allowed shape nearest to the one before; a vowel is anticipated."""
     shapes: list[Shape] = []
     reference: Shape = "X"
     anticipated = -1
-    for i, wish in enumerate(wishes):
-        shape = _nearest(reference, wish.shapes)
+    for i, span in enumerate(spans):
+        shape = _nearest(reference, span.shapes)
         shapes.append(shape)
         reference = _RELAXED[shape]
-        if not wish.is_anticipated:
+        if not span.is_anticipated:
             continue
         reference = before = shape
         for j in range(i - 1, anticipated, -1):
-            if wish.start_cs - wishes[j].start_cs > _ANTICIPATED_CS:
+            if span.start_cs - spans[j].start_cs > _ANTICIPATED_CS:
                 break
-            before = shapes[j] = _nearest(before, wishes[j].shapes)
+            before = shapes[j] = _nearest(before, spans[j].shapes)
             if before != shape:
                 break
         anticipated = i
     return joined(
-        MouthCue(shape, w.start_cs, w.end_cs) for shape, w in zip(shapes, wishes, strict=True)
+        MouthCue(shape, w.start_cs, w.end_cs) for shape, w in zip(shapes, spans, strict=True)
     )
 
 

@@ -62,10 +62,24 @@ class _Part:
 
 
 def viseme_weights(events: Iterable[PhonemeEvent], times_s: Array, tightest_s: Array) -> Array:
-    """(n_times, 15), from 0 to 1, each row's sum 1. Phonemes in order; before and after them `sil`.
+    """Return the weights of the 15 Oculus visemes over time.
 
     Neighbours pass into each other around their border. Where lips close, the viseme is full when
-    the lips are shut. tightest_s: (40,), see FaceModel.
+    the lips are shut. Before and after the phonemes: `sil`.
+
+    Parameters
+    ----------
+    events : Iterable[PhonemeEvent]
+        Phonemes in order.
+    times_s : Array
+        (n_times,), ascending.
+    tightest_s : Array
+        (40,), see FaceModel.
+
+    Returns
+    -------
+    Array
+        (n_times, 15), from 0 to 1, each row's sum 1.
     """
     parts = _parts(tuple(events), tightest_s)
     weights = np.zeros((len(times_s), len(OVR_NAMES)))

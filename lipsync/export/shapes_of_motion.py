@@ -63,11 +63,28 @@ def shape_prototypes(model: FaceWithAnimPhos, measures: LipMeasures) -> ShapePro
 def motion_cues(
     prototypes: ShapePrototypes, coefficients: Array, shut: NDArray[np.bool_], duration_s: float
 ) -> list[MouthCue]:
-    """Mouth shapes of a motion (n, n_components), sampled every 10 ms from 0 s on.
+    """Return the mouth shapes nearest to a motion over all, none shorter than `SHORTEST_CS`.
 
-    The shapes that are nearest to the motion over all, none shorter than `SHORTEST_CS`. shut: (n,),
-    where the lips touch (`lips_shut`): drawn as A, as X in pauses. Raises ValueError for a motion
-    shorter than the sound.
+    Parameters
+    ----------
+    prototypes : ShapePrototypes
+        A face for each shape.
+    coefficients : Array
+        (n, n_components), every 10 ms from 0 s on.
+    shut : NDArray[np.bool_]
+        (n,), where the lips touch (`lips_shut`): drawn as A, as X in pauses.
+    duration_s : float
+        Of the sound.
+
+    Returns
+    -------
+    list[MouthCue]
+        Cues without gaps from 0 s to the end.
+
+    Raises
+    ------
+    ValueError
+        The motion is shorter than the sound.
     """
     n = centiseconds(duration_s)
     if len(coefficients) < n:
@@ -84,13 +101,37 @@ def motion_cues(
 
 
 def lips_shut(measures: LipMeasures, coefficients: Array) -> NDArray[np.bool_]:
-    """(n,), whether the lips touch in faces (n, n_components)."""
+    """Return whether the lips touch.
+
+    Parameters
+    ----------
+    measures : LipMeasures
+        Of the face model.
+    coefficients : Array
+        (n, n_components).
+
+    Returns
+    -------
+    NDArray[np.bool_]
+        (n,).
+    """
     gap_mm = measures.of(coefficients)[:, MEASURES.index(GAP)] + measures.rest_gap_mm
     return np.asarray(gap_mm <= BILABIAL_GAP_MM)
 
 
 def sampling_times_s(duration_s: float) -> Array:
-    """(n,), the times at which `motion_cues` wants its motion."""
+    """Return the times at which `motion_cues` needs its motion, every 10 ms.
+
+    Parameters
+    ----------
+    duration_s : float
+        Of the sound.
+
+    Returns
+    -------
+    Array
+        (n,) s.
+    """
     return np.asarray(np.arange(centiseconds(duration_s)) * CENTISECOND_S, dtype=np.float64)
 
 

@@ -43,7 +43,20 @@ class WeightTrack:
 
 
 def frame_times_s(duration_s: float, rate_hz: float) -> Array:
-    """(n,), the times of frames from 0 to the end of the sound, which none lies beyond."""
+    """Return the times of frames from 0 to the end of the sound, which none lies beyond.
+
+    Parameters
+    ----------
+    duration_s : float
+        Of the sound.
+    rate_hz : float
+        Frames a second.
+
+    Returns
+    -------
+    Array
+        (n,) s.
+    """
     return np.arange(int(np.floor(duration_s * rate_hz + 1e-9)) + 1) / rate_hz
 
 
@@ -117,9 +130,21 @@ _DEVICE_ID = b"6c697073-6572-766f-8000-000000000001"
 
 
 def live_link_packet(values: Array, subject: str, time_s: float) -> bytes:
-    """One frame. values: (52,), in the order of `ARKIT_NAMES`; head and eyes are not turned.
+    """Return one frame in the format of Live Link Face; head and eyes are not turned.
 
-    time_s: sound time; before the first sound counts as 0.
+    Parameters
+    ----------
+    values : Array
+        (52,), in the order of `ARKIT_NAMES`.
+    subject : str
+        ASCII.
+    time_s : float
+        Sound time; before the first sound counts as 0.
+
+    Returns
+    -------
+    bytes
+        One UDP datagram.
     """
     frame, part = divmod(max(time_s, 0.0) * _RATE_HZ, 1.0)
     name = subject.encode("ascii")

@@ -17,9 +17,9 @@ class Alertness:
     """What a cue means for all generators, smoothed.
 
     awake: 1 in conversation, 0 idle. talking: 1 while the robot speaks. is_idle, is_speaking: the
-    same, at once. wants_rest: nobody has spoken or moved for `rest_after_s`. partner_deg: (yaw,
-    pitch) of whom to look at; straight ahead where nobody is. has_turned: somebody else to look at
-    than in the cue before, or somewhere else. turn_ended: speech has just ended.
+    same, at once. wants_rest: no person has spoken or moved for `rest_after_s`. partner_deg: (yaw,
+    pitch) of the person to look at; straight ahead where there is none. has_turned: another person
+    to look at than in the cue before, or somewhere else. turn_ended: speech has just ended.
     """
 
     def __init__(self, idle_after_s: float, rest_after_s: float) -> None:

@@ -40,10 +40,10 @@ class ExpressionCue:
 
     time_s: sound time; it grows by CUE_PERIOD_S. voice: what was heard. is_speaking: the robot's
     mouth speaks (pauses within a sentence count as speech until 0.3 s have passed). silent_s: how
-    long nobody has spoken. look_at_deg: (yaw, pitch) of somebody to look at, in the robot's own
-    frame, None: nobody. valence: -1 (sad) to 1 (glad), as a dialogue system says; arousal: -1 to 1,
-    of the voice or as a dialogue system says. amount: 0 (still) to 1 (as measured on people), and
-    up to 1.5.
+    long no person has spoken. look_at_deg: (yaw, pitch) of a person to look at, in the robot's own
+    frame, None: no person. valence: -1 (sad) to 1 (glad), as a dialogue system says; arousal: -1 to
+    1, of the voice or as a dialogue system says. amount: 0 (still) to 1 (as measured on people),
+    and up to 1.5.
     """
 
     time_s: float
@@ -57,7 +57,7 @@ class ExpressionCue:
 
 
 class ExpressionSource(Protocol):
-    """Whoever makes expressions. State and a seeded generator only: same cues, same motion."""
+    """A source of expressions. State and a seeded generator only: same cues, same motion."""
 
     def step(self, cue: ExpressionCue) -> Expression:
         """The expression of the cue's moment; call it once for each, in order."""
@@ -68,7 +68,7 @@ class WholeExpression(ExpressionSource, Protocol):
 
     @property
     def is_resting(self) -> bool:
-        """Whether it is at neutral, and stays there until somebody speaks or moves."""
+        """Whether it is at neutral, and stays there until a person speaks or moves."""
 
 
 #: Nearer than this, and slower than this a time constant, it has arrived: the last thousandth of a

@@ -24,7 +24,7 @@ from lipsync.prosody.voice_frame import VoiceFrame
 
 _FAST_S, _SLOW_S = 0.06, 0.6
 #: An accent stands out by so many standard deviations, and comes so long after the last one.
-_STANDING_OUT = 0.8
+_PROMINENCE = 0.8
 _APART_S = 0.45
 #: Not every accent is nodded to.
 _NODDED = 0.7
@@ -67,7 +67,7 @@ class ProsodyAccents:
         self._nod_deg *= self._kept
         self._since_s += CUE_PERIOD_S
         excess = self._fast - self._slow
-        stood_out, self._stands_out = self._stands_out, excess > _STANDING_OUT
+        stood_out, self._stands_out = self._stands_out, excess > _PROMINENCE
         if is_speaking and self._stands_out and not stood_out and self._since_s >= _APART_S:
             self._since_s = 0.0
             if self._random.random() < _NODDED:

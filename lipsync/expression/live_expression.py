@@ -130,7 +130,7 @@ class LiveExpression:
     ) -> None:
         """Shares: of the time, 0.05 to 1, for which gaze is on the partner.
 
-        idle_after_s, rest_after_s: how long nobody has spoken when conversation motion gives way
+        idle_after_s, rest_after_s: after how much silence conversation motion gives way
         to idle motion, and when the face goes to neutral and stays there. Raises ValueError for a
         share that is not allowed.
         """
@@ -150,7 +150,7 @@ class LiveExpression:
     def step(self, cue: ExpressionCue) -> Expression:
         """The expression of the cue's moment; call it once for each, every CUE_PERIOD_S.
 
-        `is_resting` says afterwards whether the face is at neutral and stays there until somebody
+        `is_resting` says afterwards whether the face is at neutral and stays there until a person
         speaks or moves: then torque may be released without a jump.
         """
         alertness = self._alertness

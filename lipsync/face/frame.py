@@ -12,7 +12,7 @@ from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 
 @dataclass(frozen=True, slots=True)
 class Expression:
-    """Degrees of freedom of neck, eyes, lids and brows; None where nothing is said about one.
+    """Degrees of freedom of neck, eyes, lids and brows; None where one is not set.
 
     Angles are in degrees, 0 = straight ahead: pitch is positive upwards, yaw positive to the
     face's own left, roll positive towards its left shoulder. The eyes turn relative to the head,
@@ -78,7 +78,7 @@ class Motion(Protocol):
 
     @property
     def lookahead_s(self) -> float:
-        """How much sound after an instant must have been heard before its frame is asked for."""
+        """Seconds of sound needed after an instant before its frame can be computed."""
 
     def reset(self) -> None:
         """Forget everything; the mouth is closed and the stream begins anew at sound time 0."""

@@ -14,11 +14,21 @@ _ROUNDS = 10
 
 
 def fit_similarity(points: Array, reference: Array) -> tuple[Array, Array, Array]:
-    """Similarities that lay each frame's points on the reference in the least-squares sense.
+    """Fit similarities that lay each frame's points on the reference, in the least-squares sense.
 
-    points: (n_frames, n_points, 3); reference: (n_points, 3).
-    Returns scale (n_frames,), rotation (n_frames, 3, 3), translation (n_frames, 3) for
-    `scale * points @ rotation.T + translation`. Umeyama, eqs. (40)-(42).
+    Umeyama, eqs. (40)-(42): `scale * points @ rotation.T + translation`.
+
+    Parameters
+    ----------
+    points : Array
+        (n_frames, n_points, 3).
+    reference : Array
+        (n_points, 3).
+
+    Returns
+    -------
+    tuple[Array, Array, Array]
+        Scale (n_frames,), rotation (n_frames, 3, 3), translation (n_frames, 3).
     """
     centre = points.mean(axis=1, keepdims=True)
     reference_centre = reference.mean(axis=0)
@@ -38,16 +48,42 @@ def fit_similarity(points: Array, reference: Array) -> tuple[Array, Array, Array
 
 
 def apply_similarity(points: Array, scale: Array, rotation: Array, translation: Array) -> Array:
-    """`scale * points @ rotation.T + translation`, frame by frame; points (n_frames, n, 3)."""
+    """Return `scale * points @ rotation.T + translation`, frame by frame.
+
+    Parameters
+    ----------
+    points : Array
+        (n_frames, n, 3).
+    scale : Array
+        (n_frames,).
+    rotation : Array
+        (n_frames, 3, 3).
+    translation : Array
+        (n_frames, 3).
+
+    Returns
+    -------
+    Array
+        (n_frames, n, 3).
+    """
     turned: Array = np.einsum("fij,fpj->fpi", rotation, points)
     return scale[:, None, None] * turned + translation[:, None, :]
 
 
 def refine_mean(points: Array, scale_mm: tuple[int, int, float]) -> Array:
-    """The mean bone-fixed shape of all frames, refined from the first frame on.
+    """Return the mean bone-fixed shape of all frames, refined from the first frame on.
 
-    points: (n_frames, n_points, 3); scale_mm: two point indices and their distance in mm, which
-    fixes the size. Returns (n_points, 3), centred on its own mean.
+    Parameters
+    ----------
+    points : Array
+        (n_frames, n_points, 3).
+    scale_mm : tuple[int, int, float]
+        Two point indices and their distance in mm, which fixes the size.
+
+    Returns
+    -------
+    Array
+        (n_points, 3) mm, centred on its own mean.
     """
     first, second, distance_mm = scale_mm
     mean: Array = points[0]

@@ -3,7 +3,7 @@
 It is one part of a model file: one `.npz` without pickle, of which each reader loads only its own
 part. What moves a face (AnimPhos, the learned expectation, the baselines) are others. A member of
 the archive is called `PART/ARRAY`. `about` comes first and says in JSON what the file is. Nothing
-is read of a part before it is asked for.
+is read of a part before it is used.
 """
 
 import hashlib
@@ -69,10 +69,25 @@ class ModelFile:
             raise self._damaged(error) from error
 
     def read(self, part: str, assemble: Callable[[Arrays], Part]) -> Part:
-        """What `assemble` makes of the arrays of a part, which it gets by name.
+        """Read a part of the file.
 
-        Raises ModelError for a part that is not there or is damaged, and for what `assemble`
-        raises: KeyError, ValueError, TypeError or IndexError.
+        Parameters
+        ----------
+        part : str
+            Its name.
+        assemble : Callable[[Arrays], Part]
+            Makes the part of its arrays, which it gets by name, in the shape that was written.
+
+        Returns
+        -------
+        Part
+            The result of `assemble`.
+
+        Raises
+        ------
+        ModelError
+            The part is missing or damaged, or `assemble` raises KeyError, ValueError, TypeError or
+            IndexError.
         """
         prefix = f"{part}/"
         names = [name for name in self._archive.names if name.startswith(prefix)]
@@ -128,15 +143,32 @@ def open_model(path: Path | None = None) -> Iterator[ModelFile]:
 def write_model(
     path: Path, layout: PointLayout, about: Mapping[str, object], parts: Mapping[str, Arrays]
 ) -> None:
-    """Write a model file whole or not at all. Raises OutputError."""
-    said = {
+    """Write a model file whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        Replaced if it is there.
+    layout : PointLayout
+        The points of the face.
+    about : Mapping[str, object]
+        What the header says besides.
+    parts : Mapping[str, Arrays]
+        By name, arrays of any shape by name.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
+    header = {
         "version": MODEL_VERSION,
         "layout": layout.description(),
         "phonemes": PHONEMES,
         **about,
     }
     arrays: dict[str, NDArray[np.generic]] = {
-        _ABOUT: np.frombuffer(json.dumps(said).encode(), dtype=np.uint8)
+        _ABOUT: np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
     }
     for part, members in parts.items():
         arrays |= {f"{part}/{name}": values for name, values in members.items()}
@@ -185,19 +217,46 @@ class FaceModel:
         return len(self.basis)
 
     def coefficients(self, markers_mm: NDArray[np.floating]) -> Array:
-        """(n_frames, n_points, 3) -> (n_frames, n_components)."""
+        """Return the coefficients of marker positions.
+
+        Parameters
+        ----------
+        markers_mm : NDArray[np.floating]
+            (n_frames, n_points, 3).
+
+        Returns
+        -------
+        Array
+            (n_frames, n_components).
+        """
         flat = (markers_mm - self.mean_mm).reshape(len(markers_mm), -1)
         return np.asarray(flat @ self.basis.T, dtype=np.float64)
 
     def markers_mm(self, coefficients: Array) -> Array:
-        """(n_frames, n_components) -> (n_frames, n_points, 3)."""
+        """Return the marker positions of coefficients.
+
+        Parameters
+        ----------
+        coefficients : Array
+            (n_frames, n_components).
+
+        Returns
+        -------
+        Array
+            (n_frames, n_points, 3) mm.
+        """
         return self.mean_mm + (coefficients @ self.basis).reshape(-1, *self.mean_mm.shape)
 
     @property
     def lips_touching_mm(self) -> Array:
-        """(3,), the vector from lower to upper point of the lip gap where the lips touch.
+        """The vector from lower to upper point of the lip gap where the lips touch.
 
         0 on the inner lips. On outer ones it is the height of both lips: that of the mouth at rest.
+
+        Returns
+        -------
+        Array
+            (3,) mm.
         """
         if self.layout.has_inner_lips:
             return np.zeros(3)
@@ -205,7 +264,18 @@ class FaceModel:
         return np.asarray(at_rest_mm[0], dtype=np.float64)
 
     def lip_gap_mm(self, coefficients: Array) -> float:
-        """How far the lips are apart in one frame (n_components,): 0 mm where they touch."""
+        """Return how far the lips are apart in one frame.
+
+        Parameters
+        ----------
+        coefficients : Array
+            (n_components,).
+
+        Returns
+        -------
+        float
+            mm, 0 where the lips touch.
+        """
         basis = self.basis.reshape(self.n_components, -1, 3)
         at_upper, at_lower = self.layout.upper_lip, self.layout.lower_lip
         upper = self.mean_mm[at_upper] + coefficients @ basis[:, at_upper]
@@ -213,7 +283,18 @@ class FaceModel:
         return float(np.linalg.norm(upper - lower - self.lips_touching_mm))
 
     def lip_gaps_mm(self, markers_mm: NDArray[np.floating]) -> Array:
-        """(n_frames, n_points, 3) -> (n_frames,), how far the lips are apart."""
+        """Return how far the lips are apart.
+
+        Parameters
+        ----------
+        markers_mm : NDArray[np.floating]
+            (n_frames, n_points, 3).
+
+        Returns
+        -------
+        Array
+            (n_frames,) mm, 0 where the lips touch.
+        """
         between = self.layout.gap_vectors_mm(markers_mm)
         if not self.layout.has_inner_lips:
             between = between - self.lips_touching_mm
@@ -248,7 +329,18 @@ def read_face(file: ModelFile) -> FaceModel:
 
 
 def face_arrays(face: FaceModel) -> dict[str, NDArray[np.generic]]:
-    """What a file keeps of a face, float32."""
+    """Return the arrays that a file keeps of a face.
+
+    Parameters
+    ----------
+    face : FaceModel
+        Any.
+
+    Returns
+    -------
+    dict[str, NDArray[np.generic]]
+        By name, float32, in the shape of the fields.
+    """
     return {name: np.asarray(getattr(face, name), dtype=np.float32) for name in _ARRAYS}
 
 

@@ -52,20 +52,55 @@ class LipGap:
     response: Array
 
     def begin_to_touch(self, faces: Array) -> NDArray[np.bool_]:
-        """Which of the faces (n, n_components) of a motion are the first with lips that touch."""
+        """Return which faces of a motion are the first with lips that touch.
+
+        Parameters
+        ----------
+        faces : Array
+            (n, n_components), in order of time.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n,).
+        """
         widths_mm = np.linalg.norm(self.at_mean_mm + faces @ self.per_face, axis=1)
         touch = widths_mm <= TOUCHING_MM
         return np.asarray(touch & ~np.insert(touch[:-1], 0, touch[0]))
 
     def shut(self, face: Array) -> Array:
-        """The face (n_components,) with its lips pressed together."""
+        """Return the face with its lips pressed together.
+
+        Parameters
+        ----------
+        face : Array
+            (n_components,).
+
+        Returns
+        -------
+        Array
+            (n_components,).
+        """
         return self.narrowed(face, BILABIAL_GAP_MM, 1.0)
 
     def narrowed(self, face: Array, distance_mm: float, amount: float) -> Array:
-        """The face (n_components,) with its gap brought to at most `distance_mm`.
+        """Return the face with its gap brought to at most `distance_mm`.
 
-        amount: 0 leaves the face alone, 1 does it all; in between the share of the excess. The
-        result follows face, distance and amount without a jump in value or speed.
+        The result follows face, distance and amount without a jump in value or speed.
+
+        Parameters
+        ----------
+        face : Array
+            (n_components,).
+        distance_mm : float
+            Between the lips.
+        amount : float
+            0 leaves the face alone, 1 does it all; in between the share of the excess.
+
+        Returns
+        -------
+        Array
+            (n_components,).
         """
         if amount <= 0.0:
             return face
@@ -249,7 +284,20 @@ class TrackedSynthesizer(Motion, Protocol):
         """The phonemes as they are believed now, end to end."""
 
     def faces_after(self, frame: Frame, times_s: Array) -> Array:
-        """The faces (k, n_components) expected at sound times (k,) after the newest frame."""
+        """Return the faces expected after the newest frame.
+
+        Parameters
+        ----------
+        frame : Frame
+            The newest.
+        times_s : Array
+            (k,) sound times.
+
+        Returns
+        -------
+        Array
+            (k, n_components).
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -309,7 +357,7 @@ class FinishedSynthesizer:
 
     @property
     def is_resting(self) -> bool:
-        """Whether the mouth is at rest, or on its way there, because nobody speaks."""
+        """Whether the mouth is at rest, or on its way there, because of silence."""
         return self._ticks.newest.rest.goal == 1.0
 
     @property
@@ -329,7 +377,7 @@ class FinishedSynthesizer:
 
     @property
     def lookahead_s(self) -> float:
-        """How much sound after an instant must have been heard before its frame is asked for."""
+        """Seconds of sound needed after an instant before its frame can be computed."""
         return self._inner.lookahead_s
 
     def reset(self) -> None:

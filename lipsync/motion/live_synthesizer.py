@@ -101,7 +101,7 @@ class ExpectedMotion:
 
     @property
     def lookahead_s(self) -> float:
-        """How much sound after an instant must have been heard before its frame is asked for."""
+        """Seconds of sound needed after an instant before its frame can be computed."""
         return self._lookahead_s
 
     @property
@@ -142,12 +142,38 @@ class ExpectedMotion:
         return Frame(time_s, tick.at(min(1.0, max(0.0, share))))
 
     def faces_after(self, frame: Frame, times_s: Array) -> Array:
-        """The faces (k, n_components) expected at later sound times (k,); decides nothing."""
+        """Return the faces expected at later times; decides nothing.
+
+        Parameters
+        ----------
+        frame : Frame
+            The newest.
+        times_s : Array
+            (k,) sound times.
+
+        Returns
+        -------
+        Array
+            (k, n_components).
+        """
         known_until_s = frame.time_s + self.known_s
         return self._softened(self.decided_at(times_s, known_until_s), times_s, known_until_s)
 
     def decided_at(self, times_s: Array, known_until_s: float) -> Array:
-        """The faces (k, n_components) expected at times (k,) by phonemes known until an instant."""
+        """Return the faces expected by phonemes known until an instant.
+
+        Parameters
+        ----------
+        times_s : Array
+            (k,) sound times.
+        known_until_s : float
+            Sound time.
+
+        Returns
+        -------
+        Array
+            (k, n_components).
+        """
         return self._expectation.faces_after(self._track, times_s, known_until_s)
 
     def adjust_smoothness(self, smoothness: float) -> None:
@@ -176,7 +202,7 @@ class ExpectedMotion:
         return _Tick(last.end, last.end_speed, self._wanted, end_speed, rest)
 
     def _expected(self, time_s: float, *, at_rest: bool) -> Array:
-        """What the mouth should look like a little later, while somebody speaks.
+        """The expected face a little later, while a person speaks.
 
         From a mouth at rest the motion sets out from rest itself, not from the mean of silences.
         """

@@ -53,9 +53,21 @@ class LipWidth:
     at_rest_mm: float
 
     def rounded(self, face: Array, amount: float) -> Array:
-        """The face (n_components,) with corners at most `ROUNDED_SHARE` of their rest width apart.
+        """Return the face with corners at most `ROUNDED_SHARE` of their rest width apart.
 
-        amount: 0 leaves the face alone, 1 does it all. Follows face and amount without a jump.
+        Follows face and amount without a jump.
+
+        Parameters
+        ----------
+        face : Array
+            (n_components,).
+        amount : float
+            0 leaves the face alone, 1 does it all.
+
+        Returns
+        -------
+        Array
+            (n_components,).
         """
         if amount <= 0.0:
             return face
@@ -64,7 +76,20 @@ class LipWidth:
         return np.asarray(face - min(amount, 1.0) * soft_mm * self.response)
 
     def smiling(self, face: Array, valence: float) -> Array:
-        """The face (n_components,) with corners farther apart by valence, -1 to 1."""
+        """Return the face with corners farther apart by valence.
+
+        Parameters
+        ----------
+        face : Array
+            (n_components,).
+        valence : float
+            -1 to 1.
+
+        Returns
+        -------
+        Array
+            (n_components,).
+        """
         return np.asarray(face + _SMILE_MM * valence * self.response) if valence else face
 
 

@@ -1,4 +1,4 @@
-"""A mouth that nothing moves: what a performance is played on where nobody listens."""
+"""A mouth that does not move: a performance is played on it where no recogniser listens."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ HELD_S = 0.2
 
 
 class StillMotion:
-    """A `Synthesizer` that keeps the mouth at rest; phonemes are told and counted as ever."""
+    """A `Synthesizer` that keeps the mouth at rest; phonemes are taken and counted as ever."""
 
     def __init__(self, rest: Array) -> None:
         """rest: the face (n_components,) of a mouth at rest."""
@@ -32,7 +32,7 @@ class StillMotion:
         return HELD_S
 
     def reset(self) -> None:
-        """Forget what was said."""
+        """Forget all phonemes."""
         self._timeline = PhonemeTimeline()
         self._n_shown = 0
         self._newest_s = -1.0

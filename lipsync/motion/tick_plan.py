@@ -33,7 +33,7 @@ class TickPlan(Generic[Decision]):
     """What was decided for the newest ticks, in bounded memory."""
 
     def __init__(self, first: Decision) -> None:
-        """first: holds until the first tick that is asked for."""
+        """first: holds until the first tick."""
         self._kept = deque([first], maxlen=_KEPT)
         self._newest = -1
 

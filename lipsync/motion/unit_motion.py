@@ -165,9 +165,19 @@ class UnitMotion:
         self._track = track_of(())
 
     def at(self, time_s: float, track: PhonemeTrack) -> Array | None:
-        """What (n_components,) makes the expected face the AnimPhos', by the phonemes of now.
+        """Return the offset from the expected face to the AnimPhos', by the phonemes known now.
 
-        None for a time that is too long ago.
+        Parameters
+        ----------
+        time_s : float
+            Sound time.
+        track : PhonemeTrack
+            Phonemes with their times.
+
+        Returns
+        -------
+        Array | None
+            (n_components,); None for a time that is too long ago.
         """
         self._track = track
         stretch = self._ticks.at(time_s, self._decide)

@@ -1,1 +1,1 @@
-"""Scripted lines: the model-based method of Edge, Hilton and Jackson, which hears all of a line."""
+"""Scripted lines: the model-based method of Edge, Hilton and Jackson, which uses the whole line."""

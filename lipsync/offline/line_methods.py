@@ -76,7 +76,20 @@ class PlannedMotion:
         return Frame(time_s, np.asarray(face))
 
     def faces_after(self, frame: Frame, times_s: Array) -> Array:  # noqa: ARG002 - a contract
-        """The faces (k, n_components) at later times (k,)."""
+        """Return the faces at later times.
+
+        Parameters
+        ----------
+        frame : Frame
+            The newest; not used.
+        times_s : Array
+            (k,) sound times.
+
+        Returns
+        -------
+        Array
+            (k, n_components).
+        """
         return np.array([self.frame_at(time_s).coefficients for time_s in times_s.tolist()])
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
@@ -85,7 +98,20 @@ class PlannedMotion:
 
 
 def shown_faces(line: FinishedSynthesizer, times_s: Sequence[float] | Array) -> Array:
-    """Faces (n, n_components) at ascending times, decided tick by tick as a robot would."""
+    """Return the faces at given times, decided tick by tick as a robot would.
+
+    Parameters
+    ----------
+    line : FinishedSynthesizer
+        The synthesiser of the line.
+    times_s : Sequence[float] | Array
+        (n,), ascending.
+
+    Returns
+    -------
+    Array
+        (n, n_components).
+    """
     found, n_ticks = [], 0
     for time_s in times_s:
         while n_ticks * TICK_S < time_s - 1e-6:
@@ -106,7 +132,7 @@ _LEAD_OVER_S = 0.04
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """What is said: phones in order without gaps from 0 to the end, and 16 kHz samples (n,).
+    """A spoken line: phones in order without gaps from 0 to the end, and 16 kHz samples (n,).
 
     posteriors: of a line whose phones were recognised; None where they are known.
     """
@@ -154,8 +180,8 @@ def heard_line(speaker: Speaker, line: Line, n_frames: int) -> PlannedLine:
         faces = softened_line(speaker.soft, faces, line.events, line.posteriors, around_s)
     notes: tuple[str, ...] = ("another voice: phonemes alone are believed",)
     if speaker.offline.voice.knows(line.samples):
-        told = speaker.offline.sound.faces(line.events, cepstra(line.samples), around_s)
-        faces, notes = faces + _SOUND_SHARE * (told - faces), ()
+        sound_faces = speaker.offline.sound.faces(line.events, cepstra(line.samples), around_s)
+        faces, notes = faces + _SOUND_SHARE * (sound_faces - faces), ()
     before, there, after = faces.reshape(3, n_frames, -1)
     mean = (before + 2.0 * there + after) / 4.0
     # The last step, as long as 40 ms would be.

@@ -61,10 +61,22 @@ def unit_spans(events: Sequence[PhonemeEvent], n_frames: int, frame_rate_hz: flo
 
 
 def warped_distances(target: Array, stored: Sequence[Array]) -> Array:
-    """How unlike each of the stored units (n_j, m) sounds to the target (n, m): (n_units,).
+    """Return how unlike each of the stored units sounds to the target, by dynamic time warping.
 
     P(i, j) = d(i, j) + min(P(i-1, j), P(i-1, j-1), P(i, j-1)), equation (1), with d the Euclidean
     distance of cepstra; the cost of a unit is P at the ends of both. Needs the extra `offline`.
+
+    Parameters
+    ----------
+    target : Array
+        (n, m) cepstra.
+    stored : Sequence[Array]
+        (n_j, m) cepstra each.
+
+    Returns
+    -------
+    Array
+        (n_units,).
     """
     from dtaidistance.dtw_cc import distance_ndim  # the published method alone needs it
 
@@ -112,10 +124,22 @@ class Window:
     weights: Array
 
     def of(self, cepstra: NDArray[np.floating], frames: Indices, borders: tuple[int, int]) -> Array:
-        """What is heard around `frames` (n,): (n, w m), weighted so that distances are (2)'s.
+        """Return cepstra around frames, weighted so that Euclidean distances are equation (2)'s.
 
-        cepstra: (n_frames, m); borders: first frame of the recording, and the one after its last;
-        beyond them its ends are repeated.
+        Parameters
+        ----------
+        cepstra : NDArray[np.floating]
+            (n_frames, m).
+        frames : Indices
+            (n,) numbers.
+        borders : tuple[int, int]
+            First frame of the recording, and the one after its last; beyond them its ends are
+            repeated.
+
+        Returns
+        -------
+        Array
+            (n, w m).
         """
         first, end = borders
         numbers = np.clip(frames[:, None] + self.offsets, first, end - 1)
@@ -141,20 +165,39 @@ class Candidates:
 
 
 def unit_distances(heard: Array, stored: Array) -> Array:
-    """The distance of each window around frames of a line to each of those around a unit's frames.
-
-    heard (n, w m), stored (n_j, w m), as `Window.of` gives them: (n, n_j), with
+    """Return the distance of each window of a line to each window of a unit.
 
     dist(t, f) = sqrt( sum_w g(w) || c(t + w) - c'(f + w) ||^2 ).
+
+    Parameters
+    ----------
+    heard : Array
+        (n, w m), of `Window.of`.
+    stored : Array
+        (n_j, w m), of `Window.of`.
+
+    Returns
+    -------
+    Array
+        (n, n_j).
     """
     return np.asarray(cdist(heard, stored), dtype=np.float64)
 
 
 def nearest_of_each_state(states: Sequence[Indices], distances: Sequence[Array]) -> Candidates:
-    """dist(t, k) = min over frames f of the units that lie in state k, equation (2).
+    """Return dist(t, k) = min over frames f of the units that lie in state k, equation (2).
 
-    states, distances: (n_j,) for each unit. States that are in none of them are infinitely far, and
-    left out.
+    States that are in none of them are infinitely far, and left out.
+
+    Parameters
+    ----------
+    states,distances : Sequence[Indices]
+        (n_j,) for each unit.
+
+    Returns
+    -------
+    Candidates
+        The states found, (k,), and their distances, (k,).
     """
     all_states, all_distances = np.concatenate(states), np.concatenate(distances)
     order = np.lexsort((all_distances, all_states))
@@ -255,15 +298,27 @@ def likeliest_trajectory(
     expected: Array | None = None,
     expected_precision: Array | None = None,
 ) -> Array:
-    """Positions (n, p) that maximise the product over t of N(y~_t; 0, K_t), equation (4).
+    """Return positions that maximise the product over t of N(y~_t; 0, K_t), equation (4).
 
-    y~_t = (x_t, x_{t+1} - x_t) - mu_t; in the last frame the speed is that of the step before.
-    means: (n, 2 p), mu_t of each frame's state; precisions: (n, 2 p, 2 p), the inverse of K_t.
-    With W the matrix that takes positions to positions and speeds: W' K^-1 W x = W' K^-1 mu, which
-    is symmetric, positive definite, and p by p blocks around the diagonal.
+    y~_t = (x_t, x_{t+1} - x_t) - mu_t; in the last frame the speed is that of the step before. With
+    W the matrix that takes positions to positions and speeds: W' K^-1 W x = W' K^-1 mu, which is
+    symmetric, positive definite, and p by p blocks around the diagonal.
 
-    expected (n, p), expected_precision (p, p): what else is known of each position, one more
-    Gaussian a frame: not of the paper.
+    Parameters
+    ----------
+    means : Array
+        (n, 2 p), mu_t of each frame's state.
+    precisions : Array
+        (n, 2 p, 2 p), the inverse of K_t.
+    expected : Array | None
+        (n, p), another estimate of each position, one more Gaussian a frame: not of the paper.
+    expected_precision : Array | None
+        (p, p), of that estimate.
+
+    Returns
+    -------
+    Array
+        (n, p).
     """
     n, p = len(means), means.shape[1] // 2
     diagonal = np.zeros((n, p, p))
@@ -300,9 +355,19 @@ def likeliest_trajectory(
 
 
 def banded(diagonal: Array, below: Array) -> Array:
-    """The lower bands (2 p, n p) of a block-tridiagonal symmetric matrix, as SciPy stores them.
+    """Return the lower bands of a block-tridiagonal symmetric matrix, as SciPy stores them.
 
-    diagonal: (n, p, p); below: (n - 1, p, p), the blocks under it.
+    Parameters
+    ----------
+    diagonal : Array
+        (n, p, p).
+    below : Array
+        (n - 1, p, p), the blocks under it.
+
+    Returns
+    -------
+    Array
+        (2 p, n p).
     """
     n, p = diagonal.shape[:2]
     bands = np.zeros((2 * p, n, p))
@@ -320,16 +385,28 @@ WINDOW_DEVIATION_S = 0.04
 
 @dataclass(frozen=True, slots=True)
 class ModelledLine:
-    """Motion (n, p) in the model's own components, one a frame, and the path it took."""
+    """Motion (n_frames, p) in the model's own components, and its path through the states."""
 
     motion: Array
     path: Path
 
 
 def model_line(model: StateModel, cepstra: Array, events: Sequence[PhonemeEvent]) -> ModelledLine:
-    """The motion of a line by the published method.
+    """Return the motion of a line by the published method.
 
-    cepstra: (n, m) at the model's frame rate, normalised like the model's; events: its phones.
+    Parameters
+    ----------
+    model : StateModel
+        States and units.
+    cepstra : Array
+        (n, m) at the model's frame rate, normalised like the model's.
+    events : Sequence[PhonemeEvent]
+        Phones of the line.
+
+    Returns
+    -------
+    ModelledLine
+        Motion (n, p), and its path through the states.
     """
     duration_s = len(cepstra) / model.frame_rate_hz
     phones = joined_phones(events, duration_s)

@@ -5,12 +5,12 @@ a second: Davis and Mermelstein, IEEE Trans. ASSP 28(4), 1980, equation (1). Nor
 recording, mean and spread of each coefficient over the frames in which something is heard, so that
 level, microphone and much of a voice fall out (Viikki and Laurila, Speech Communication 25, 1998).
 
-The long-term mean of the cepstra tells voices and microphones apart, whatever is said (Furui, IEEE
-Trans. ASSP 29(2), 1981). Normalising takes it away, and what is left of another voice still lies
-elsewhere: there distances of sound mean little, and phonemes alone are believed.
+The long-term mean of the cepstra distinguishes voices and microphones, whatever the words (Furui,
+IEEE Trans. ASSP 29(2), 1981). Normalising takes it away, and what is left of another voice still
+lies elsewhere: there distances of sound mean little, and phonemes alone are believed.
 
 The expectation of sound is not of the paper. The live expectation knows the phonemes alone; sound
-tells how they were said: how wide a vowel was, and when within a phone the mouth turned. Small
+tells how they were spoken: how wide a vowel was, and when within a phone the mouth turned. Small
 networks with two hidden layers of rectifiers, averaged.
 """
 
@@ -36,21 +36,55 @@ _SMALLEST_SPREAD = 1e-3
 
 
 def cepstra(samples: NDArray[np.float32]) -> Array:
-    """(n, 13) of samples (m,) at 16 kHz, normalised; that of frame i is centred at i / 100 s."""
+    """Return normalised cepstra; that of frame i is centred at i / 100 s.
+
+    Parameters
+    ----------
+    samples : NDArray[np.float32]
+        (m,) at 16 kHz.
+
+    Returns
+    -------
+    Array
+        (n, 13).
+    """
     return _normalised(plain_cepstra(samples))
 
 
 def at_times(found: Array, times_s: Array) -> Array:
-    """Cepstra (n, 13), 100 a second, at times (m,): (m, 13); before and after: the ends'."""
+    """Interpolate cepstra; before and after them their ends'.
+
+    Parameters
+    ----------
+    found : Array
+        (n, 13), 100 a second.
+    times_s : Array
+        (m,).
+
+    Returns
+    -------
+    Array
+        (m, 13).
+    """
     at = np.arange(len(found)) / FRAMES_PER_S
     return np.stack([np.interp(times_s, at, column) for column in found.T], axis=1)
 
 
 def plain_cepstra(samples: NDArray[np.float32]) -> Array:
-    """(n, 13) of samples (m,) at 16 kHz; the window of frame i has its middle at i / 100 s.
+    """Return cepstra; the window of frame i has its middle at i / 100 s.
 
     c_k = sqrt(2 / 40) sum_b m_b cos(pi k (b + 1/2) / 40) over the bands m_b, the first one by
     sqrt(1 / 40).
+
+    Parameters
+    ----------
+    samples : NDArray[np.float32]
+        (m,) at 16 kHz.
+
+    Returns
+    -------
+    Array
+        (n, 13).
     """
     # A window before the first sample's middle, and one after the last's, are half silence.
     padded = np.concatenate([np.zeros(WINDOW // 2, np.float32), samples])
@@ -62,7 +96,18 @@ def plain_cepstra(samples: NDArray[np.float32]) -> Array:
 
 
 def is_heard(found: Array) -> NDArray[np.bool_]:
-    """(n,): whether something is heard in a frame of plain cepstra (n, 13)."""
+    """Return whether a frame is loud enough to count, by its distance to the loudest.
+
+    Parameters
+    ----------
+    found : Array
+        (n, 13), plain cepstra.
+
+    Returns
+    -------
+    NDArray[np.bool_]
+        (n,).
+    """
     loudness = found[:, 0] / np.sqrt(N_BANDS)
     return np.asarray(loudness >= loudness.max() - _GATE)
 
@@ -85,20 +130,50 @@ class VoiceLikeness:
     limit: float
 
     def distance(self, samples: NDArray[np.float32]) -> float:
-        """How far a line, (n,) at 16 kHz, is off: the squared Mahalanobis distance over m.
+        """Return a line's squared Mahalanobis distance from the learned voice, over m.
 
-        1 on average for the voice that was learned from.
+        Parameters
+        ----------
+        samples : NDArray[np.float32]
+            (n,) at 16 kHz.
+
+        Returns
+        -------
+        float
+            1 on average for the voice that was learned from.
         """
         off = mean_cepstrum(samples) - self.mean
         return float(off @ self.precision @ off) / len(off)
 
     def knows(self, samples: NDArray[np.float32]) -> bool:
-        """Whether the sound of a line may be believed."""
+        """Return whether the sound of a line is near enough to the learned voice to be used.
+
+        Parameters
+        ----------
+        samples : NDArray[np.float32]
+            (n,) at 16 kHz.
+
+        Returns
+        -------
+        bool
+            True up to `limit`.
+        """
         return self.distance(samples) <= self.limit
 
 
 def mean_cepstrum(samples: NDArray[np.float32]) -> Array:
-    """(12,), the mean over what is heard in samples (n,) at 16 kHz; the level is left out."""
+    """Return the mean cepstrum of the loud frames; the level is left out.
+
+    Parameters
+    ----------
+    samples : NDArray[np.float32]
+        (n,) at 16 kHz.
+
+    Returns
+    -------
+    Array
+        (12,).
+    """
     found = plain_cepstra(samples)
     return np.asarray(found[is_heard(found), 1:].mean(axis=0))
 
@@ -115,9 +190,23 @@ _INDEX_OF = {phoneme: index for index, phoneme in enumerate(PHONEMES)}
 def line_inputs(
     events: Sequence[PhonemeEvent], cepstra: Array, times_s: Array, articulation: Array32
 ) -> Array32:
-    """What the networks read at times (n,): (n, n_inputs).
+    """Return the inputs of the networks.
 
-    events: the phones of a line. cepstra: (m, 13), 100 a second. articulation: (40, n_features).
+    Parameters
+    ----------
+    events : Sequence[PhonemeEvent]
+        Phones of a line.
+    cepstra : Array
+        (m, 13), 100 a second.
+    times_s : Array
+        (n,).
+    articulation : Array32
+        (40, n_features).
+
+    Returns
+    -------
+    Array32
+        (n, n_inputs).
     """
     at = np.rint(times_s * FRAMES_PER_S).astype(np.int64)
     margin = _N_WINDOWS * _WINDOW
@@ -161,7 +250,22 @@ class SoundExpectation:
     layers: tuple[Array32, ...]
 
     def faces(self, events: Sequence[PhonemeEvent], cepstra: Array, times_s: Array) -> Array:
-        """The expected faces (n, n_components) at times (n,) of a line."""
+        """Return the expected faces of a line.
+
+        Parameters
+        ----------
+        events : Sequence[PhonemeEvent]
+            Its phones.
+        cepstra : Array
+            (m, 13), 100 a second.
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         inputs = line_inputs(events, cepstra, times_s, self.articulation)
         value = ((inputs - self.mean) / self.spread)[None]
         for weights, bias in zip(self.layers[::2], self.layers[1::2], strict=True):

@@ -36,7 +36,20 @@ class StoredMotion:
         self._last_s = performance.duration_s
 
     def face_at(self, at_s: float, otherwise: Array) -> Array:
-        """The face (n_components,); beyond its ends eased to what the mouth does otherwise."""
+        """Return the stored face; beyond its ends eased to the face of the inner synthesiser.
+
+        Parameters
+        ----------
+        at_s : float
+            Seconds from its beginning.
+        otherwise : Array
+            (n_components,), the inner face.
+
+        Returns
+        -------
+        Array
+            (n_components,).
+        """
         outside_s = max(-at_s, at_s - self._last_s)
         if outside_s <= 0.0:
             return self._between(self._faces, at_s)
@@ -60,7 +73,7 @@ class StoredMotion:
 
 
 class PerformedMotion:
-    """A synthesiser around another one: a performance where one is said, else what is inside.
+    """A synthesiser that plays performed lines, and leaves all other speech to an inner one.
 
     The one inside goes on meanwhile, and so is where it belongs when the performance is over.
     """
@@ -89,11 +102,11 @@ class PerformedMotion:
 
     @property
     def lookahead_s(self) -> float:
-        """How much sound after an instant must have been heard before its frame is asked for."""
+        """Seconds of sound needed after an instant before its frame can be computed."""
         return self._inner.lookahead_s
 
     def reset(self) -> None:
-        """Forget what was said; performances stay."""
+        """Forget the sound so far; performances stay."""
         self._inner.reset()
         self._newest_s = -math.inf
 

@@ -1,1 +1,1 @@
-"""Files that tell phonemes and their times, whoever wrote them: one reader a format."""
+"""Files of phonemes and their times, by any program: one reader a format."""

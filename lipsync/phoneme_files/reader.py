@@ -1,4 +1,4 @@
-"""Files that tell what is said when, whoever wrote them; what is in one tells its format."""
+"""Readers of files of phonemes and their times; the format is detected by the content."""
 
 import json
 from dataclasses import replace
@@ -58,7 +58,7 @@ def sound_beside(path: Path) -> Path:
 
 
 def phonemes_in(content: bytes, name: str) -> tuple[PhonemeEvent, ...]:
-    """The same from the content of a file of JSON; `name` is told in errors."""
+    """Read the phonemes from the content of a file of JSON; `name` is for errors."""
     best = units_in(content, name)[0]
     if best.kind == "word":
         raise LabelError(
@@ -87,7 +87,7 @@ def _content(path: Path) -> bytes:
 def events_of(known: VendorUnits, name: str) -> tuple[PhonemeEvent, ...]:
     """Phonemes or visemes as events from 0 on; the phones of one share its time evenly.
 
-    name: is told in errors. Raises LabelError for one that its alphabet lacks, and for silence.
+    name: for errors. Raises LabelError for one that its alphabet lacks, and for silence.
     """
     events: list[PhonemeEvent] = []
     ends_s = [after.start_s for _, after in pairwise(known.units)]

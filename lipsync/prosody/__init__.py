@@ -1,1 +1,1 @@
-"""How something is said: loudness, pitch, spectral tilt, against the speaker's own baseline."""
+"""Prosody: loudness, pitch, spectral tilt, against the speaker's own baseline."""

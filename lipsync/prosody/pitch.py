@@ -53,7 +53,18 @@ class SoundWindow:
 
 
 def analyse_window(samples: Array32) -> SoundWindow:
-    """What samples (400,) amount to; nothing else is remembered."""
+    """Return level and spectral balance of one window; no state is kept.
+
+    Parameters
+    ----------
+    samples : Array32
+        (400,) at 16 kHz.
+
+    Returns
+    -------
+    SoundWindow
+        Levels in dB.
+    """
     parts = _transform() @ samples
     low, high = parts[1 : 1 + _N_LOW], parts[1 + _N_LOW : 1 + _N_BANDS]
     mean = float(parts[0])
@@ -124,7 +135,18 @@ class PitchTracker:
         self._last: deque[float] = deque([math.nan] * _MEDIAN_OF, maxlen=_MEDIAN_OF)
 
     def push(self, samples: Array32) -> float:
-        """The pitch in Hz after samples (40,) of 4 kHz; NaN where nothing is voiced."""
+        """Return the pitch after new samples: the median of the last windows.
+
+        Parameters
+        ----------
+        samples : Array32
+            (40,) at 4 kHz.
+
+        Returns
+        -------
+        float
+            Hz; NaN where nothing is voiced.
+        """
         self._window[:-_NEW] = self._window[_NEW:]
         self._window[-_NEW:] = samples
         self._last.append(pitch_hz(self._window))
@@ -133,7 +155,18 @@ class PitchTracker:
 
 
 def pitch_hz(window: Array) -> float:
-    """The pitch of samples (160,) at 4 kHz; NaN for what has no period of 60 to 500 Hz."""
+    """Return the pitch of a window.
+
+    Parameters
+    ----------
+    window : Array
+        (160,) at 4 kHz.
+
+    Returns
+    -------
+    float
+        Hz; NaN without a period of 60 to 500 Hz.
+    """
     squares = np.zeros(_WINDOW + 1)
     np.add.accumulate(window * window, out=squares[1:])
     energies = squares[_COMPARED:] - squares[: _LONGEST + 1]  # of the stretch from each lag on

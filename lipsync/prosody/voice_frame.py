@@ -7,11 +7,11 @@ from typing import Final
 
 @dataclass(frozen=True, slots=True)
 class VoiceFrame:
-    """10 ms of sound, told when its end was heard; nothing later has a part in it.
+    """10 ms of sound, made when its end was heard; nothing later has a part in it.
 
     time_s: sound time of the end. peak: greatest amplitude, 0 to 1. loudness_db: root mean square,
     dB re full scale. pitch_hz: NaN where unvoiced. tilt_db: energy of 500 to 4,000 Hz over that of
-    80 to 500 Hz. is_speech: somebody speaks. loudness_z, pitch_z, tilt_z: in standard deviations of
+    80 to 500 Hz. is_speech: a person speaks. loudness_z, pitch_z, tilt_z: in standard deviations of
     the speaker's own baseline; pitch_z is 0 where unvoiced. arousal: -1 (sleepy) to 1 (excited),
     0 before anything is known.
     """

@@ -5,7 +5,7 @@ Affective Computing 5(2), 2014: a score of how loud, high and bright the voice i
 speaker's own baseline, then their fusion. Weights and times are design choices. Anger and joy look
 the same. Jumps of a microphone's automatic gain make the loudness say less for a while.
 
-Somebody speaks where it is loud above the noise, voiced now and then, and not as music is. The
+Speech is found where sound is loud above the noise, voiced now and then, and not as music is. The
 level opens the gate (`VoiceActivityDetector`: noise floor by minimum statistics), so steady noise
 closes it within 1.2 s. Speech is voiced for a good part of its time, and its pitch glides; notes
 stand still. Bars measured on grid_s1, LibriSpeech, speechocean762 (speech), on made-up chords,
@@ -67,7 +67,7 @@ class ArousalTracker:
         return self.arousal
 
     def push_silence(self) -> float:
-        """A frame in which nobody speaks."""
+        """A frame without speech."""
         self.arousal -= _FRAME_S / _DECAY_S * self.arousal
         self._fused -= _FRAME_S / _DECAY_S * self._fused
         return self.arousal
@@ -223,7 +223,7 @@ _AFTER_JUMP_S = 2.0
 class VoiceTracker:
     """What blocks of sound say of the voice in them; one speaker, or the mean of several.
 
-    The z of a frame is against the frames before it. All z are 0 where nobody speaks, and the
+    The z of a frame is against the frames before it. All z are 0 outside speech, and the
     baselines stand still there.
     """
 
@@ -237,11 +237,27 @@ class VoiceTracker:
         self._arousal = ArousalTracker()
 
     def feed(self, samples: Array32, end_s: float | None = None) -> VoiceFrame:
-        """The frame that samples (160,) float32 at 16 kHz complete.
+        """Return the frame that samples complete.
 
         The last block of a stream may be shorter. What is no number counts as silence, what is
-        beyond full scale as full scale. end_s: sound time of their end; None: they follow the last
-        block without a gap. Raises ValueError for more than 160.
+        beyond full scale as full scale.
+
+        Parameters
+        ----------
+        samples : Array32
+            (160,) float32 at 16 kHz.
+        end_s : float | None
+            Sound time of their end; None: they follow the last block without a gap.
+
+        Returns
+        -------
+        VoiceFrame
+            10 ms of prosody.
+
+        Raises
+        ------
+        ValueError
+            More than 160 samples.
         """
         n_samples = len(samples)
         if n_samples > BLOCK_SAMPLES:

@@ -66,10 +66,30 @@ def align(
     text: str,
     pronouncer: Callable[[str], tuple[str, ...]] = pronounce,
 ) -> Alignment:
-    """Align samples (n,) at 16 kHz in [-1, 1] with the words of `text`.
+    """Align a sound with the words of a text.
 
-    Raises PronunciationError for a word without a pronunciation, AlignmentError for a text without
-    words and for sound that the text does not fit, MissingExtraError without the extra `align`.
+    Parameters
+    ----------
+    samples : NDArray[np.float32]
+        (n,) at 16 kHz in [-1, 1].
+    text : str
+        English.
+    pronouncer : Callable[[str], tuple[str, ...]]
+        Returns pronunciations of a word.
+
+    Returns
+    -------
+    Alignment
+        Phones and words with times in s.
+
+    Raises
+    ------
+    PronunciationError
+        A word has no pronunciation.
+    AlignmentError
+        The text has no words, or does not fit the sound.
+    MissingExtraError
+        The extra `align` is not installed.
     """
     words = words_of(text)
     if not words:
@@ -171,10 +191,24 @@ def goodness_of_pronunciation(
     phones: tuple[PhonemeEvent, ...],
     weights: NetworkWeights | None = None,
 ) -> float:
-    """The score (<= 0) of an alignment's phones, all with ends, in samples (n,) at 16 kHz.
+    """Return the score (<= 0) of an alignment's phones; low where the text is not spoken.
 
-    Counted are the frames in which the alignment or the network (None: the shipped weights) has a
-    phone that is not silence. 0 where there is none. Raises WeightsError.
+    Counted are the frames in which the alignment or the network has a phone that is not silence.
+    Raises WeightsError.
+
+    Parameters
+    ----------
+    samples : NDArray[np.float32]
+        (n,) at 16 kHz.
+    phones : tuple[PhonemeEvent, ...]
+        All with ends.
+    weights : NetworkWeights | None
+        None: the shipped ones.
+
+    Returns
+    -------
+    float
+        Mean log ratio a frame of 10 ms; 0 where no frame counts.
     """
     weights = weights or _shipped()
     posteriors = _late_posteriors(weights, samples)

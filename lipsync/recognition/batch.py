@@ -35,9 +35,21 @@ _TAIL_S = 0.5
 def settled_phonemes(
     weights: NetworkWeights, recordings: Sequence[Array32], latency_s: float = LATENCY_S
 ) -> Iterator[tuple[PhonemeEvent, ...]]:
-    """The phonemes of each recording as they are final live; samples (n,) at 16 kHz each.
+    """Return the phonemes of each recording as they are final live.
 
-    They reach without gaps from 0 to the end of the recording.
+    Parameters
+    ----------
+    weights : NetworkWeights
+        Of the network.
+    recordings : Sequence[Array32]
+        (n,) samples each at 16 kHz.
+    latency_s : float
+        Of the live recogniser.
+
+    Returns
+    -------
+    Iterator[tuple[PhonemeEvent, ...]]
+        They reach without gaps from 0 to the end of the recording.
     """
     delay = frames_of_delay(latency_s)
     for first in range(0, len(recordings), TOGETHER):
@@ -52,9 +64,21 @@ def settled_phonemes(
 
 
 def recording_posteriors(weights: NetworkWeights, samples: Array32, n_frames: int) -> Array32:
-    """(n_frames, n_heads, n_phonemes) of samples (n,) at 16 kHz, filled up with silence.
+    """Return the posteriors of a recording, filled up with silence.
 
-    In frame k the head that waits d frames speaks about frame k - d.
+    Parameters
+    ----------
+    weights : NetworkWeights
+        Of the network.
+    samples : Array32
+        (n,) at 16 kHz.
+    n_frames : int
+        Of 10 ms.
+
+    Returns
+    -------
+    Array32
+        (n_frames, n_heads, n_phonemes); in frame k the head that waits d frames has frame k - d.
     """
     padded = np.zeros((n_frames - 1) * HOP + WINDOW, np.float32)
     padded[: len(samples)] = samples

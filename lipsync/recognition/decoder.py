@@ -98,14 +98,33 @@ class ViterbiDecoder:
         return self._n_silent < PAUSE_FRAMES
 
     def scores(self, posteriors: Array32) -> Array32:
-        """What `push` takes, of posteriors (..., n_heads, n_phonemes); the same shape."""
+        """Return scores for `push`.
+
+        Parameters
+        ----------
+        posteriors : Array32
+            (..., n_heads, n_phonemes).
+
+        Returns
+        -------
+        Array32
+            The same shape.
+        """
         return log_scores(posteriors, self._settings)
 
     def push(self, scores: Array32) -> tuple[int | None, list[int]]:
-        """Take the scores (n_heads, n_phonemes) of one frame.
+        """Decode one frame.
 
-        The phoneme (its number in `PHONEMES`) now settled, None before the first, and those of
-        the frames after it that a head has spoken about.
+        Parameters
+        ----------
+        scores : Array32
+            (n_heads, n_phonemes), of `scores`.
+
+        Returns
+        -------
+        tuple[int | None, list[int]]
+            The phoneme (its number in `PHONEMES`) now settled, None before the first; and those of
+            the later frames that a head has scored.
         """
         n, length = self._n_heard, len(self._recent)
         self._n_heard += 1
@@ -170,20 +189,55 @@ def best_heads(delays: tuple[int, ...], delay: int) -> list[int]:
 
 
 def change_penalties(settings: DecoderSettings) -> Array32:
-    """(n_phonemes,): what a change to each phoneme costs."""
+    """Return the cost of a change to each phoneme.
+
+    Parameters
+    ----------
+    settings : DecoderSettings
+        Penalties.
+
+    Returns
+    -------
+    Array32
+        (n_phonemes,).
+    """
     penalties = np.where(_IS_CLOSURE, settings.closure_penalty, settings.switch_penalty)
     return penalties.astype(np.float32)
 
 
 def waking_penalties(settings: DecoderSettings) -> Array32:
-    """(n_phonemes,): what a change from silence to each phoneme costs after a pause."""
+    """Return the cost of a change from silence to each phoneme after a pause.
+
+    Parameters
+    ----------
+    settings : DecoderSettings
+        Penalties.
+
+    Returns
+    -------
+    Array32
+        (n_phonemes,).
+    """
     penalties = change_penalties(settings) + np.float32(settings.waking_penalty)
     penalties[SILENCE_INDEX] -= np.float32(settings.waking_penalty)
     return penalties
 
 
 def log_scores(posteriors: Array32, settings: DecoderSettings) -> Array32:
-    """Of the viseme class and of the phone within it; (..., n_phonemes), as the posteriors."""
+    """Return weighted log probabilities of the viseme class and of the phone within it.
+
+    Parameters
+    ----------
+    posteriors : Array32
+        (..., n_phonemes).
+    settings : DecoderSettings
+        Weights.
+
+    Returns
+    -------
+    Array32
+        (..., n_phonemes).
+    """
     classes = np.maximum(posteriors @ _MEMBERSHIP, _SMALLEST)
     of_class = np.log(classes)[..., _CLASS_OF]
     of_phone = np.log(np.maximum(posteriors, _SMALLEST))

@@ -6,7 +6,7 @@ that the last one was not fed, and has heard the seconds before. Where a clock i
 levels are tried again beside the one in use (`Trial`), and take over in a pause. The neutral level,
 a closed mouth, cannot fail. Why so: docs/decisions/0038.
 
-Whether a level keeps up is judged by what it takes itself and by what waits, not by one second: a
+Whether a level keeps up is decided by its own cost and by what waits, not by one second: a
 computer that is busy for a moment makes any recogniser late, and a fast one catches up afterwards.
 """
 
@@ -60,7 +60,7 @@ _PAUSE_S = 0.2
 
 
 class Pace:
-    """Follows one recogniser: `note` what each step took, then ask `failing`."""
+    """Follows one recogniser: `note` the cost of each step, then read `failing`."""
 
     def __init__(self) -> None:
         self._shares: deque[float] = deque(maxlen=_REMEMBERED)
@@ -87,7 +87,7 @@ class Pace:
         return len(self._shares) >= _FEWEST_TRIED and self.share > _TRIED_SHARE
 
     def note(self, cost_s: float, sound_s: float) -> None:
-        """A step took `cost_s` by the clock for `sound_s` of sound."""
+        """Add a step that cost `cost_s` by the clock for `sound_s` of sound."""
         self._spent_s += cost_s
         if sound_s > 0.0:
             self._shares.append(cost_s / sound_s)
@@ -136,9 +136,9 @@ class LadderLevel:
         return preparing.ahead_s if isinstance(preparing, PreparingRecognizer) else 0.0
 
     @property
-    def hears(self) -> Hearing | None:
-        """What it believes about the sound; None where it does not say."""
-        return None if self._listener is None else self._listener.hears
+    def hearing(self) -> Hearing | None:
+        """Its class of the sound: speech, noise, silence; None where it gives none."""
+        return None if self._listener is None else self._listener.hearing
 
     def begin(self, sound_s: float) -> None:
         """Forget everything; the next block is at `sound_s` or later."""
@@ -148,7 +148,7 @@ class LadderLevel:
         self.is_pause = True
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """The robot's servos turned so fast; nothing for one that cannot use it."""
+        """Pass the servos' speeds on; ignored by a recogniser that cannot use them."""
         if isinstance(self._recognizer, ServoListener):
             self._recognizer.note_servo_speeds(sound_s - self._offset_s, speeds_deg_s)
 
@@ -159,16 +159,16 @@ class LadderLevel:
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """Words around the one that is said now, and which of them it is; ((), 0): none is told."""
+        """Words around the one that is spoken now, and its index; ((), 0): no text is known."""
         return ((), 0) if self._follower is None else self._follower.saying
 
     def forget(self) -> None:
-        """What was told and is not being said yet never will be."""
+        """Drop the words that were given and are not spoken yet."""
         if self._follower is not None:
             self._follower.forget()
 
     def tell(self, words: Sequence[PronouncedWord], behind_s: float) -> None:
-        """What is said next, in sound time; nothing for one that follows no text."""
+        """Give the words that come next, in sound time; ignored by a level that follows no text."""
         if self._follower is None:
             return
         offset_s = self._offset_s
@@ -207,7 +207,7 @@ class Trial:
     """A level that is tried beside the one in use: with the last seconds of sound and what comes.
 
     `go_on` in each step, after `add`; then look whether it failed, or is ready to take over: it
-    has caught up, and it hears a pause. Memory is bounded: a try that falls behind has failed.
+    has caught up, and there is a pause. Memory is bounded: a try that falls behind has failed.
     """
 
     def __init__(self, level: LadderLevel, recent: Iterable[AudioBlock], now_s: float) -> None:
@@ -253,7 +253,7 @@ def _fed(
 ) -> float:
     """Feed blocks that follow each other, several at once where there are several; the time then.
 
-    before_s: the time now. What it took is noted in the level's pace.
+    before_s: the time now. The step's cost is noted in the level's pace.
     """
     if len(blocks) > 1:
         level.prepare(blocks)
@@ -309,7 +309,7 @@ class FallbackRecognizer:
 
     All levels are made at the beginning, so that nothing is loaded while a face runs. latency_s: no
     level may need longer. timer_s: seconds on a clock, to see that a level does not keep up, and to
-    try better ones again; None where nobody waits, and sound may be prepared ahead of its time.
+    try better ones again; None in offline use, where sound may be prepared ahead of its time.
     """
 
     def __init__(
@@ -339,7 +339,10 @@ class FallbackRecognizer:
 
     @property
     def ahead_s(self) -> float:
-        """How much sound `prepare` is best given at once; 0 where each block's time is judged."""
+        """Seconds of sound that `prepare` is best given at once.
+
+        0 where each block's time is measured.
+        """
         return 0.0 if self._timer_s is not None else self._level.ahead_s
 
     @property
@@ -354,9 +357,9 @@ class FallbackRecognizer:
         return tuple(f"{level.name}: {reason}" for level, reason in better)
 
     @property
-    def hears(self) -> Hearing | None:
-        """What the level in use believes about the sound; None where it does not say."""
-        return self._level.hears
+    def hearing(self) -> Hearing | None:
+        """The class of the sound by the level in use; None where it gives none."""
+        return self._level.hearing
 
     @property
     def moved_by(self) -> MovedBy | None:
@@ -365,11 +368,11 @@ class FallbackRecognizer:
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """Words around the one that is said now, and which of them it is; ((), 0): none is told."""
+        """Words around the one that is spoken now, and its index; ((), 0): no text is known."""
         return self._level.saying
 
     def forget(self) -> None:
-        """What was told and is not being said yet never will be."""
+        """Drop the words that were given and are not spoken yet."""
         try:
             self._level.forget()
         except Exception as error:  # as in feed
@@ -385,7 +388,7 @@ class FallbackRecognizer:
             self._fall_back(_in_words(error))
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """Pass it to the level in use, and to the one that is tried; never raises for them."""
+        """Pass servo speeds to the level in use and the one on trial; never raises for them."""
         try:
             self._level.note_servo_speeds(sound_s, speeds_deg_s)
         except Exception as error:  # as in feed

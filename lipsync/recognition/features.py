@@ -45,7 +45,18 @@ _OFFSETS = np.arange(WINDOW)
 
 
 def log_mel(emphasised: Array32) -> Array32:
-    """Log-mel power (n, 40) of pre-emphasised samples (160 (n - 1) + 400,) at 16 kHz."""
+    """Return log-mel power.
+
+    Parameters
+    ----------
+    emphasised : Array32
+        (160 (n - 1) + 400,) pre-emphasised samples at 16 kHz.
+
+    Returns
+    -------
+    Array32
+        (n, 40).
+    """
     starts = np.arange(0, len(emphasised) - WINDOW + 1, HOP)
     # A copy: of a single frame, as live, numpy's sliding view takes longer to make.
     frames = emphasised[starts[:, None] + _OFFSETS]
@@ -63,7 +74,18 @@ class LogMelStream:
         self._waiting: Array32 = np.zeros(0, np.float32)
 
     def push(self, samples: Array32) -> Array32:
-        """The log-mel frames (n, 40) that samples (m,) at 16 kHz complete."""
+        """Return the log-mel frames that new samples complete.
+
+        Parameters
+        ----------
+        samples : Array32
+            (m,) at 16 kHz.
+
+        Returns
+        -------
+        Array32
+            (n, 40).
+        """
         if len(samples) > 0:
             previous = np.concatenate(([self._last_sample], samples[:-1]))
             self._last_sample = samples[-1]
@@ -86,7 +108,18 @@ class FeatureScale:
 
     @classmethod
     def of(cls, recordings: Iterable[Array32]) -> "FeatureScale":
-        """The scale of the loud frames of log-mel recordings, (n, 40) each."""
+        """Measure the scale of the loud frames of recordings.
+
+        Parameters
+        ----------
+        recordings : Iterable[Array32]
+            (n, 40) log-mel frames each.
+
+        Returns
+        -------
+        FeatureScale
+            Mean and deviation, (40,) each.
+        """
         loud = []
         for frames in recordings:
             peak = PeakFollower()
@@ -104,9 +137,19 @@ class PeakFollower:
         self._peak = _FIRST_PEAK
 
     def push(self, frame: Array32, level: float) -> tuple[Array32, bool]:
-        """One log-mel frame (40,) below its peak, and whether it is within 35 dB of it.
+        """Return one frame below its running peak, and whether it is within 35 dB of it.
 
-        level: the frame's mean over the bands.
+        Parameters
+        ----------
+        frame : Array32
+            (40,) log-mel.
+        level : float
+            The frame's mean over the bands.
+
+        Returns
+        -------
+        tuple[Array32, bool]
+            (40,), and the flag.
         """
         if level > self._peak:
             self._peak += _ATTACK * (level - self._peak)
@@ -126,7 +169,18 @@ class LevelNormalizer:
         self._peak = PeakFollower()
 
     def push(self, frames: Array32) -> Array32:
-        """Features (n, 40) of log-mel frames (n, 40)."""
+        """Return features, independent of the level.
+
+        Parameters
+        ----------
+        frames : Array32
+            (n, 40) log-mel.
+
+        Returns
+        -------
+        Array32
+            (n, 40).
+        """
         features = np.empty_like(frames)
         levels = frames.mean(axis=1, dtype=np.float64).tolist()
         for index, (frame, level) in enumerate(zip(frames, levels, strict=True)):

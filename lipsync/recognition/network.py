@@ -71,7 +71,18 @@ class StreamingNetwork:
         self._residuals = [_StreamingLayer(layer) for layer in weights.residuals]
 
     def push(self, features: Array32) -> Array32:
-        """Posteriors (n, n_heads, n_phonemes) of features (n, n_bands)."""
+        """Return the posteriors of new frames.
+
+        Parameters
+        ----------
+        features : Array32
+            (n, n_bands).
+
+        Returns
+        -------
+        Array32
+            (n, n_heads, n_phonemes).
+        """
         weights = self._weights
         if len(features) == 1:
             hidden = self._entry.step(features[0])
@@ -233,7 +244,7 @@ def check_weights(name_or_path: str) -> None:
     """Raises WeightsError for what is neither shipped nor a file of weights that can be used.
 
     Of the default ones nothing is read: where they are damaged a lesser recogniser takes over. What
-    somebody asked for by name is used, or refused.
+    weights given by name are used, or refused.
     """
     if name_or_path != DEFAULT_WEIGHTS:
         find_weights(name_or_path)

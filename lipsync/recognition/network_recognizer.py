@@ -46,9 +46,9 @@ FOLLOWING_LATENCY_S: Final = _WINDOW_S + FOLLOWING.settled_frames / FRAMES_PER_S
 class NetworkRecognizer:
     """A `PreparingRecognizer`; takes any rate and block size, gaps as silence.
 
-    Where words are told it is a `TextFollower`: what it finds of them in the sound is told as soon
-    as what it hears, but settled later, when the network's last head has spoken. A look-ahead waits
-    as long anyway.
+    Where words are given it is a `TextFollower`: what it finds of them in the sound is reported as
+    soon as its phonemes, but settled later, when the network's last head has spoken. A look-ahead
+    waits as long anyway.
 
     latency_s: 25 ms plus so many frames as a head of the network waits, or more. It may revise only
     what is not final. Memory stays bounded as long as `updates` is called.
@@ -83,7 +83,7 @@ class NetworkRecognizer:
         return _AHEAD_S
 
     @property
-    def hears(self) -> Hearing:
+    def hearing(self) -> Hearing:
         """What is believed about the sound that was settled last; speech until a pause."""
         if self._decoder.is_awake:
             return "speech"
@@ -98,16 +98,18 @@ class NetworkRecognizer:
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """Words around the one that is said now, and which of them it is; ((), 0): none is told."""
+        """Words around the one that is spoken now, and its index; ((), 0): no text is known."""
         return ((), 0) if self._text is None else self._text.saying
 
     def forget(self) -> None:
-        """What was told and is not being said yet never will be."""
+        """Drop the words that were given and are not spoken yet."""
         if self._text is not None:
             self._text.forget()
 
     def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
-        """What is said next, after all that was told. Raises TextError for too many words.
+        """Add the words that come next, after all earlier ones.
+
+        Raises TextError for too many words.
 
         behind_s: so much of their sound was heard already.
         """
@@ -137,9 +139,16 @@ class NetworkRecognizer:
         self._followed: list[int] = []  # of the same newest frames, as the text has them
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """The robot's servos (n_servos,) turned so fast at a sound time: their noise is no voice.
+        """Note the speeds of the robot's servos, whose noise is not taken for a voice.
 
-        What they sound like is learned on the way, and kept through `reset`.
+        The noise is learned on the way, and kept through `reset`.
+
+        Parameters
+        ----------
+        sound_s : float
+            Seconds.
+        speeds_deg_s : Array
+            (n_servos,).
         """
         if self._own_noise is None:
             self._own_noise = OwnNoise(self._weights.delays[-1] + round(_AHEAD_S * FRAMES_PER_S))

@@ -5,8 +5,8 @@ that servo j adds at speed v is interpolated between a few speeds, and all servo
 
     N_b(v_1, ..., v_n) = sum_j sum_s phi_s(v_j) E_jsb
 
-E is learned where the network is sure that nobody speaks, and only there: the mouth moves with the
-voice that it hears, so that whatever is learned beside a voice is partly that voice. Each such
+E is learned where the network is sure that there is no speech, and only there: the mouth moves with
+the sound, so that what is learned beside a voice is partly that voice. Each such
 frame moves log N to where it was heard by a part of the way, shared among the E as they share in N
 (normalised least mean squares, Haykin, Adaptive Filter Theory, in logarithms).
 
@@ -40,10 +40,19 @@ class ServoSpeeds:
         self._read: deque[tuple[float, Array]] = deque(maxlen=8)
 
     def take(self, time_s: float, positions_deg: Array) -> tuple[float, Array] | None:
-        """A reading (n_servos,), NaN for a servo that did not answer.
+        """Add an encoder reading; return the newest speeds.
 
-        The newest time and the speeds (n_servos,) in deg/s then; None until two readings tell.
-        A time that was taken before tells nothing new.
+        Parameters
+        ----------
+        time_s : float
+            Of the reading; one that is not newer than the last is ignored.
+        positions_deg : Array
+            (n_servos,), NaN for a servo that did not answer.
+
+        Returns
+        -------
+        tuple[float, Array] | None
+            The newest time, and (n_servos,) in deg/s then; None until two readings are there.
         """
         if self._read and time_s <= self._read[-1][0]:
             return None
@@ -62,7 +71,7 @@ class ServoSpeeds:
 _KNOTS_DEG_S = np.array([5.0, 15.0, 40.0, 80.0, 150.0, 300.0])
 #: A speed that is told counts so long. Encoders are read 30 times a second at the least.
 _LASTS_S = 0.1
-_MOST_TOLD = 64
+_MOST_SPEEDS = 64
 #: The power that a servo is thought to add before anything was learned: nothing that counts.
 _NOTHING = 1e-6
 #: How far towards a frame what is known moves: far at first, then so that seconds are averaged.
@@ -82,12 +91,12 @@ class OwnNoise:
     """One robot's servos; outlives the streams that it listens to.
 
     `note_speeds` as they are read, `explains` for each frame in order, `learn` once it is known
-    that nobody spoke. Memory and time of a call are bounded by the number of servos.
+    to hold no speech. Memory and time of a call are bounded by the number of servos.
     """
 
     def __init__(self, most_frames: int) -> None:
         """most_frames: how many frames after it was heard a frame is learned from at the latest."""
-        self._told: deque[tuple[float, Array]] = deque(maxlen=_MOST_TOLD)
+        self._speeds: deque[tuple[float, Array]] = deque(maxlen=_MOST_SPEEDS)
         self._heard: deque[tuple[Array32, Array | None]] = deque(maxlen=most_frames + 1)
         self._power = np.zeros((0, N_BANDS))  # (n_servos n_knots, n_bands)
         self._n_learned = np.zeros(0)
@@ -96,22 +105,42 @@ class OwnNoise:
 
     def begin(self) -> None:
         """A new stream begins, and sound time with it; what was learned stays."""
-        self._told.clear()
+        self._speeds.clear()
         self._heard.clear()
         self._louder, self._n_explained = None, 0
 
     def note_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """The servos (n_servos,) turned so fast at a sound time; NaN: not known, taken for 0."""
+        """Note the servos' speeds at a sound time.
+
+        Parameters
+        ----------
+        sound_s : float
+            Seconds.
+        speeds_deg_s : Array
+            (n_servos,); NaN: not known, taken for 0.
+        """
         n = len(speeds_deg_s) * len(_KNOTS_DEG_S)
         if n != len(self._power):
             self._power, self._n_learned = np.full((n, N_BANDS), _NOTHING), np.zeros(n)
             self.begin()
-        self._told.append((sound_s, knot_shares(speeds_deg_s)))
+        self._speeds.append((sound_s, knot_shares(speeds_deg_s)))
 
     def explains(self, frame: Array32, sound_s: float, *, is_awake: bool) -> bool:
-        """Whether the servos explain a log-mel frame (40,) whose middle is at a sound time.
+        """Return whether the servos explain a frame of sound.
 
-        is_awake: speech was believed a moment ago; then it takes more to be explained.
+        Parameters
+        ----------
+        frame : Array32
+            (40,) log-mel.
+        sound_s : float
+            Of its middle.
+        is_awake : bool
+            Whether there was speech a moment ago; then it takes more to be explained.
+
+        Returns
+        -------
+        bool
+            True: the frame is the robot's own noise.
         """
         shares = self._shares_at(sound_s)
         self._heard.append((frame, shares))
@@ -127,7 +156,7 @@ class OwnNoise:
         return self._louder < _EXPLAINED_AT_REST
 
     def learn(self, n_ago: int) -> None:
-        """Nobody spoke in the frame that was heard `n_ago` frames before the last one."""
+        """Learn from the frame `n_ago` frames before the last one, which held no speech."""
         if n_ago >= len(self._heard):
             return
         frame, shares = self._heard[-1 - n_ago]
@@ -144,15 +173,26 @@ class OwnNoise:
         self._power[used] *= np.exp(step[:, None] * share * off)
 
     def _shares_at(self, sound_s: float) -> Array | None:
-        """How much each E counts then, (n_servos n_knots,); None: not known, or nobody moved."""
-        nearest = min(self._told, key=lambda told: abs(told[0] - sound_s), default=None)
+        """Weight of each E then, (n_servos n_knots,); None: not known, or no servo moved."""
+        nearest = min(self._speeds, key=lambda entry: abs(entry[0] - sound_s), default=None)
         if nearest is None or abs(nearest[0] - sound_s) > _LASTS_S or not nearest[1].any():
             return None
         return nearest[1]
 
 
 def knot_shares(speeds_deg_s: Array) -> Array:
-    """(n_servos n_knots,): how much each knot counts at speeds (n_servos,), 0 to 1; NaN: 0."""
+    """Return how much each knot of speed counts at these speeds.
+
+    Parameters
+    ----------
+    speeds_deg_s : Array
+        (n_servos,); NaN: 0.
+
+    Returns
+    -------
+    Array
+        (n_servos n_knots,), 0 to 1.
+    """
     knots = np.concatenate(([0.0], _KNOTS_DEG_S))
     speeds = np.nan_to_num(np.abs(speeds_deg_s), posinf=knots[-1])
     place = np.interp(speeds, knots, np.arange(len(knots)))
@@ -182,7 +222,18 @@ class SteadySoundDetector:
         self._floor: Array32 = self._minima[0].copy()
 
     def push(self, frame: Array32) -> bool:
-        """Whether the sound has been steady for `STEADY_S`; frame (40,): natural log of power."""
+        """Return whether the sound has been steady for `STEADY_S`.
+
+        Parameters
+        ----------
+        frame : Array32
+            (40,): natural log of power.
+
+        Returns
+        -------
+        bool
+            True once it has been, for as long as it is.
+        """
         self._level = self._level + _STEADY_SMOOTHING * (frame - self._level)
         step, within = divmod(self._n_frames, _STEP_FRAMES)
         minimum = self._minima[step % len(self._minima)]

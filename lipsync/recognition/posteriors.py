@@ -1,6 +1,6 @@
 """From samples to the posteriors of phonemes: features, network, and what is surely no voice.
 
-Digital silence, sound that stands still, and the robot's own servos, where it is told of them.
+Digital silence, constant sound, and the robot's own servos, where their speeds are given.
 
 One arithmetic for the live recogniser (a frame at a time), for a file that is worked on ahead of
 its time (many frames in one matrix product), and for whole recordings.
@@ -43,7 +43,7 @@ class PosteriorStream:
     """
 
     def __init__(self, weights: NetworkWeights, own_noise: OwnNoise | None = None) -> None:
-        """own_noise: of the robot that listens; None: nobody tells how its servos move."""
+        """own_noise: of the robot that listens; None: servo speeds are not known."""
         self._own_noise = own_noise
         self._n_samples = self._n_frames = 0
         self.format = PosteriorFormat(weights.phonemes, weights.delays)
@@ -58,17 +58,28 @@ class PosteriorStream:
         self._audible = np.ones(weights.delays[-1], np.bool_)
 
     def hear_own_noise(self, own_noise: OwnNoise) -> None:
-        """From now on somebody tells how the robot's servos move."""
+        """From now on servo speeds are given to `own_noise`."""
         self._own_noise = own_noise
 
     def push(self, samples: Array32, until_s: float = 0.0, *, is_awake: bool = False) -> Array32:
-        """(n, n_heads, n_phonemes) of the frames that samples (m,) at 16 kHz complete.
-
-        until_s: the sound time at which they end; is_awake: speech was believed a moment ago. Only
-        the robot's own noise needs them.
+        """Return the posteriors of the frames that new samples complete.
 
         The head that waits d frames gives, at frame k, the posteriors of frame k - d. Where that
-        frame holds no sound, or one that stands still, it is silence, whatever the network says.
+        frame holds no sound, or a constant one, it is silence, whatever the network says.
+
+        Parameters
+        ----------
+        samples : Array32
+            (m,) at 16 kHz.
+        until_s : float
+            Sound time at which they end; used for the robot's own noise only.
+        is_awake : bool
+            Whether there was speech a moment ago; used for the robot's own noise only.
+
+        Returns
+        -------
+        Array32
+            (n, n_heads, n_phonemes).
         """
         frames = self._log_mel.push(samples)
         n = len(frames)
@@ -113,6 +124,19 @@ class PosteriorStream:
 
 
 def whole_posteriors(weights: NetworkWeights, samples: Array32) -> FramePosteriors:
-    """What is believed of a recording (n,) at 16 kHz, from its beginning to its end."""
+    """Return the posteriors of a recording, from its beginning to its end.
+
+    Parameters
+    ----------
+    weights : NetworkWeights
+        Of the network.
+    samples : Array32
+        (n,) at 16 kHz.
+
+    Returns
+    -------
+    FramePosteriors
+        Its values are (n_frames, n_heads, n_phonemes).
+    """
     values = PosteriorStream(weights).push(samples)
     return FramePosteriors(FRAMES_PER_S, 0, weights.delays, values)

@@ -26,7 +26,7 @@ def make_recognizer(
     """The live recogniser: the engine's, and those of ours below it; all are below another's.
 
     timer_s: a clock in seconds, to leave a level that does not keep up with its sound, and to try
-    better ones again; None where nobody waits for it. latency_s: raised to what the slowest level
+    better ones again; None in offline use. latency_s: raised to what the slowest level
     needs. Raises PluginError.
     """
     ours = list(RECOGNIZERS.built_in)
@@ -40,5 +40,5 @@ def make_recognizer(
 
 
 def no_recognizer() -> FallbackRecognizer:
-    """Nobody listens: all is known."""
+    """Return a recogniser without levels: all phonemes are known beforehand."""
     return FallbackRecognizer((), 0.0)

@@ -27,12 +27,12 @@ class ScriptedPhonemes:
 
     @property
     def latency_s(self) -> float:
-        """What is told is settled at once."""
+        """0: scripted phonemes are settled at once."""
         return 0.0
 
     @property
     def heard_until_s(self) -> float:
-        """The sound time up to which it was asked."""
+        """The sound time of the last call of `updates`, in s."""
         return self._heard_until_s
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
@@ -42,18 +42,18 @@ class ScriptedPhonemes:
         if known_until_s <= self._known_until_s:
             return []
         replace_from_s, self._known_until_s = self._known_until_s, known_until_s
-        told: list[PhonemeEvent] = []
+        events: list[PhonemeEvent] = []
         for event in self._events[self._n_over :]:
             if event.start_s >= known_until_s:
                 break
             is_over = (event.end_s if event.end_s is not None else math.inf) <= known_until_s
-            told.append(event if is_over else replace(event, end_s=None))
+            events.append(event if is_over else replace(event, end_s=None))
             self._n_over += is_over
         return [
             PhonemeUpdate(
                 replace_from_s=replace_from_s,
                 heard_until_s=until_s,
                 final_until_s=known_until_s,
-                events=tuple(told),
+                events=tuple(events),
             )
         ]

@@ -1,8 +1,8 @@
 """The one way to run a recogniser over a stream of sound: live, in replay, and when measured.
 
 `RecognizerStream` feeds blocks, collects what became known, takes the time, and tells observers.
-`SoundAhead` hands out a source's blocks at their times; where nobody waits for a tick it shows the
-recogniser much sound at once before, which is cheaper and changes nothing of what is told when.
+`SoundAhead` hands out a source's blocks at their times; where no caller waits for a tick it shows
+the recogniser much sound at once before, which is cheaper and changes no result and no time of one.
 
 Recognisers share `AudioInput`, which makes 16 kHz without gaps of blocks of any size and rate, and
 `UpdateBuilder`, which makes updates that never take back what is final of one phoneme a frame.
@@ -31,7 +31,10 @@ class PreparingRecognizer(LiveRecognizer, Protocol):
 
     @property
     def ahead_s(self) -> float:
-        """How much sound `prepare` is best given at once; 0: none, somebody waits for each tick."""
+        """Seconds of sound that `prepare` is best given at once.
+
+        0: none, a caller waits for each tick.
+        """
 
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
         """Work on the blocks that will be fed next, one by one.
@@ -53,7 +56,7 @@ class StreamStep:
     """What one step of a stream brought.
 
     blocks: what was fed; updates: what became known by it; cost_s: processor time of this thread,
-    0 where nobody observes (reading that clock is a system call).
+    0 without an observer (reading that clock is a system call).
     """
 
     blocks: Sequence[AudioBlock]
@@ -139,9 +142,19 @@ class SoundAhead:
 def blocks_of(
     samples: NDArray[np.float32], n_first: int = BLOCK_SAMPLES, n_block: int = BLOCK_SAMPLES
 ) -> Iterator[AudioBlock]:
-    """Samples (n,) at 16 kHz as blocks of `n_block` from sound time 0; the first of `n_first`.
+    """Cut samples into blocks from sound time 0; the last block may be shorter.
 
-    What is left at the end is the last, shorter block.
+    Parameters
+    ----------
+    samples : NDArray[np.float32]
+        (n,) at 16 kHz.
+    n_first,n_block : int
+        Samples of the first block, and of each later one.
+
+    Returns
+    -------
+    Iterator[AudioBlock]
+        Blocks of 16 kHz.
     """
     edges = [0, *range(n_first, len(samples), n_block), len(samples)]
     for start, end in pairwise(edges):
@@ -165,10 +178,23 @@ class AudioInput:
         self._resampler: soxr.ResampleStream | None = None
 
     def take(self, block: AudioBlock) -> tuple[Array32, float, Array32]:
-        """Silence that comes first, seconds to jump over after it, and the block's own samples.
+        """Bring a block to 16 kHz, and fill what is missing before it.
 
-        The seconds are a multiple of 10 ms. Raises ValueError for a block that starts before the
-        last one's end, and for another rate than the stream began with.
+        Parameters
+        ----------
+        block : AudioBlock
+            Of any rate; the same rate for a whole stream.
+
+        Returns
+        -------
+        tuple[Array32, float, Array32]
+            Silence that comes first, (n,) samples; seconds to jump over after it, a multiple of 10
+            ms; the block's own samples, (m,) at 16 kHz.
+
+        Raises
+        ------
+        ValueError
+            The block starts before the last one's end, or has another rate.
         """
         if self._rate_hz is None:
             self._begin(block.sample_rate_hz)

@@ -1,7 +1,7 @@
 """From posteriors and words that are known to phonemes: where in its text a voice is.
 
 The words are a graph from left to right: silence may stand before each, each has one or several
-pronunciations, one may be left out, said again or broken off, at a penalty. Beside it runs a path
+pronunciations, one may be left out, repeated or broken off, at a penalty. Beside it runs a path
 without constraint, the escape, which costs a little more in every frame than the likeliest phoneme
 does: it wins where the sound does not say the text, and there what is heard counts. Viterbi's
 search over both (Rabiner, Proceedings of the IEEE 77(2), 1989; the escape is the filler model of
@@ -58,21 +58,23 @@ class MouthMover(Protocol):
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """Words around the one that is said now, and which of them it is; ((), 0): none is told."""
+        """Words around the one that is spoken now, and its index; ((), 0): no text is known."""
 
 
 @runtime_checkable
 class TextFollower(MouthMover, Protocol):
-    """A recogniser that finds words in the sound which it is told."""
+    """A recogniser that finds given words in the sound."""
 
     def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
-        """What is said next, after all that was told; before its sound, with it or late.
+        """Add the words that come next, after all earlier ones.
+
+        Before their sound, with it or late.
 
         behind_s: so much of their sound was heard already. Raises TextError for too many words.
         """
 
     def forget(self) -> None:
-        """What was told and is not being said yet never will be."""
+        """Drop the words that were given and are not spoken yet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +87,7 @@ class TextSettings:
     frame of it: phonemes that begin or end softly are known. pause: of silence between two words.
     left_out: of each word that is left out; again: of going back. escape: of every frame that the
     escape takes; leave, resume: of going over to it and back; leave_pause: of going over to it from
-    silence, where other things are said most often. least_frames: of a phoneme.
+    silence, where other words are spoken most often. least_frames: of a phoneme.
     late_s, late: a word may begin so much beside its time, if it has one; of each second beyond it.
     """
 
@@ -149,21 +151,21 @@ class TextDecoder:
 
     @property
     def place(self) -> int:
-        """The number of the word that is said, as far as it is settled."""
+        """The number of the word that is spoken, as far as it is settled."""
         return int(self._place)
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """Words around the one that is said now, and which of them it is."""
+        """Words around the one that is spoken now, and its index among them."""
         return self._words.around(self.place)
 
     @property
     def is_over(self) -> bool:
-        """Whether all words were said, or passed over, a while ago."""
+        """Whether all words were spoken, or passed over, a while ago."""
         return self._n_idle > _IDLE_S * self._frames_per_s
 
     def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
-        """More of the text, after all that was told. Raises TextError for too many words.
+        """Add words of the text, after all earlier ones. Raises TextError for too many words.
 
         behind_s: so much of their sound was heard already: the voice is looked for around there.
         """
@@ -183,15 +185,15 @@ class TextDecoder:
             self._replace_newest(window, np.full(window.n_states, _NEVER), np.float32(0.0))
 
     def forget(self) -> None:
-        """What was told and is not being said yet never will be."""
+        """Drop the words that were given and are not spoken yet."""
         newest = self._newest
         state = int(newest.scores.argmax())
-        said = self.place
+        place = self.place
         if newest.escape < newest.scores[state]:
             # In the silence before a word it has not begun.
             has_begun = newest.window.kinds[state] != _SILENT
-            said = newest.window.first_word + int(newest.window.words[state]) - (not has_begun)
-        self._words.drop_after(said)
+            place = newest.window.first_word + int(newest.window.words[state]) - (not has_begun)
+        self._words.drop_after(place)
         self._place = min(self._place, float(self._words.n_words))
         window = self._words.window(self.place)
         self._replace_newest(window, window.taken_over(newest), newest.escape)
@@ -207,9 +209,17 @@ class TextDecoder:
         self._first_frame += n_frames
 
     def push(self, scores: Array32) -> list[int]:
-        """Take the scores (n_heads, n_phonemes) of one frame; logarithms.
+        """Decode one frame.
 
-        The phonemes of the last frames, the newest that a head has spoken about last, or `HEARD`.
+        Parameters
+        ----------
+        scores : Array32
+            (n_heads, n_phonemes), logarithms.
+
+        Returns
+        -------
+        list[int]
+            The phonemes of the last frames, the newest that a head has scored last, or `HEARD`.
         """
         n, length = self._n_heard, len(self._recent)
         self._n_heard += 1
@@ -411,7 +421,7 @@ class _Words:
 
 
 class _WordGraph:
-    """The words told; laid out when they are, so that in a tick a window is cut out of them."""
+    """The given words; laid out once, so that in a tick a window is cut out of them."""
 
     def __init__(self, settings: TextSettings) -> None:
         self._settings = settings
@@ -422,7 +432,7 @@ class _WordGraph:
 
     @property
     def n_words(self) -> int:
-        """How many were told, those dropped among them."""
+        """How many words were given, dropped ones included."""
         return int(self._words.words[-1])
 
     def append(self, words: Sequence[PronouncedWord], frames_per_s: int) -> None:

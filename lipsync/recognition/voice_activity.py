@@ -32,11 +32,21 @@ _NOTHING_DB = -120.0
 
 
 def level_db(frame: NDArray[np.float32]) -> float:
-    """Level of samples (n,) in [-1, 1] in dB against full scale, for n = 10 ms.
+    """Return the level of 10 ms of sound.
 
     The parabola that fits the frame best is taken away first, and with it offset, hum and rumble
     below the voice. (The first difference would do that too, but it drowns vowels in white noise:
     at 20 dB of signal to noise it kept 5 % of the loud frames, this keeps 98 %; measured.)
+
+    Parameters
+    ----------
+    frame : NDArray[np.float32]
+        (n,) samples in [-1, 1].
+
+    Returns
+    -------
+    float
+        dB re full scale.
     """
     slow = _parabolas(len(frame))
     rest = frame - slow @ (slow.T @ frame)

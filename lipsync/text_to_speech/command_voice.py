@@ -55,7 +55,7 @@ class CommandVoice:
         return ()
 
     def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
-        """See `Synthesizer`; what it told no times of has `told` in place of phonemes."""
+        """See `Synthesizer`; without phoneme times the speech has `units` in place of phonemes."""
         written = checked_text(text, self.longest_text)
         _check(voice)
         answer, sound = self._process.request(
@@ -74,15 +74,15 @@ def speech_of(
     samples = np.frombuffer(sound, np.int16).astype(np.float32) / np.float32(_FULL_SCALE)
     if not len(samples):
         raise UnspeakableTextError(f"nothing was said of {text[:40]!r}; write words")
-    told = SpokenText("text", (SpokenUnit(text, 0),), sample_rate_hz)
-    speech = SynthesizedSpeech(samples, sample_rate_hz, (), (), told=told)
+    text_units = SpokenText("text", (SpokenUnit(text, 0),), sample_rate_hz)
+    speech = SynthesizedSpeech(samples, sample_rate_hz, (), (), units=text_units)
     if not words.strip():
         return speech
     try:
         best = units_in(words.encode(), name)[0]
         if best.kind != "word":
-            return replace(speech, phonemes=events_of(best, name), told=None)
-        return replace(speech, told=_timed_words(best, sample_rate_hz))
+            return replace(speech, phonemes=events_of(best, name), units=None)
+        return replace(speech, units=_timed_words(best, sample_rate_hz))
     except (LabelError, SpokenTextError) as error:
         raise SynthesisError(str(error)) from None
 
@@ -163,13 +163,13 @@ def _sound_of(wav: Path, words: Path) -> tuple[dict[str, object], bytes]:
             f"the voice's command wrote sound at {sample_rate_hz} Hz; {LOWEST_RATE_HZ} to "
             f"{HIGHEST_RATE_HZ} Hz are possible"
         )
-    told = words.read_bytes()[: _LARGEST_WORDS_BYTES + 1] if words.is_file() else b""
-    if len(told) > _LARGEST_WORDS_BYTES:
+    file_bytes = words.read_bytes()[: _LARGEST_WORDS_BYTES + 1] if words.is_file() else b""
+    if len(file_bytes) > _LARGEST_WORDS_BYTES:
         raise SynthesisError(f"the voice's command wrote more than 1 MB to {_WORDS}")
     mono = np.rint(samples.mean(axis=1)).astype(np.int16)
     return {
         "sample_rate_hz": int(sample_rate_hz),
-        "words": told.decode("utf-8", "replace"),
+        "words": file_bytes.decode("utf-8", "replace"),
     }, mono.tobytes()
 
 

@@ -62,7 +62,22 @@ _SHARE_OF_JOINED = 1 / 3
 def refined(
     phonemes: list[TimedPhones], samples: NDArray[np.float32], sample_rate_hz: int
 ) -> list[TimedPhones]:
-    """The same phonemes, in order and without gaps as before, with the times described above."""
+    """Return the phonemes with times corrected as the module describes, in order and without gaps.
+
+    Parameters
+    ----------
+    phonemes : list[TimedPhones]
+        With espeak-ng's times.
+    samples : NDArray[np.float32]
+        (n,).
+    sample_rate_hz : int
+        Of them.
+
+    Returns
+    -------
+    list[TimedPhones]
+        Times in seconds.
+    """
     found = _with_joined_apart(phonemes)
     events_s = [each.start_s for each in found]
     loud_s = np.flatnonzero(np.abs(samples) >= _SILENT) / sample_rate_hz

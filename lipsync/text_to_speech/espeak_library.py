@@ -185,7 +185,7 @@ def _languages(address: int) -> list[tuple[str, int]]:
 def load_library() -> EspeakLibrary:
     """The library of the system, else the one in the package espeakng-loader.
 
-    It gives its sound to whoever loaded it last. Raises SynthesisError where there is neither.
+    It gives its sound to the last loader. Raises SynthesisError where there is neither.
     """
     try:
         return EspeakLibrary(ctypes.CDLL(_LIBRARY), None)

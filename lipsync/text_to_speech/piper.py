@@ -1,9 +1,9 @@
 """Piper, a neural voice: the extra `piper` and a model, NAME.onnx with NAME.onnx.json beside it.
 
 It loads a model in a second or two, so it has a process of its own, which keeps the model that
-spoke last. Its phonemes are told, without the times that its network planned for them, and followed
-in the sound: P B M begin 34 ms before their planned times (docs/benchmarks.md). Why it is not
-imported into the face: docs/decisions/0062-voices-of-others.md.
+spoke last. Its phonemes are given, without the times that its network planned for them, and
+followed in the sound: P B M begin 34 ms before their planned times (docs/benchmarks.md). Why it is
+not imported into the face: docs/decisions/0062-voices-of-others.md.
 """
 
 from collections.abc import Sequence
@@ -72,8 +72,8 @@ class Piper:
         )
         speech = speech_of(sound, answer["sample_rate_hz"], written, "")
         letters = [SpokenUnit(each) for each in joined(answer["phonemes"])]
-        told = in_inventory("phoneme", letters, IPA, speech.sample_rate_hz)
-        return replace(speech, told=told) if told.units else speech
+        units = in_inventory("phoneme", letters, IPA, speech.sample_rate_hz)
+        return replace(speech, units=units) if units.units else speech
 
 
 @cache

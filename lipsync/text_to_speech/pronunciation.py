@@ -73,7 +73,7 @@ def pronounced(text: str, language: str = DEFAULT_LANGUAGE) -> tuple[PronouncedW
 
 
 def spoken_words(text: str) -> tuple[PronouncedWord, ...]:
-    """The words of an English text that is known to be said.
+    """The words of an English text that is known to be spoken.
 
     Raises PronunciationError as `pronounced`, and for a text without a word.
     """

@@ -52,11 +52,11 @@ class SpokenWord:
 
 @dataclass(frozen=True, slots=True)
 class SynthesizedSpeech:
-    """Sound and what is said in it; times in seconds from the first sample.
+    """Sound with its phonemes or units; times in seconds from the first sample.
 
     samples: float32 (n,), within [-1, 1]. phonemes: of our inventory, in order, each beginning
     where the one before ends, SIL in pauses, from 0 to the end of the sound. A stop holds its
-    closure; none where the voice does not tell them: then `told` is known, the text, or words with
+    closure; none where the voice does not tell them: then `units` is known, the text, or words with
     their beginnings. guessed: phonemes of the voice that lipsync/ipa.yaml lacks, each once.
     """
 
@@ -65,7 +65,7 @@ class SynthesizedSpeech:
     phonemes: tuple[PhonemeEvent, ...]
     words: tuple[SpokenWord, ...]
     guessed: tuple[str, ...] = ()
-    told: SpokenText | None = None
+    units: SpokenText | None = None
 
     @property
     def duration_s(self) -> float:

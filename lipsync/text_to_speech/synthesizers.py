@@ -28,7 +28,7 @@ def synthesizer_for(name: str = DEFAULT_SYNTHESIZER) -> Synthesizer:
 def speak_in_pieces(
     synthesizer: Synthesizer, text: str, voice: Voice = DEFAULT_VOICE
 ) -> Iterator[SynthesizedSpeech]:
-    """Speak a text of any length sentence by sentence, each when it is asked for.
+    """Speak a text of any length sentence by sentence, each when the iterator is advanced.
 
     So the first sounds soon, and no more than one is held. Pieces in which nothing can be spoken,
     as a line of dashes, are left out. Raises UnspeakableTextError at the end where all were, and

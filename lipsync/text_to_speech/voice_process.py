@@ -1,7 +1,7 @@
 """A voice in a process of its own: what crashes, hangs or grows costs one text, never the face.
 
 The process answers each line of JSON, a request, with a line of JSON, and bytes after it. It ends
-when its pipe does, with all that it has started, so that nothing outlives whoever speaks, however
+when its pipe does, with all that it has started, so that nothing outlives the caller, however
 that ended; it is killed with all of it when an answer takes too long.
 """
 
@@ -10,7 +10,6 @@ import contextlib
 import json
 import os
 import queue
-import resource
 import signal
 import subprocess
 import sys
@@ -105,6 +104,8 @@ def serve(answered: Callable[[Request], tuple[dict[str, object], bytes]]) -> Non
 
     A SynthesisError of `answered` is the answer.
     """
+    import resource
+
     resource.setrlimit(resource.RLIMIT_FSIZE, (LARGEST_BYTES, LARGEST_BYTES))
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a library prints is no answer

@@ -98,7 +98,18 @@ _SEAM_MM, _SEAM_RINGS = (-115.0, -70.0, 30.0), (4.5, 1.6, 0.9)
 
 
 def skin_colours(mean: MeanFace) -> Array:
-    """(n, 3), 0 to 1, sRGB."""
+    """Return the colour of each vertex.
+
+    Parameters
+    ----------
+    mean : MeanFace
+        The mean head.
+
+    Returns
+    -------
+    Array
+        (n, 3), 0 to 1, sRGB.
+    """
     places = mean.vertices_mm
     colours = np.broadcast_to(np.array(_SKIN), places.shape)
     layers = (
@@ -179,11 +190,26 @@ _LEAST_AREA_MM2 = 1e-9
 
 
 def influence(stiffness: sparse.csr_array, handles: Sequence[int], anchors: Sequence[int]) -> Array:
-    """(n_vertices, n_handles): how far each vertex goes with a handle that moves by 1.
+    """Return how far each vertex goes with a handle that moves by 1.
 
-    stiffness: of `shell_stiffness`. 1 at the handle itself, 0 at the others and at the anchors; a
-    vertex that is both is a handle. Raises ValueError for a handle that stands there twice,
-    and for a part of the surface that hangs on neither handle nor anchor.
+    1 at the handle itself, 0 at the others and at the anchors; a vertex that is both is a handle.
+
+    Parameters
+    ----------
+    stiffness : sparse.csr_array
+        Of `shell_stiffness`.
+    handles,anchors : Sequence[int]
+        Vertex numbers.
+
+    Returns
+    -------
+    Array
+        (n_vertices, n_handles).
+
+    Raises
+    ------
+    ValueError
+        A handle stands there twice, or a part of the surface hangs on neither handle nor anchor.
     """
     if len(set(handles)) != len(handles):
         raise ValueError("a vertex is a handle twice")
@@ -193,9 +219,25 @@ def influence(stiffness: sparse.csr_array, handles: Sequence[int], anchors: Sequ
 
 
 def spread(stiffness: sparse.csr_array, held: Indices, given: Array) -> Array:
-    """Displacements (n_vertices, k) of the whole surface, of which `given` (n_held, k) are known.
+    """Return displacements of the whole surface, of which some are known.
 
-    Each of the k columns is a problem of its own. Raises as `influence` does.
+    Raises as `influence` does.
+
+    Each of the k columns is a problem of its own.
+
+    Parameters
+    ----------
+    stiffness : sparse.csr_array
+        Of `shell_stiffness`.
+    held : Indices
+        (n_held,) vertex numbers.
+    given : Array
+        (n_held, k).
+
+    Returns
+    -------
+    Array
+        (n_vertices, k).
     """
     n = stiffness.shape[0]
     n_pieces, piece = connected_components(stiffness, directed=False)
@@ -220,17 +262,44 @@ def spread(stiffness: sparse.csr_array, held: Indices, given: Array) -> Array:
 def shell_stiffness(
     vertices_mm: Array, triangles: Indices, membrane_per_mm2: float = MEMBRANE_PER_MM2
 ) -> sparse.csr_array:
-    """Q = L^T M^-1 L - k_s L, (n_vertices, n_vertices): symmetric, positive semi-definite."""
+    """Return Q = L^T M^-1 L - k_s L: symmetric, positive semi-definite.
+
+    Parameters
+    ----------
+    vertices_mm : Array
+        (n_vertices, 3).
+    triangles : Indices
+        (n_triangles, 3).
+    membrane_per_mm2 : float
+        k_s.
+
+    Returns
+    -------
+    sparse.csr_array
+        (n_vertices, n_vertices).
+    """
     laplacian, areas = cotangent_laplacian(vertices_mm, triangles)
     inverse = sparse.diags_array(1.0 / np.maximum(areas, _LEAST_AREA_MM2))
     return sparse.csr_array(laplacian.T @ inverse @ laplacian - membrane_per_mm2 * laplacian)
 
 
 def cotangent_laplacian(vertices_mm: Array, triangles: Indices) -> tuple[sparse.csr_array, Array]:
-    """L (n, n), negative semi-definite, rows sum to 0; and a third of the area round each vertex.
+    """Return the Laplacian L, negative semi-definite, whose rows sum to 0, and vertex areas.
 
     Pinkall and Polthier, Experimental Mathematics 2(1), 1993: half the sum of the cotangents of the
     two angles opposite an edge.
+
+    Parameters
+    ----------
+    vertices_mm : Array
+        (n, 3).
+    triangles : Indices
+        (n_triangles, 3).
+
+    Returns
+    -------
+    tuple[sparse.csr_array, Array]
+        (n, n), and (n,) mm^2: a third of the area round each vertex.
     """
     n = len(vertices_mm)
     corner = vertices_mm[triangles]

@@ -57,9 +57,9 @@ def pack(twin: Twin) -> bytes:
         ],
         "parts": [_part(part, amounts, body) for part in twin.parts],
     }
-    said = json.dumps(header).encode()
-    said += b" " * (-(4 + len(said)) % 4)
-    return struct.pack("<I", len(said)) + said + b"".join(body.pieces)
+    header_bytes = json.dumps(header).encode()
+    header_bytes += b" " * (-(4 + len(header_bytes)) % 4)
+    return struct.pack("<I", len(header_bytes)) + header_bytes + b"".join(body.pieces)
 
 
 def unpack(packed: bytes) -> dict[str, dict[str, Any]]:
@@ -121,14 +121,14 @@ def _part(part: Part, amounts: Mapping[str, float], body: _Body) -> dict[str, ob
             {
                 "name": name,
                 "moves": body.add_scaled(moves, "<i2"),
-                "turns": body.add_scaled(_turns(part, moves, amounts.get(name, 1.0)), "i1"),
+                "turns": body.add_scaled(_rotated(part, moves, amounts.get(name, 1.0)), "i1"),
             }
             for name, moves in part.morphs.items()
         ],
     }
 
 
-def _turns(part: Part, moves: Array, amount: float) -> Array:
+def _rotated(part: Part, moves: Array, amount: float) -> Array:
     """How the normals turn with 1 of a target; taken over as much of it as occurs."""
     there = vertex_normals(part.places_mm + amount * moves, part.triangles)
     back = vertex_normals(part.places_mm - amount * moves, part.triangles)
@@ -136,7 +136,20 @@ def _turns(part: Part, moves: Array, amount: float) -> Array:
 
 
 def vertex_normals(places: Array, triangles: Indices) -> Array:
-    """(n, 3), of length 1: the mean of the triangles round each vertex, by their area."""
+    """Return normals of length 1: the mean of the triangles round each vertex, by their area.
+
+    Parameters
+    ----------
+    places : Array
+        (n, 3).
+    triangles : Indices
+        (n_triangles, 3).
+
+    Returns
+    -------
+    Array
+        (n, 3).
+    """
     corner = places[triangles]
     faces = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     summed = np.column_stack(

@@ -52,7 +52,20 @@ _LINING, _LASHES = (0.80, 0.55, 0.50), (0.22, 0.15, 0.12)
 
 
 def eyeballs(surface: HeadSurface, irises_mm: Array) -> tuple[Eyeball, Eyeball]:
-    """Left and right. irises_mm (2, 5, 3), right first, give how wide the irises are."""
+    """Return the left and the right eyeball.
+
+    Parameters
+    ----------
+    surface : HeadSurface
+        Of the head.
+    irises_mm : Array
+        (2, 5, 3), right first: how wide the irises are.
+
+    Returns
+    -------
+    tuple[Eyeball, Eyeball]
+        Radii and centres in mm.
+    """
     edges = irises_mm[:, 1:] - irises_mm[:, :1]
     iris_mm = float(np.linalg.norm(edges[:, :, :2], axis=2).mean())
     left = _eyeball("left", surface.places_mm[list(LEFT_EYE)], iris_mm)
@@ -72,7 +85,22 @@ def _eyeball(side: Literal["left", "right"], rim_mm: Array, iris_mm: float) -> E
 
 
 def lid_lining(surface: HeadSurface, morphs: dict[str, Array], eye: Eyeball) -> Part:
-    """The inner side of the lids of one eye: a strip from the rim backwards, dark at the lashes."""
+    """Return the inner lids of one eye: a strip from the rim backwards, dark at the lashes.
+
+    Parameters
+    ----------
+    surface : HeadSurface
+        Of the head.
+    morphs : dict[str, Array]
+        (n_vertices, 3) mm each.
+    eye : Eyeball
+        Its eyeball.
+
+    Returns
+    -------
+    Part
+        A part with the lids' own morphs.
+    """
     rim = np.array(surface.loop_from(*(LEFT_EYE if eye.side == "left" else RIGHT_EYE)[:2]))
     n = len(rim)
     front = surface.places_mm[rim]
@@ -95,10 +123,21 @@ def lid_lining(surface: HeadSurface, morphs: dict[str, Array], eye: Eyeball) -> 
 
 
 def jaw_motion(chin_mm: Array, joint_mm: Array, chin_moves_mm: Array) -> Array:
-    """Opening, forward and sideways motion that explain best how the chin moves.
+    """Return the opening, forward and sideways motion that explain best how the chin moves.
 
-    chin_mm (n, 3), joint_mm (3,): where they are; chin_moves_mm (n_morphs, n, 3).
-    Returns (n_morphs, 3): radians about the joint (positive opens), mm forward, mm to +x.
+    Parameters
+    ----------
+    chin_mm : Array
+        (n, 3).
+    joint_mm : Array
+        (3,).
+    chin_moves_mm : Array
+        (n_morphs, n, 3).
+
+    Returns
+    -------
+    Array
+        (n_morphs, 3): radians about the joint (positive opens), mm forward, mm to +x.
     """
     columns = jaw_modes(chin_mm, joint_mm).transpose(1, 2, 0).reshape(-1, 3)
     solved, *_ = np.linalg.lstsq(columns, chin_moves_mm.reshape(len(chin_moves_mm), -1).T)
@@ -106,7 +145,20 @@ def jaw_motion(chin_mm: Array, joint_mm: Array, chin_moves_mm: Array) -> Array:
 
 
 def jaw_modes(places_mm: Array, joint_mm: Array) -> Array:
-    """(3, n, 3): what 1 rad of opening, 1 mm forward and 1 mm sideways do to places of the jaw."""
+    """Return what 1 rad of opening, 1 mm forward and 1 mm sideways do to places of the jaw.
+
+    Parameters
+    ----------
+    places_mm : Array
+        (n, 3).
+    joint_mm : Array
+        (3,).
+
+    Returns
+    -------
+    Array
+        (3, n, 3) mm.
+    """
     from_joint = places_mm - joint_mm
     modes = np.zeros((3, *places_mm.shape))
     # A small rotation about +x takes z into y's place: (0, -z, y); the chin goes down and back.
@@ -118,7 +170,22 @@ def jaw_modes(places_mm: Array, joint_mm: Array) -> Array:
 
 
 def on_jaw(places_mm: Array, joint_mm: Array, motion: Array) -> Array:
-    """(n_morphs, n, 3): displacements of places on the jaw; `motion` is of `jaw_motion`."""
+    """Return displacements of places on the jaw.
+
+    Parameters
+    ----------
+    places_mm : Array
+        (n, 3).
+    joint_mm : Array
+        (3,).
+    motion : Array
+        (n_morphs, 3), of `jaw_motion`.
+
+    Returns
+    -------
+    Array
+        (n_morphs, n, 3) mm.
+    """
     return np.asarray(
         np.einsum("kj,jni->kni", motion, jaw_modes(places_mm, joint_mm)), dtype=np.float64
     )
@@ -154,7 +221,18 @@ class MouthFrame:
     jaw: Mapping[str, Array]
 
     def with_jaw(self, places_mm: Array) -> dict[str, Array]:
-        """Displacements of places on the lower jaw, by morph."""
+        """Return displacements of places on the lower jaw, by morph.
+
+        Parameters
+        ----------
+        places_mm : Array
+            (n, 3).
+
+        Returns
+        -------
+        dict[str, Array]
+            (n, 3) mm each.
+        """
         return {
             name: on_jaw(places_mm, self.joint_mm, motion[None])[0]
             for name, motion in self.jaw.items()

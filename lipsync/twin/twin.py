@@ -71,10 +71,22 @@ _SMILING_LID_MM = 0.9
 
 
 def expression_morphs(surface: HeadSurface, eyes: tuple[Eyeball, ...]) -> dict[str, Array]:
-    """Displacements (n, 3) in mm for 1 of each: lid_left, lid_right, brow, smile.
+    """Return displacements for 1 of each expression: lid_left, lid_right, brow, smile.
 
     And lid_left_over, lid_right_over, for lid (1 - lid) of each: a straight way would lead a lid
     through the eyeball; with it the lid passes over.
+
+    Parameters
+    ----------
+    surface : HeadSurface
+        Of the head.
+    eyes : tuple[Eyeball, ...]
+        Left and right.
+
+    Returns
+    -------
+    dict[str, Array]
+        (n, 3) mm each.
     """
     places = surface.places_mm
     rims = [np.array(surface.loop_from(*each[:2])) for each in (LEFT_EYE, RIGHT_EYE)]
@@ -177,10 +189,22 @@ class SkinMorphs:
 
 
 def make_twin(face: FaceModel, mean: MeanFace | None = None, own: Array | None = None) -> Twin:
-    """The twin of a model; on the shipped head unless another is given. Raises TwinError.
+    """Make the twin of a model; on the shipped head unless another is given. Raises TwinError.
 
-    own: (n_components,), what the mouth of that head does as it is: it keeps its own lips, and
-    moves by what a frame is other than this. None: the model's lips are laid on it.
+    Parameters
+    ----------
+    face : FaceModel
+        The model.
+    mean : MeanFace | None
+        A head; None: the shipped one.
+    own : Array | None
+        (n_components,), the model's coefficients of that head's own mouth: it keeps its own lips,
+        and moves by what a frame differs from this. None: the model's lips are laid on it.
+
+    Returns
+    -------
+    Twin
+        Parts in mm.
     """
     mean = mean or load_mean_face()
     surface = head_surface(mean)
@@ -224,10 +248,24 @@ def skin_morphs(face: FaceModel, surface: HeadSurface) -> SkinMorphs:
 
 
 def worn_face(face: FaceModel, on_head_mm: Array, points: tuple[int, ...]) -> tuple[Array, Array]:
-    """Mean (n_points, 3) and basis (n_components, n_points, 3) of the model, laid on the head.
+    """Return mean and basis of the model, laid on the head.
 
     The model's head is turned as its speaker sat, and another speaker's has another size; the
     similarity that lays the closed mouth on the head's own removes both.
+
+    Parameters
+    ----------
+    face : FaceModel
+        The model.
+    on_head_mm : Array
+        (n_points, 3): the points on the head.
+    points : tuple[int, ...]
+        Their numbers in the model.
+
+    Returns
+    -------
+    tuple[Array, Array]
+        Mean (n_points, 3) mm and basis (n_components, n_points, 3).
     """
     chosen = list(points)
     at_rest = face.markers_mm(face.rest[None])[:, chosen]

@@ -41,7 +41,7 @@ class Detection:
 
 
 def _anchors() -> Array:
-    """(896, 2): the middles that boxes are told from."""
+    """(896, 2): the middles that boxes are relative to."""
     rows = []
     for n_places, n_each in _GRIDS:
         steps = (np.arange(n_places) + 0.5) / n_places
@@ -54,10 +54,20 @@ _ANCHORS = _anchors()
 
 
 def detections(regressors: Array, classificators: Array) -> tuple[Detection, ...]:
-    """Faces, the surest first.
+    """Return detected faces, the surest first.
 
-    regressors: (896, 16), box middle, size and six points in pixels of the network's picture from
-    the anchor; classificators: (896,), log odds of a face.
+    Parameters
+    ----------
+    regressors : Array
+        (896, 16), box middle, size and six points in pixels of the network's picture from the
+        anchor.
+    classificators : Array
+        (896,), log odds of a face.
+
+    Returns
+    -------
+    tuple[Detection, ...]
+        Boxes and eyes in pixels, overlapping ones blended.
     """
     scores = 1.0 / (1.0 + np.exp(-np.clip(classificators, -100.0, 100.0)))
     likely = np.flatnonzero(scores >= _LEAST_SCORE)
@@ -112,7 +122,18 @@ class FaceBox:
     turn_rad: float
 
     def to_picture(self, points: Array) -> Array:
-        """(n, 3) in the square, 0 to 1, z at the same scale, as pixels of the picture."""
+        """Return points of the square as pixels of the picture.
+
+        Parameters
+        ----------
+        points : Array
+            (n, 3), 0 to 1, z at the same scale.
+
+        Returns
+        -------
+        Array
+            (n, 3) pixels.
+        """
         cosine, sine = np.cos(self.turn_rad), np.sin(self.turn_rad)
         x, y = (points[:, :2] - 0.5).T * self.size_px
         return np.column_stack(
@@ -125,7 +146,20 @@ class FaceBox:
 
 
 def box_around(points_px: Array, right_eye_px: Array, left_eye_px: Array) -> FaceBox:
-    """The square for a face of these points (n, 2); eyes (2,), the speaker's right one first."""
+    """Return the square for a face.
+
+    Parameters
+    ----------
+    points_px : Array
+        (n, 2).
+    right_eye_px,left_eye_px : Array
+        (2,), the speaker's.
+
+    Returns
+    -------
+    FaceBox
+        Turned so that the eyes are level; pixels and radians.
+    """
     low, high = points_px.min(axis=0), points_px.max(axis=0)
     x_px, y_px = (low + high) / 2
     across_px, down_px = left_eye_px - right_eye_px
@@ -138,7 +172,22 @@ def box_around(points_px: Array, right_eye_px: Array, left_eye_px: Array) -> Fac
 
 
 def cut_out(picture: Picture, box: FaceBox, n_pixels: int) -> NDArray[np.float32]:
-    """(n_pixels, n_pixels, 3) from 0 to 1, interpolated linearly; the picture's edge goes on."""
+    """Cut a square out of a picture, interpolated linearly; beyond its edge the edge is repeated.
+
+    Parameters
+    ----------
+    picture : Picture
+        (height, width, 3).
+    box : FaceBox
+        The square.
+    n_pixels : int
+        Of each side.
+
+    Returns
+    -------
+    NDArray[np.float32]
+        (n_pixels, n_pixels, 3) from 0 to 1.
+    """
     height, width = picture.shape[:2]
     steps = ((np.arange(n_pixels, dtype=np.float32) + 0.5) / n_pixels - 0.5) * box.size_px
     cosine, sine = np.float32(np.cos(box.turn_rad)), np.float32(np.sin(box.turn_rad))

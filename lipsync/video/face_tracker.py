@@ -47,10 +47,19 @@ class FaceTracker(Protocol):
         """What it is, for reports."""
 
     def faces(self, picture: Picture) -> tuple[Array, ...]:
-        """Points (478, 3) of each face, in pixels: x right, y down, z away from the viewer.
+        """Return the points of each face, the largest face first; none where there is none.
 
-        The largest face comes first; none where there is none. Pictures are independent of each
-        other: nothing is smoothed over time.
+        Pictures are independent of each other: nothing is smoothed over time.
+
+        Parameters
+        ----------
+        picture : Picture
+            (height, width, 3).
+
+        Returns
+        -------
+        tuple[Array, ...]
+            (478, 3) pixels each: x right, y down, z away from the viewer.
         """
 
 
@@ -85,7 +94,18 @@ class LitertTracker:
         return self._name
 
     def faces(self, picture: Picture) -> tuple[Array, ...]:
-        """See `FaceTracker`."""
+        """Return the points of each face, the largest first; see `FaceTracker`.
+
+        Parameters
+        ----------
+        picture : Picture
+            (height, width, 3).
+
+        Returns
+        -------
+        tuple[Array, ...]
+            (478, 3) pixels each.
+        """
         found = []
         for detection, square in self._detect(picture):
             points = self._points(picture, _box_of(detection, square))
@@ -173,7 +193,18 @@ class MediapipeTracker:
         return self._name
 
     def faces(self, picture: Picture) -> tuple[Array, ...]:
-        """See `FaceTracker`."""
+        """Return the points of each face, the largest first; see `FaceTracker`.
+
+        Parameters
+        ----------
+        picture : Picture
+            (height, width, 3).
+
+        Returns
+        -------
+        tuple[Array, ...]
+            (478, 3) pixels each.
+        """
         height, width = picture.shape[:2]
         found = self._mesh.process(picture).multi_face_landmarks or ()
         scale = np.array([width, height, width], dtype=np.float64)

@@ -109,8 +109,8 @@ def _upright(frame: Any, aspect: float) -> Picture:
     """Turned as the camera was held, and widened where its pixels are not square."""
     width = round(frame.width * aspect)
     picture: Picture = frame.to_ndarray(format="rgb24", width=width, height=frame.height)
-    quarter_turns = round(frame.rotation / 90) % 4
-    return np.ascontiguousarray(np.rot90(picture, quarter_turns)) if quarter_turns else picture
+    n_right_angles = round(frame.rotation / 90) % 4
+    return np.ascontiguousarray(np.rot90(picture, n_right_angles)) if n_right_angles else picture
 
 
 @contextmanager

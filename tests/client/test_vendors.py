@@ -7,7 +7,7 @@ import sys
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from lipservo_client.protocol import told_messages
+from lipservo_client.protocol import unit_messages
 from lipservo_client.vendors import VendorError, VendorUnits, vendor_units
 from places import ROOT
 
@@ -219,7 +219,7 @@ def test_every_example_of_the_page_is_read():
 def test_what_a_vendor_sends_is_told_to_a_stream_in_samples():
     words, visemes = vendor_units(CARTESIA)[0], vendor_units(AZURE_VISEMES)[0]
 
-    assert list(told_messages(words.told(24_000))) == [
+    assert list(unit_messages(words.stream_units(24_000))) == [
         {
             "type": "words",
             "units": [
@@ -229,7 +229,7 @@ def test_what_a_vendor_sends_is_told_to_a_stream_in_samples():
         }
     ]
     assert words.alphabet is None
-    assert visemes.told(24_000)[1][-1] == ("0", 4800, None)
+    assert visemes.stream_units(24_000)[1][-1] == ("0", 4800, None)
 
 
 def test_a_piece_of_a_stream_is_counted_from_where_its_sound_begins():

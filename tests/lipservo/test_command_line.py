@@ -78,9 +78,9 @@ def test_a_negative_angle_is_an_angle(monkeypatch, capsys):
 
 def test_commands_that_move_simulated_servos_say_so_loudly(monkeypatch, capsys):
     assert told(monkeypatch, "jog", "jaw", "1", "--hold-s", "0") == 0
-    told_of = capsys.readouterr()
-    assert told_of.err.startswith("SIMULATED: no real servo moves")
-    assert "jaw stands at" in told_of.out
+    known_text_of = capsys.readouterr()
+    assert known_text_of.err.startswith("SIMULATED: no real servo moves")
+    assert "jaw stands at" in known_text_of.out
 
 
 def test_a_shell_completes_its_commands(tmp_path: Path):

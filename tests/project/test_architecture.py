@@ -11,12 +11,6 @@ from lipservo.cli import app
 from lipservo.traces.trace_file import read_trace
 
 TEXT = (ROOT / "docs" / "architecture.md").read_text("utf-8")
-PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *ROOT.glob("*/README.md")]
-#: A path into our own folders, with an ending or as a folder.
-OUR_PATH = (
-    r"(?:calibration|client|config|examples|firmware_bridge|lab|lipservo|lipsync|tests)"
-    r"/[\w./-]*(?:\.\w+|/)"
-)
 #: Tables whose last column names what to look for in each file, and how many rows they have.
 READING = {"Ten files to read, in this order": 10, "Which files a change touches": 12}
 
@@ -50,18 +44,6 @@ def test_every_file_to_read_or_to_touch_has_what_it_is_said_to_have(title):
             text = (ROOT / file).read_text("utf-8")
             found = f"`{symbol}`" in text or f"`servos.*.{symbol}`" in text
             assert defines(text, symbol) or (file.endswith(".md") and found), (file, symbol)
-
-
-def test_every_path_that_a_page_names_exists():
-    dead = [
-        (page.relative_to(ROOT).as_posix(), named)
-        for page in PAGES
-        if page.name != "CHANGELOG.md"
-        for named in spans(page.read_text("utf-8"))
-        if re.fullmatch(OUR_PATH, named) and not (ROOT / named).exists()
-    ]
-
-    assert dead == []
 
 
 def test_the_sample_that_is_followed_goes_where_the_page_says(tmp_path):

@@ -5,13 +5,9 @@ import tomllib
 
 import pytest
 import yaml
+from lipservo_lab.bench.house.word_figures import dead_links, dead_paths, pages
 from places import ROOT
 
-PAGES = sorted(
-    path
-    for folder in ("", "config", "docs", "examples", "firmware", "lipservo", "lipsync", ".github")
-    for path in ((ROOT / folder).rglob("*.md") if folder else ROOT.glob("*.md"))
-)
 DECISIONS = sorted(path.name for path in (ROOT / "docs" / "decisions").glob("[0-9]*.md"))
 
 
@@ -53,34 +49,16 @@ def test_the_glossary_is_in_alphabetical_order_and_says_where_each_term_is_from(
     assert len(terms) > 40
 
 
-def headings(path):
-    """The anchors that a page's headings and its own `<a name>` make."""
-    text = path.read_text("utf-8")
-    titles = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
-    plain = [re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles]
-    return {*plain, *re.findall(r'<a name="(.+?)">', text)}
-
-
-def test_every_link_between_pages_leads_somewhere():
-    dead = []
-    for page in PAGES:
-        for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text("utf-8")):
-            if target.startswith(("http:", "https:")):
-                continue
-            file, _, anchor = target.partition("#")
-            found = page.parent / file if file else page
-            is_page = anchor and found.suffix == ".md"
-            if not found.exists() or (is_page and anchor not in headings(found)):
-                dead.append((page.relative_to(ROOT).as_posix(), target))
-
-    assert dead == []
+def test_every_link_and_path_in_a_page_leads_somewhere():
+    assert dead_links(ROOT) == []
+    assert dead_paths(ROOT) == []
 
 
 def test_a_file_of_ours_that_is_named_by_its_decision_exists():
     """Code and configuration name pages of docs/decisions by number."""
     known = {name[:4] for name in DECISIONS}
     wrong = []
-    for path in (*ROOT.rglob("*.py"), *PAGES, ROOT / "pyproject.toml"):
+    for path in (*ROOT.rglob("*.py"), *pages(ROOT), ROOT / "pyproject.toml"):
         if {".venv", ".venv-agents", "build", "site"} & set(path.relative_to(ROOT).parts):
             continue
         for number in re.findall(r"docs/decisions/(\d{4})", path.read_text("utf-8")):

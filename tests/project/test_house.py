@@ -14,6 +14,7 @@ from lipservo_lab.bench.house.code_lines import (
     sources,
 )
 from lipservo_lab.bench.house.whole_objects import SourceTree, late_attributes, mixin_bases
+from lipservo_lab.bench.house.word_figures import word_figures
 from lipservo_lab.commands.groups import bench
 from places import DATA, ROOT
 
@@ -151,3 +152,32 @@ def test_a_tick_is_counted_between_two_waits_of_its_clock(tmp_path):
     )
 
     assert done.stdout.strip() == "[2, 2] [1, 1]"
+
+
+def test_words_links_and_figures_that_a_page_should_not_have_are_found(tmp_path):
+    for file, text in {
+        "README.md": "# A\n\n![b](c.png)\n\n**One two.** 95 ms, 12 %, `7 mm`; [d](docs/e.md#f).\n",
+        "docs/benchmarks.md": "# F\n\n| 95 ms | `docs/gone.md` | [x](#f) | [y](#g) |\n",
+        "lipsync/a.py": (
+            '"""Nobody took it."""\n\n\ndef said(n_told: int, retold: int) -> None:\n    ...\n\n\n'
+            'def bare(x: Array) -> Array:\n    """Return x."""\n\n\n'
+            "def whole(x: Array) -> Array:\n"
+            '    """Return x.\n\n    Parameters\n    ----------\n    x : (n, 3), mm\n    """\n'
+        ),
+    }.items():
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        (tmp_path / file).write_text(text)
+    found = word_figures(tmp_path)
+
+    assert found["dialect_names"] == ["lipsync/a.py:4 said", "lipsync/a.py:4 n_told"]
+    assert found["dialect_docstrings"] == ["lipsync/a.py:1 nobody", "lipsync/a.py:1 took"]
+    assert (found["array_functions"], found["array_docstrings"]) == (2, 0.5)
+    assert found["array_docstrings_missing"] == ["lipsync/a.py:8 bare"]
+    assert found["pages"] == {
+        "readme_words": 12,
+        "readme_first_sentence_words": 2,
+        "docs_words": 12,
+        "dead_links": ["README.md: c.png", "README.md: docs/e.md#f", "docs/benchmarks.md: #g"],
+        "dead_paths": ["docs/benchmarks.md: docs/gone.md"],
+        "readme_figures_unmeasured": ["12 %"],
+    }

@@ -135,7 +135,7 @@ def sync_read(ids: Sequence[int], address: int, size: int, *, fast: bool = False
 
 
 def sync_write(address: int, size: int, data: Iterable[tuple[int, bytes]]) -> bytes:
-    """Set the same `size` bytes of several servos, (id, bytes) each; nobody answers."""
+    """Set the same `size` bytes of several servos, (id, bytes) each; no servo answers."""
     blocks = b"".join(bytes((servo_id,)) + each for servo_id, each in data)
     parameters = struct.pack("<HH", address, size) + blocks
     return packet(BROADCAST_ID, Instruction.SYNC_WRITE, parameters)
@@ -319,7 +319,18 @@ class GoalWrite:
         self._head = HEADER + head + parameters
 
     def request(self, values: ArrayLike) -> bytes:
-        """The packet that sets these whole numbers, one a servo, in the order of the ids."""
+        """Return the Sync Write packet that sets whole numbers, one a servo.
+
+        Parameters
+        ----------
+        values : ArrayLike
+            (n_servos,), in the order of the ids.
+
+        Returns
+        -------
+        bytes
+            The packet with its CRC, bytes.
+        """
         self._values[:] = values
         blocks = self._blocks.tobytes()
         if b"\xff\xff\xfd" in blocks:
@@ -330,9 +341,9 @@ class GoalWrite:
 
 
 class CommonFrame(Sequence[Status]):
-    """An undisturbed answer of all who were asked, in one frame.
+    """An undisturbed answer of all servos of a request, in one frame.
 
-    Statuses are made when somebody wants them one by one; `values` has all of them at once.
+    Statuses are made when they are read one by one; `values` has all of them at once.
     errors: a byte of each servo, in turn.
     """
 
@@ -354,12 +365,36 @@ class CommonFrame(Sequence[Status]):
         return np.dtype([("error", "u1"), ("id", "u1"), *data.descr, ("crc", "<u2")])
 
     def values(self, block: np.dtype[np.void]) -> NDArray[np.void]:
-        """The fields of all servos, (n_servos,), in the order asked. block: of `block_of`."""
+        """Return the fields of all servos from the frame.
+
+        Parameters
+        ----------
+        block : np.dtype[np.void]
+            Data type of one servo's block, from `block_of`.
+
+        Returns
+        -------
+        NDArray[np.void]
+            (n_servos,), in the order of the request.
+        """
         return self.blocks(self.stream, block)
 
     @staticmethod
     def blocks(stream: bytes | bytearray, block: np.dtype[np.void]) -> NDArray[np.void]:
-        """The same of any memory that holds, or will hold, such a frame."""
+        """Return a view of the fields of all servos in memory that holds such a frame, or will.
+
+        Parameters
+        ----------
+        stream : bytes | bytearray
+            The frame, at its full length.
+        block : np.dtype[np.void]
+            Data type of one servo's block, from `block_of`.
+
+        Returns
+        -------
+        NDArray[np.void]
+            (n_servos,), in the order of the request.
+        """
         return np.frombuffer(stream, dtype=block, offset=_BLOCKS_AT)
 
     def __len__(self) -> int:
@@ -420,16 +455,19 @@ class SpanRead:
         return [Status(each.servo_id, each.error, each.data[own]) for each in statuses]
 
     def is_over(self, stream: bytes) -> bool:
-        """Whether nothing more can come: all bytes are there, or the servo asked last has spoken.
+        """Whether the answer is complete: all bytes are there, or the last servo has answered.
 
-        On a half-duplex line nobody speaks after the last one, whoever was silent before.
+        On a half-duplex line no servo answers after the last one, even if earlier ones were silent.
         """
         if self.fast:
             return len(stream) >= self.reply_size and stream.startswith(self._fast_head)
         return stream[-self._step : 8 - self._step] == self._heads[-1]
 
     def take_undisturbed(self, stream: bytes) -> Sequence[Status] | None:
-        """All statuses when `stream` is exactly what was asked for; None when anything differs."""
+        """Return all statuses when `stream` is exactly the expected answer.
+
+        None when anything differs.
+        """
         if len(stream) != self.reply_size:
             return None
         if self.fast:
@@ -461,6 +499,6 @@ class SpanRead:
         found = split_fast_status(stream[start : start + self.reply_size], self.size)
         return [
             status
-            for status, asked in zip(found, self.ids, strict=False)
-            if status.servo_id == asked
+            for status, expected in zip(found, self.ids, strict=False)
+            if status.servo_id == expected
         ]

@@ -100,7 +100,7 @@ class Line(HalfDuplex):
     def write(
         self, servo_id: int, address: int, data: bytes, extra_wait_s: float = 0.0
     ) -> Status | None:
-        """Set bytes of one servo, and hear whether it took them; EEPROM may need extra_wait_s."""
+        """Write bytes of one servo and wait for its status; EEPROM may need extra_wait_s."""
         request = codec.write(servo_id, address, data)
         if self._acknowledgement_is_ambiguous(servo_id, request):
             self._tell_one(servo_id, request, extra_wait_s)
@@ -109,7 +109,7 @@ class Line(HalfDuplex):
         return self._ask_one(servo_id, request, 0, extra_wait_s)
 
     def reboot(self, servo_id: int) -> Status | None:
-        """Restart one servo. None also when its answer could not be told from another."""
+        """Restart one servo. None also when its answer could not be distinguished from another."""
         request = codec.reboot(servo_id)
         if self._acknowledgement_is_ambiguous(servo_id, request):
             self._tell_one(servo_id, request, 0.0)
@@ -117,7 +117,10 @@ class Line(HalfDuplex):
         return self._ask_one(servo_id, request, 0)
 
     def sync_read(self, span: SpanRead) -> Sequence[Status]:
-        """The statuses that came, in the order asked; none is waited for beyond its time."""
+        """Return the statuses that came, in the order of the request.
+
+        None is waited for beyond its time.
+        """
         if not (self._pending.any and self._has_pending()):
             return self._ask_span(span)
         if span.fast:
@@ -140,10 +143,10 @@ class Line(HalfDuplex):
             return statuses if last or len(statuses) == n else None
 
         statuses = (
-            self._transact(span.request, span.reply_size, take, span.is_over, n_turns=n) or []
+            self._transact(span.request, span.reply_size, take, span.is_over, n_answers=n) or []
         )
         if self._pending.any:
-            self._note_late(self._heard, asked_size=span.answer_size)
+            self._note_late(self._heard, requested_size=span.answer_size)
         if len(statuses) != n:
             self._note_missing(span, statuses)
         return statuses
@@ -156,7 +159,7 @@ class Line(HalfDuplex):
         return [by_id[each] for each in span.ids if each in by_id]
 
     def _note_missing(self, span: SpanRead, statuses: Sequence[Status]) -> None:
-        """Who of those asked may answer yet; a common frame comes as a whole."""
+        """Note which of the servos may still answer late; a common frame comes as a whole."""
         now_s = self._clock.now()
         if span.fast:
             self._pending.note(BROADCAST_ID, span.answer_size, span.request, now_s)
@@ -191,7 +194,7 @@ class Line(HalfDuplex):
 
         found = self._transact(request, size, take, extra_wait_s=extra_wait_s)
         if self._pending.any:
-            self._note_late(self._heard, asked_size=n_data)
+            self._note_late(self._heard, requested_size=n_data)
         if not found:
             self._pending.note(servo_id, n_data, request, self._clock.now())
             return None
@@ -201,13 +204,16 @@ class Line(HalfDuplex):
         """Whether an answer to an earlier question may come yet; takes note of those that have."""
         if not self._pending.any:
             return False
-        self._note_late(self.transport.discard_input(), asked_size=None)
+        self._note_late(self.transport.discard_input(), requested_size=None)
         return self._pending.expire(self._clock.now())
 
-    def _note_late(self, stream: bytes, asked_size: int | None) -> None:
-        """Cross off what came for earlier questions; not what may answer the one just asked."""
+    def _note_late(self, stream: bytes, requested_size: int | None) -> None:
+        """Remove late answers to earlier requests from the pending ones.
+
+        Keep those of the newest.
+        """
         for status in self._statuses(stream):
-            if len(status.data) != asked_size:
+            if len(status.data) != requested_size:
                 self._pending.note_arrived(status.servo_id, len(status.data))
 
     def _acknowledgement_is_ambiguous(self, servo_id: int, request: bytes) -> bool:

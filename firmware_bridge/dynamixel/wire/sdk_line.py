@@ -105,7 +105,10 @@ class SdkLine(Line):
     def ping_all(self) -> list[Status]:
         """Everybody there is."""
         found, _ = self._sdk.call(lambda: self._packets.broadcastPing(self._sdk.handler))
-        return [Status(each, 0, struct.pack("<HB", *said)) for each, said in found.items()]
+        return [
+            Status(each, 0, struct.pack("<HB", *model_and_firmware))
+            for each, model_and_firmware in found.items()
+        ]
 
     def read(
         self, servo_id: int, address: int, size: int, extra_wait_s: float = 0.0

@@ -1,4 +1,4 @@
-"""One question to many servos, asked in the way that gets the most answers."""
+"""One request to many servos, sent in the way that gets the most answers."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -25,9 +25,9 @@ _AGAIN_S: Final = 0.0015
 
 
 class SpanGroup:
-    """The same bytes of all `ids`, fast while that works, with the unreliable ones asked last.
+    """The same bytes of all `ids`, by fast read while that works, with unreliable servos last.
 
-    leaves_out: whether some are silent for so long that they are asked only now and then.
+    leaves_out: whether some are silent for so long that they are polled only now and then.
     """
 
     def __init__(self, ids: Sequence[int], address: int, size: int) -> None:
@@ -41,31 +41,31 @@ class SpanGroup:
         self._proven = False
         self._ever_proven = False
         self._n_refused = 0
-        self._asked_again: set[int] = set()
+        self._retried: set[int] = set()
         self._silent = dict.fromkeys(self._ids, 0)
         self.answers: Sequence[Status] = []
-        self.asked = SpanRead(self._ids, self._address, self._size, fast=True)
-        self._n_asked = self._n_bad = self._slow_until = 0
+        self.request = SpanRead(self._ids, self._address, self._size, fast=True)
+        self._n_requests = self._n_bad = self._slow_until = 0
         self._slow_for = _SLOW_FOR
         self._prepare()
 
     @property
     def fast(self) -> bool:
         """Whether the next question is a fast one."""
-        return self._n_asked >= self._slow_until
+        return self._n_requests >= self._slow_until
 
     @property
     def fast_unsupported(self) -> bool:
-        """Whether fast questions are met with silence, always, and plain ones are not."""
+        """Whether fast reads are always answered with silence, and plain ones are not."""
         return self._n_refused >= _BAD_FAST_READS and not self._ever_proven
 
     def ask(self, line: Line) -> Sequence[Status]:
         """Ask; the answers that came, whole ones only, in no particular order."""
-        if self._n_asked == self._slow_until or self._n_asked % _RETRY_EVERY == 0:
-            self._prepare(retry=self._n_asked % _RETRY_EVERY == 0)
-        span = self.asked = self._span
+        if self._n_requests == self._slow_until or self._n_requests % _RETRY_EVERY == 0:
+            self._prepare(retry=self._n_requests % _RETRY_EVERY == 0)
+        span = self.request = self._span
         statuses = line.sync_read(span)
-        self._n_asked += 1
+        self._n_requests += 1
         if len(statuses) == len(span.ids):
             if span.fast and not self._proven:
                 self._proven = self._ever_proven = True
@@ -81,17 +81,18 @@ class SpanGroup:
     def _ask_again(self, line: Line, statuses: Sequence[Status]) -> Sequence[Status]:
         """The rest of the same question, one frame a servo, as far as there is time for it.
 
-        Not when nobody was heard, for then it is not single packets that are lost; and not those
+        Not when no servo answered, for then it is not single packets that are lost; and not those
         who are silent for longer. The first one missing comes last: it may cut off the others.
-        While the fast way has yet to prove itself, it costs time but no answers: all are asked.
+        While fast reads have yet to work once, a retry costs time but no answers: all are read
+        again.
         """
-        on_trial = self.asked.fast and not self._proven
+        on_trial = self.request.fast and not self._proven
         if not statuses and not on_trial:
             return []
         answered = {status.servo_id for status in statuses}
         missing = [
             each
-            for each in self.asked.ids
+            for each in self.request.ids
             if each not in answered and self._silent[each] < _SUSPECT_AFTER
         ]
         n_fit = int(_AGAIN_S / line.byte_s / (self._size + EMPTY_STATUS_SIZE + 1))
@@ -100,7 +101,7 @@ class SpanGroup:
             ids = ids[:n_fit]
         if not ids:
             return []
-        self._asked_again = {*ids}
+        self._retried = {*ids}
         again = line.sync_read(SpanRead(ids, self._address, self._size, fast=False))
         self._n_refused += bool(on_trial and not statuses and again)
         return again
@@ -112,7 +113,7 @@ class SpanGroup:
             self._prepare()
 
     def _judge(self, span: SpanRead, statuses: Sequence[Status], again: Sequence[Status]) -> None:
-        """Decide which servos count as silent; `again` answered only when asked a second time."""
+        """Decide which servos count as silent; `again` answered only at the second request."""
         at_once = {status.servo_id for status in statuses}
         late = {status.servo_id for status in again}
         answered = at_once | late
@@ -135,7 +136,7 @@ class SpanGroup:
             changed |= self._silent[servo_id] >= _SUSPECT_AFTER
         if span.fast and cut_off and answered:
             changed = True
-            if not (late and self._asked_again - late <= {cut_off[0]} and cut_off[0] in missing):
+            if not (late and self._retried - late <= {cut_off[0]} and cut_off[0] in missing):
                 self._count_bad_fast(cut_off)  # else it is one servo that is silent
         if changed:
             self._prepare()
@@ -144,13 +145,13 @@ class SpanGroup:
         """A servo known to be away is no fault of the fast way."""
         if all(self._silent[each] >= _SUSPECT_AFTER for each in missing):
             return
-        if self._n_asked % _FAST_WINDOW == 0:
+        if self._n_requests % _FAST_WINDOW == 0:
             self._n_bad = 0
         self._n_bad += 1
         if self._n_bad >= _BAD_FAST_READS:
             self._n_bad = 0
             self._proven = False
-            self._slow_until = self._n_asked + self._slow_for
+            self._slow_until = self._n_requests + self._slow_for
             self._slow_for = min(2 * self._slow_for, _SLOW_AT_MOST)
 
     def _prepare(self, *, retry: bool = False) -> None:

@@ -43,7 +43,22 @@ class Dominance:
     powers: Array
 
     def face_at(self, phones: Sequence[PhonemeEvent], centres: Array, times_s: Array) -> Array:
-        """(n, n_components) for a whole sentence; centres: (40, n_components), the targets."""
+        """Return the faces of a whole sentence.
+
+        Parameters
+        ----------
+        phones : Sequence[PhonemeEvent]
+            Of the sentence.
+        centres : Array
+            (40, n_components), the targets.
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         log_weights = -self.exponents(phones, times_s)
         # The nearest phone gets weight 1, or far from all of them every weight would vanish.
         weights = np.exp(log_weights - log_weights.max(axis=1, keepdims=True))
@@ -51,7 +66,20 @@ class Dominance:
         return np.asarray(weights @ targets / weights.sum(axis=1, keepdims=True))
 
     def exponents(self, phones: Sequence[PhonemeEvent], times_s: Array) -> Array:
-        """(n, n_phones): (rate |tau|)^power."""
+        """Return (rate |tau|)^power of each phone.
+
+        Parameters
+        ----------
+        phones : Sequence[PhonemeEvent]
+            Of the sentence.
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_phones).
+        """
         classes = [VISEME_OF[p.phoneme] for p in phones]
         tau_s = distances_s(phones, times_s)
         after = (tau_s > 0.0).astype(np.intp)
@@ -60,7 +88,20 @@ class Dominance:
 
 
 def distances_s(phones: Sequence[PhonemeEvent], times_s: Array) -> Array:
-    """Tau (n, n_phones): negative before a phone's centre, positive after it."""
+    """Return tau: negative before a phone's centre, positive after it.
+
+    Parameters
+    ----------
+    phones : Sequence[PhonemeEvent]
+        Of the sentence.
+    times_s : Array
+        (n,).
+
+    Returns
+    -------
+    Array
+        (n, n_phones) s.
+    """
     starts_s = np.array([p.start_s for p in phones])
     ends_s = np.array([np.inf if p.end_s is None else p.end_s for p in phones])
     silent = np.array([p.phoneme == SILENCE for p in phones])
@@ -92,14 +133,46 @@ class PlainRegression:
     weights: Array
 
     def faces(self, phonemes: Indices, times_s: Array, lookahead_s: Array) -> Array:
-        """Faces (n, n_components) in contexts: (n, 5), (n, 6), (n,)."""
+        """Return faces in contexts.
+
+        Parameters
+        ----------
+        phonemes : Indices
+            (n, 5).
+        times_s : Array
+            (n, 6).
+        lookahead_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         return np.asarray(_inputs(phonemes, times_s, lookahead_s) @ self.weights)
 
 
 def fit_regression(
     phonemes: Indices, times_s: Array, lookahead_s: Array, faces: Array
 ) -> PlainRegression:
-    """Least squares with a little ridge; (n, 5), (n, 6), (n,) and (n, n_components)."""
+    """Fit by least squares with a little ridge.
+
+    Parameters
+    ----------
+    phonemes : Indices
+        (n, 5).
+    times_s : Array
+        (n, 6).
+    lookahead_s : Array
+        (n,).
+    faces : Array
+        (n, n_components).
+
+    Returns
+    -------
+    PlainRegression
+        Weights of the inputs, (n_inputs, n_components).
+    """
     inputs = _inputs(phonemes, times_s, lookahead_s)
     gram = inputs.T @ inputs + _RIDGE * np.eye(inputs.shape[1])
     return PlainRegression(np.asarray(np.linalg.solve(gram, inputs.T @ faces), dtype=np.float64))
@@ -115,9 +188,19 @@ def _inputs(phonemes: Indices, times_s: Array, lookahead_s: Array) -> Array:
 
 
 def viseme_centres(centres: Array, counts: Array) -> Array:
-    """(40, n_components): each phoneme's centre replaced by the mean of its class.
+    """Return each phoneme's centre replaced by the mean of its class.
 
-    counts: (40,), how often each phoneme was heard in training.
+    Parameters
+    ----------
+    centres : Array
+        (40, n_components).
+    counts : Array
+        (40,), how often each phoneme was heard in training.
+
+    Returns
+    -------
+    Array
+        (40, n_components).
     """
     classes = np.array([VISEME_OF[p] for p in PHONEMES])
     found = centres.copy()
@@ -129,14 +212,43 @@ def viseme_centres(centres: Array, counts: Array) -> Array:
 
 
 def spline_faces(phones: Sequence[PhonemeEvent], targets: Array, times_s: Array) -> Array:
-    """(n, n_components) at times (n,); targets: (40, n_components), a face for each phoneme."""
+    """Return the faces of a spline through one face for each phoneme.
+
+    Parameters
+    ----------
+    phones : Sequence[PhonemeEvent]
+        Of the sentence.
+    targets : Array
+        (40, n_components).
+    times_s : Array
+        (n,).
+
+    Returns
+    -------
+    Array
+        (n, n_components).
+    """
     return joined_faces(phones, targets[[PHONEMES.index(p.phoneme) for p in phones]], times_s)
 
 
 def joined_faces(phones: Sequence[PhonemeEvent], targets: Array, times_s: Array) -> Array:
-    """(n, n_components) at times (n,); targets: (n_phones, n_components), a face for each phone.
+    """Return the faces of a spline through one face for each phone.
 
     It is reached at the phone's centre, that of a silence at both its edges.
+
+    Parameters
+    ----------
+    phones : Sequence[PhonemeEvent]
+        Of the sentence.
+    targets : Array
+        (n_phones, n_components).
+    times_s : Array
+        (n,).
+
+    Returns
+    -------
+    Array
+        (n, n_components).
     """
     knots: list[tuple[float, int]] = []
     for number, phone in enumerate(phones):
@@ -204,7 +316,18 @@ def read_baselines(file: ModelFile, n_components: int) -> Baselines:
 
 
 def baseline_arrays(baselines: Baselines) -> dict[str, NDArray[np.generic]]:
-    """What a file keeps of the baselines."""
+    """Return the arrays that a file keeps of the baselines.
+
+    Parameters
+    ----------
+    baselines : Baselines
+        Any.
+
+    Returns
+    -------
+    dict[str, NDArray[np.generic]]
+        By name, in the shape of the fields.
+    """
     return {
         "centres": baselines.centres.astype(np.float32),
         "counts": baselines.counts.astype(np.float32),

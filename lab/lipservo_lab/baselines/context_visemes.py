@@ -21,7 +21,7 @@ _BEFORE, _ITSELF, _AFTER = range(3)
 
 @dataclass(frozen=True, slots=True)
 class ContextVisemes:
-    """Recorded phones in the order in which they were said.
+    """Recorded phones in the order in which they were spoken.
 
     phonemes: (n, 3), numbers in PHONEMES of the phone before, of itself, and of the one after;
     beyond a sentence it is silent. durations_s: (n,). faces: (n, n_components), at its centre.
@@ -50,7 +50,18 @@ class ContextVisemes:
         return np.array(best, dtype=np.int64)
 
     def targets(self, phones: Sequence[PhonemeEvent]) -> Array:
-        """The recorded face for each phone of a line: (n_phones, n_components)."""
+        """Return the recorded face for each phone of a line.
+
+        Parameters
+        ----------
+        phones : Sequence[PhonemeEvent]
+            Of the line.
+
+        Returns
+        -------
+        Array
+            (n_phones, n_components).
+        """
         return np.asarray(self.faces[self.best_for(phones)])
 
     def _best(self, wanted: Indices, duration_s: float) -> int:
@@ -71,7 +82,20 @@ class ContextVisemes:
 def recorded_visemes(
     utterances: Sequence[Utterance], coefficients: Sequence[Array]
 ) -> ContextVisemes:
-    """Every phone of labelled sentences, with their motion (n_frames, n_components)."""
+    """Gather every phone of labelled sentences.
+
+    Parameters
+    ----------
+    utterances : Sequence[Utterance]
+        Labelled.
+    coefficients : Sequence[Array]
+        (n_frames, n_components) of each.
+
+    Returns
+    -------
+    ContextVisemes
+        Their faces, (n_phones, n_components), and contexts.
+    """
     faces = []
     for utterance, motion in zip(utterances, coefficients, strict=True):
         frames_s = np.arange(len(motion)) / utterance.frame_rate_hz

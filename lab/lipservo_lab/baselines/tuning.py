@@ -23,10 +23,23 @@ _TINY = 1e-12
 def tune_dominance(
     utterances: Sequence[Utterance], coefficients: Sequence[Array], centres: Array
 ) -> Dominance:
-    """Rate and power per viseme class and direction with the least squared error in speech.
+    """Return rate and power per viseme class and direction with the least squared error in speech.
 
-    coefficients: (n_frames, n_components) of each utterance; centres: (40, n_components).
     Quasi-Newton (L-BFGS-B) from the fixed reference, with the exact gradient.
+
+    Parameters
+    ----------
+    utterances : Sequence[Utterance]
+        Labelled.
+    coefficients : Sequence[Array]
+        (n_frames, n_components) of each.
+    centres : Array
+        (40, n_components).
+
+    Returns
+    -------
+    Dominance
+        Rates per second, and powers.
     """
     start = fixed_reference()
     step = max(1, len(utterances) // _MOST_SENTENCES)

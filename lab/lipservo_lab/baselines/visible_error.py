@@ -1,6 +1,6 @@
-"""How wrong a mouth looks that shows the viseme heard in place of the one said.
+"""How wrong a mouth looks that shows the recognised viseme in place of the spoken one.
 
-A wrong T for a K is a wrong frame that nobody sees, a rounded vowel for a spread one is seen by
+A wrong T for a K is a wrong frame that is not seen, a rounded vowel for a spread one is seen by
 everybody. So frames are weighed by how far the mean faces of two classes lie apart: gap, width and
 protrusion of the lips, in mm, of the face that ships (the mean of its frames of each class).
 """
@@ -19,9 +19,14 @@ from lipsync.phonemes import PHONEMES, VISEME_CLASSES
 
 @cache
 def visible_distances_mm() -> Array:
-    """(n_visemes, n_visemes): distance of the lips' shapes of two classes; 0 on the diagonal.
+    """Return the distance of the lips' shapes of two classes.
 
     Classes that the face's sentences lack look like what stands in for them there.
+
+    Returns
+    -------
+    Array
+        (n_visemes, n_visemes); 0 on the diagonal.
     """
     with open_model() as file:
         face = read_face(file)
@@ -39,24 +44,45 @@ def visible_distances_mm() -> Array:
 
 
 def visible_error_mm(confusion: NDArray[np.int64]) -> float:
-    """Mean over all frames; confusion (n_visemes, n_visemes), rows are what was said."""
+    """Return the mean error over all frames.
+
+    Parameters
+    ----------
+    confusion : NDArray[np.int64]
+        (n_visemes, n_visemes), rows are spoken classes.
+
+    Returns
+    -------
+    float
+        mm.
+    """
     n_frames = int(confusion.sum())
     return float((confusion * visible_distances_mm()).sum()) / n_frames if n_frames else 0.0
 
 
 def visible_error_table(confusion: NDArray[np.int64]) -> Mapping[str, Mapping[str, object]]:
-    """For each class that was said its frames, their mean error, and what they were heard as.
+    """Return for each spoken class its frames, its mean error, and what it was recognised as.
 
     heard_as: share of the class's frames and mm that it adds to the class's mean, the worst first.
+
+    Parameters
+    ----------
+    confusion : NDArray[np.int64]
+        (n_visemes, n_visemes), rows are spoken classes.
+
+    Returns
+    -------
+    Mapping[str, Mapping[str, object]]
+        By class; errors in mm.
     """
     table: dict[str, Mapping[str, object]] = {}
-    for said, counts in enumerate(confusion):
+    for phoneme, counts in enumerate(confusion):
         if not (n_frames := int(counts.sum())):
             continue
         shares = counts / n_frames
-        errors_mm = shares * visible_distances_mm()[said]
+        errors_mm = shares * visible_distances_mm()[phoneme]
         worst = [int(heard) for heard in np.argsort(-errors_mm, kind="stable") if counts[heard]]
-        table[_name(said)] = {
+        table[_name(phoneme)] = {
             "frames": n_frames,
             "visible_error_mm": float(errors_mm.sum()),
             "heard_as": {

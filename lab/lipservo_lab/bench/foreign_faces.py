@@ -1,4 +1,4 @@
-"""The figures of `lipservo bench motion --video`: our mouth beside faces that nobody trained on.
+"""The figures of `lipservo bench motion --video`: our mouth beside faces that no model trained on.
 
 A clip's sound alone drives our mouth, through the street that a replay goes. Its lip gap is
 compared with the one tracked in the pictures, in frames of speech, as both were filmed: a shift
@@ -153,9 +153,25 @@ def compare(
     ours_mm: Array,
     events: Sequence[PhonemeEvent],
 ) -> ComparedClip:
-    """pictures: sound times (n,) and tracked lip gaps (n,); ours_mm: (m,) every 10 ms.
+    """Compare our mouth with a tracked one; pictures inside a phoneme that is not silence count.
 
-    Counted are the pictures inside a phoneme of `events` that is not silence.
+    Parameters
+    ----------
+    name : str
+        Of the clip.
+    pictures : tuple[Array, Array]
+        Sound times (n,) and tracked lip gaps (n,).
+    sound : VideoSound
+        Of the clip.
+    ours_mm : Array
+        (m,) every 10 ms.
+    events : Sequence[PhonemeEvent]
+        Its phonemes.
+
+    Returns
+    -------
+    ComparedClip
+        Correlations.
     """
     times_s, seen_mm = pictures
     spoken = np.zeros(len(times_s), dtype=bool)
@@ -181,7 +197,18 @@ def compare(
 
 
 def loudness_db(samples: NDArray[np.float32]) -> Array:
-    """(n,) every 10 ms, of samples (m,) at 16 kHz."""
+    """Return the loudness of a sound every 10 ms.
+
+    Parameters
+    ----------
+    samples : NDArray[np.float32]
+        (m,) at 16 kHz.
+
+    Returns
+    -------
+    Array
+        (n,) dB.
+    """
     n_around = round(_LOUDNESS_S * SAMPLE_RATE_HZ)
     squares = np.pad(samples.astype(float) ** 2, n_around // 2)
     sums = np.concatenate(([0.0], np.cumsum(squares)))

@@ -2,7 +2,7 @@
 
 A random split flatters whatever learns the fifty words by heart. Here the words are dealt into ten
 folds; a model trained without any sentence that holds a word of a fold moves the mouth in those
-words, and every word of the corpus is scored once. What is asked: how near, which words fail, and
+words, and every word of the corpus is scored once. The questions: how near, which words fail, and
 whether closures of contexts never heard come too early or too late.
 
 Models are kept from one run to the next, under the digest of all that made them: the sentences,
@@ -95,7 +95,7 @@ _LEARNING = (
 
 @dataclass(frozen=True, slots=True)
 class KeptModels:
-    """Models of parts of one corpus, made when they are first asked for and kept in a folder.
+    """Models of parts of one corpus, made at the first use and kept in a folder.
 
     heard: of the corpus's sentences, by name. Two runs at once make a model twice; its file is
     written whole.
@@ -173,7 +173,7 @@ class _Scores:
     lips: dict[tuple[int, str], _Lips] = field(default_factory=lambda: defaultdict(_Lips))
 
     def row(self, lookahead_ms: int, name: str) -> Row:
-        """Figures with 95 % intervals over places where a word was said."""
+        """Figures with 95 % intervals over places where a word was spoken."""
         sums = np.array(self.sums[lookahead_ms, name])
         found = figures(sums.sum(axis=0))
         intervals = confidence_intervals(sums, ("ratio", "gap_r"))
@@ -209,11 +209,13 @@ def left_out_figures(
         played = _chosen(corpus, part, limit)
         sentences = corpus.keep({name for name, _ in played}).utterances
         for utterance in track(f"scoring {part.split}", list(sentences)):
-            said = [w for w in spoken_words(utterance) if (utterance.name, w.text) in played]
-            _add(scores, model, utterance, said, method, lookaheads_ms, listen(utterance))
+            words_played = [
+                w for w in spoken_words(utterance) if (utterance.name, w.text) in played
+            ]
+            _add(scores, model, utterance, words_played, method, lookaheads_ms, listen(utterance))
     main_ms = lookaheads_ms[len(lookaheads_ms) // 2]
     words = {text: scores.row(main_ms, text) for part in folds for text in part.words or ()}
-    told = [
+    rows = [
         {"word": text, "lookahead_ms": main_ms, **row}
         for text, row in words.items()
         if int(str(row["frames"])) >= LEAST_FRAMES
@@ -225,7 +227,7 @@ def left_out_figures(
             for name in BORDER_CLASSES
             if scores.sums[main_ms, name]
         ],
-        "words": sorted(told, key=lambda row: float(str(row["gap_r"]))),
+        "words": sorted(rows, key=lambda row: float(str(row["gap_r"]))),
     }
 
 

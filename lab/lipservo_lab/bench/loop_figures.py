@@ -40,7 +40,7 @@ def lateness_figures(
     `_median_`: of the percentiles of four windows, which one stall of the computer does not move.
     `_fifo` is left out where the computer does not permit it. Without a bus: what the computer adds
     before a tick can begin. with_bus, names end in `_bus`: bridge, gate and ten simulated servos
-    behind a pseudo-terminal in every tick; a tick begins late, too, when the one before took long.
+    behind a pseudo-terminal in every tick; a tick begins late, too, after a long one.
     """
     figures = {}
     runs = [(fifo, rate_hz) for fifo in (False, True) for rate_hz in RATES_HZ]

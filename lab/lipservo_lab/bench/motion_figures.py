@@ -63,7 +63,7 @@ _RECOVERING = ("priority", LIVE_STRATEGY, UNIT_STRATEGY)
 
 
 class BenchError(UserError):
-    """Something asked of the bench that it cannot do."""
+    """A request that the bench cannot fulfil."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,9 +120,9 @@ def question(
 
 
 def with_offline_methods(
-    asked: Question, models: OfflineModels, visemes: RecordedVisemes | None
+    question: Question, models: OfflineModels, visemes: RecordedVisemes | None
 ) -> Question:
-    """The same with the methods that hear a whole line after those asked for.
+    """The question with the methods that use a whole line after the given ones.
 
     visemes: what the published comparison plays; None where no sentence that taught the face model
     is at hand. With it `catmull-rom` is the paper's, and the baseline of that name, which knows
@@ -130,22 +130,24 @@ def with_offline_methods(
     """
     methods: list[Method] = [OfflineMethod(name, models) for name in PLANNED_METHODS]
     if visemes is not None:
-        asked = replace(asked, methods=tuple(map(_class_means_named, asked.methods)))
+        question = replace(question, methods=tuple(map(_class_means_named, question.methods)))
         methods.insert(0, ContextVisemeMethod(visemes))
-    return replace(asked, methods=(*asked.methods, *methods))
+    return replace(question, methods=(*question.methods, *methods))
 
 
 def _class_means_named(method: Method) -> Method:
     return replace(method, name=CLASS_MEANS) if isinstance(method, SplineMethod) else method
 
 
-def score_model(model: TrainedModel, corpus: Corpus, asked: Question, track: Track) -> list[Row]:
+def score_model(model: TrainedModel, corpus: Corpus, question: Question, track: Track) -> list[Row]:
     """A given model on a folder that it was not trained on."""
     utterances = check_scorable(model, corpus)
-    if asked.words is not None and not any(speech_frames(u, asked.words).any() for u in utterances):
-        raise BenchError(f"{corpus.name}: no sentence holds {', '.join(sorted(asked.words))}")
-    part = Part("given", frozenset(), frozenset(u.name for u in utterances), asked.words)
-    return _rows([(model, part)], corpus, asked, track)
+    if question.words is not None and not any(
+        speech_frames(u, question.words).any() for u in utterances
+    ):
+        raise BenchError(f"{corpus.name}: no sentence holds {', '.join(sorted(question.words))}")
+    part = Part("given", frozenset(), frozenset(u.name for u in utterances), question.words)
+    return _rows([(model, part)], corpus, question, track)
 
 
 def paper_rows(model: TrainedModel, corpus: Corpus) -> dict[str, list[Row]]:
@@ -157,16 +159,16 @@ def paper_rows(model: TrainedModel, corpus: Corpus) -> dict[str, list[Row]]:
     return paper_tables(model, utterances, {engine: live_listener(engine) for engine in _COMPARED})
 
 
-def recovery(model: TrainedModel, unseen: Corpus, corpus: Corpus, asked: Question) -> list[Row]:
+def recovery(model: TrainedModel, unseen: Corpus, corpus: Corpus, question: Question) -> list[Row]:
     """What a wrong phoneme leaves behind, in sentences that the model has not seen.
 
     corpus: all recordings, for what real coarticulation leaves behind.
     """
-    methods = [m for m in asked.methods if m.name in _RECOVERING]
+    methods = [m for m in question.methods if m.name in _RECOVERING]
     if not methods:
         return []
     tested, recorded = check_scorable(model, unseen), corpus.labelled().utterances
-    return recovery_rows(model, tested, recorded, methods, asked.lookaheads_ms)
+    return recovery_rows(model, tested, recorded, methods, question.lookaheads_ms)
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,14 +181,14 @@ class CrossValidation:
 
 
 def cross_validate(
-    folder: Path, corpus: Corpus, asked: Question, train: Train, track: Track
+    folder: Path, corpus: Corpus, question: Question, train: Train, track: Track
 ) -> CrossValidation:
     """Models trained on the training part of each split, scored on the rest."""
     labelled = corpus.labelled()
-    if asked.words is not None:
-        parts = [words_part("words", labelled, asked.words)]
+    if question.words is not None:
+        parts = [words_part("words", labelled, question.words)]
         if not parts[0].train:
-            named = " or ".join(map(repr, sorted(asked.words)))
+            named = " or ".join(map(repr, sorted(question.words)))
             raise BenchError(
                 f"{corpus.name}: every labelled sentence holds {named}, so none is left to train "
                 "on; name rarer words, or give a model with --model"
@@ -198,7 +200,7 @@ def cross_validate(
     for split in dict.fromkeys(part.split for part in parts):
         trained = [(train(labelled.keep(set(p.train))), p) for p in parts if p.split == split]
         first = first or trained[0][0]
-        rows += _rows(trained, labelled, asked, track)
+        rows += _rows(trained, labelled, question, track)
     if first is None:
         raise BenchError(f"{folder}: no split to score")
     return CrossValidation(rows, first, labelled.keep(set(parts[0].test)))
@@ -221,13 +223,13 @@ class _RememberingListener:
 
 
 def _rows(
-    trained: Sequence[tuple[TrainedModel, Part]], corpus: Corpus, asked: Question, track: Track
+    trained: Sequence[tuple[TrainedModel, Part]], corpus: Corpus, question: Question, track: Track
 ) -> list[Row]:
     """One split: the sums of all its parts together; misses and times of the phonemes heard."""
     scores = Scores()
     listen: Listen = true_phonemes
-    if asked.phonemes != PHONEMES_TRUE:
-        listen = live_listener(with_text=asked.phonemes == PHONEMES_TEXT)
+    if question.phonemes != PHONEMES_TRUE:
+        listen = live_listener(with_text=question.phonemes == PHONEMES_TEXT)
     listeners = []
     for model, part in trained:
         listeners.append(_RememberingListener(listen))
@@ -235,24 +237,24 @@ def _rows(
             scores,
             model,
             corpus.keep(set(part.test)).utterances,
-            asked.methods,
-            asked.lookaheads_ms,
+            question.methods,
+            question.lookaheads_ms,
             words=part.words,
             listen=listeners[-1],
             progress=partial(track, f"scoring {part.split}"),
         )
     model, part = trained[0]
     rows = []
-    for method in asked.methods:
+    for method in question.methods:
         missed = _miss_rate(method, [m for m, _ in trained], listeners)
-        for lookahead_ms in asked.lookaheads_ms:
+        for lookahead_ms in question.lookaheads_ms:
             times = method_times(method, model, listeners[0].first, lookahead_ms / 1e3)
             rows.append(
                 {
                     "strategy": method.name,
                     "lookahead_ms": lookahead_ms,
                     "split": part.split,
-                    "phonemes": asked.phonemes,
+                    "phonemes": question.phonemes,
                     **scores.row(method.name, lookahead_ms),
                     "miss_rate": missed,
                     "ms_per_phoneme_p95": times and times.phoneme_p95_ms,
@@ -280,14 +282,14 @@ def _miss_rate(
 def live_listener(
     engine: MeasuredEngine = "network", *, with_text: bool = False
 ) -> Callable[[Utterance], Heard]:
-    """What a live recogniser finds in a sentence's sound; made when the first is asked for.
+    """What a live recogniser finds in a sentence's sound; made at the first call.
 
-    with_text: it is told the words beforehand, without their times.
+    with_text: it gets the words beforehand, without their times.
     """
 
     def listen(utterance: Utterance) -> Heard:
-        said = " ".join(word.text for word in utterance.words) if with_text else ""
-        heard = recognize_file(recognizer(), utterance.sound_path, pronounced(said))
+        text = " ".join(word.text for word in utterance.words) if with_text else ""
+        heard = recognize_file(recognizer(), utterance.sound_path, pronounced(text))
         return replace(heard, sound_path=utterance.sound_path)
 
     @cache

@@ -100,9 +100,9 @@ def cost_of(command: Sequence[str]) -> Cost:
         [sys.executable, "-I", "-S", "-c", _MEASURE, *command],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
-    took_s = time.perf_counter() - began_s
+    elapsed_s = time.perf_counter() - began_s
     if done.returncode:
         lines = done.stderr.strip().splitlines()
         raise BenchError(lines[-1] if lines else f"{command[0]} ended with {done.returncode}")
     peak, processor_s = json.loads(done.stdout)
-    return Cost(took_s, processor_s, peak * _BYTES_OF_PEAK / 1e6)
+    return Cost(elapsed_s, processor_s, peak * _BYTES_OF_PEAK / 1e6)

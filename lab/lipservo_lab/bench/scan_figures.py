@@ -200,11 +200,11 @@ def scan_figures(face: FaceModel, n_scans: int, seed: int, advance: Advance) -> 
     for number, (spread, seen) in enumerate(cases, start=1):
         done = number - 1
 
-        def told(n: int, done: int = done) -> None:
+        def report(n: int, done: int = done) -> None:
             advance("registering", done * n_scans + n, len(cases) * n_scans)
 
         name = f"{spread}, {'47 markers' if seen else 'closest points'}"
-        found = registered_figures(face, n_scans, seed, spread, with_markers=seen, advance=told)
+        found = registered_figures(face, n_scans, seed, spread, with_markers=seen, advance=report)
         rows[name] = asdict(found)
     return {**next(iter(rows.values())), "cases": rows}
 

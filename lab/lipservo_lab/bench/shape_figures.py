@@ -54,13 +54,13 @@ class ComparedShapes:
     closed: Mapping[str, list[Interval]]
 
 
-def compared_shapes(told: SpokenSound, heard: SpokenSound) -> ComparedShapes:
-    """The methods on one sound. told: with its true phones; heard: by the recogniser."""
-    phones, duration_s = tuple(told.events()), told.duration_s
+def compared_shapes(from_text: SpokenSound, heard: SpokenSound) -> ComparedShapes:
+    """The methods on one sound. from_text: with its true phones; heard: by the recogniser."""
+    phones, duration_s = tuple(from_text.events()), from_text.duration_s
     rules = rule_cues(phones, duration_s)
     at_burst = rule_cues(phones, duration_s, stops_at_burst=True)
     times_s = sampling_times_s(duration_s)
-    motion, gap_mm = _drawn(told, times_s, duration_s)
+    motion, gap_mm = _drawn(from_text, times_s, duration_s)
     motion_heard, gap_heard_mm = _drawn(heard, times_s, duration_s)
     closed = {
         "Rhubarb's rules, true phones": _closed_cues(rules),
@@ -78,11 +78,11 @@ def closing_figures(
 ) -> dict[str, float | int | None]:
     """When a mouth closes for P B M against the beginning of the phone; ms, late is positive.
 
-    phones: how many; met: in how many the mouth is closed, 40 ms around; from an open mouth alone:
-    median and 10th and 90th percentile of closings within 200 ms. None where there are none.
+    phones: how many; closed: in how many the mouth is closed, 40 ms around; from an open mouth
+    alone: median and 10th and 90th percentile of closings within 200 ms. None where there are none.
     """
-    asked = [phone for phone in phones if phone.phoneme in BILABIALS]
-    met = sum(any(_overlap(phone, interval) for interval in closed) for phone in asked)
+    bilabials = [phone for phone in phones if phone.phoneme in BILABIALS]
+    n_closed = sum(any(_overlap(phone, interval) for interval in closed) for phone in bilabials)
     starts_s = np.array([start_s for start_s, _ in closed])
     errors_ms = []
     for before, phone in pairwise(phones):
@@ -91,7 +91,7 @@ def closing_figures(
             off_s = starts_s - phone.start_s
             if len(off_s) and abs(nearest := off_s[np.abs(off_s).argmin()]) <= _MATCHED_S:
                 errors_ms.append(1e3 * float(nearest))
-    figures: dict[str, float | int | None] = {"phones": len(asked), "met": met}
+    figures: dict[str, float | int | None] = {"phones": len(bilabials), "met": n_closed}
     names = ("p10_ms", "median_ms", "p90_ms")
     values = np.percentile(errors_ms, [10, 50, 90]) if errors_ms else [None] * 3
     return figures | {

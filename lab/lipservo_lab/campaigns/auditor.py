@@ -1,6 +1,6 @@
 """Watches a simulated face from outside: every packet on the wire, every step of every shaft.
 
-It knows the face's limits and nothing of the code under test, and trusts nobody.
+It knows the face's limits and nothing of the code under test, and trusts none of it.
 """
 
 import struct
@@ -222,7 +222,7 @@ class Auditor:
         return min(before, place) - _PLACE_PULSES <= goal <= max(before, place) + _PLACE_PULSES
 
     def _is_place(self, servo_id: int, goal: int) -> bool:
-        """Whether the servo stands at `goal`, so that nothing moves. True of one nobody knows."""
+        """Whether the servo stands at `goal`, so that nothing moves. True of an unknown one."""
         index = self._index(servo_id)
         if index is None or self._chain is None:
             return True
@@ -251,17 +251,17 @@ class Auditor:
             return
         before, trajectory_before = seen
         speed = (position - before) / span_s
-        told = np.abs(motors.trajectory - trajectory_before) / span_s
+        commanded = np.abs(motors.trajectory - trajectory_before) / span_s
         # A jump of the encoder takes the trajectory with it, and a servo that stops by itself, as
         # for its watchdog, lays it where it stands: nobody told them to go there.
-        jumped = (np.abs(speed) >= self._jump) & (told >= self._jump)
+        jumped = (np.abs(speed) >= self._jump) & (commanded >= self._jump)
         by_itself = ~held | jumped | (motors.trajectory == position)
-        told[by_itself] = 0.0
+        commanded[by_itself] = 0.0
         self._free += (motors.trajectory - self._free) * min(1.0, POSITION_LOOP_PER_S * span_s)
         self._free = np.where(by_itself, position, self._free)
         was_free, self._is_free = self._is_free, np.abs(position - self._free) <= _FREE_PULSES
         own = held & was_free & self._is_free
-        moved = np.maximum(np.where(own, np.abs(speed), 0.0), told)
+        moved = np.maximum(np.where(own, np.abs(speed), 0.0), commanded)
         fast = moved / self._speed
         self.fastest = max(self.fastest, float(fast.max()))
         self.too_fast += int((fast > _SPEED_MARGIN).sum())

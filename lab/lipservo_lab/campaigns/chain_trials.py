@@ -102,7 +102,7 @@ class ChainStage:
         self.n_untrue += int((off_deg[feedback.age_s == 0.0] > _PLACE_DEG).sum())
 
     def look_at_last(self) -> None:
-        """Whether torque is as the bus believes."""
+        """Check that torque is as the bus reports it."""
         if self.chain.plugged:
             believed = self.bus.look_after().torque_on
             for servo, belief in zip(self.chain.servos, believed, strict=True):
@@ -185,8 +185,8 @@ def _dynamixels(case: Case) -> ChainStage:
 
     def is_reachable(servo: Any, now_s: float) -> bool:
         own_id = servos[servo.index].joint.servo_id
-        hears = servo.deaf_until_s <= now_s and servo.deaf_until_s < float("inf")
-        return bool(servo.servo_id == own_id and servo.baud_rate == BAUD_RATE and hears)
+        receives = servo.deaf_until_s <= now_s and servo.deaf_until_s < float("inf")
+        return bool(servo.servo_id == own_id and servo.baud_rate == BAUD_RATE and receives)
 
     return ChainStage(
         case,

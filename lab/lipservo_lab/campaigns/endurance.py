@@ -43,7 +43,7 @@ _REPORTS: Final = 100
 class Endurance:
     """What a run has shown so far. Memory is resident, in MB (10^6 bytes), of this process.
 
-    cycles: ticks that were asked for and done; bringing the face to rest afterwards is watched,
+    cycles: ticks that were requested and done; bringing the face to rest afterwards is watched,
     too, and not counted. *_at_tenth: once a tenth of them was over and all was warm; 0 = not yet.
     cpu_s: processor time. goals_outside_limits .. armed_wrongly: see `Auditor`; contention: two
     voices on the wire at once. None of these may happen.

@@ -81,7 +81,7 @@ class Stage(Protocol):
         """After every tick."""
 
     def look_at_last(self) -> None:
-        """Before servos are let go, where nobody has stopped the face."""
+        """Check the robot before servos are let go, where no person has stopped the face."""
 
     def counts(self, report: StopReport | None) -> Mapping[str, int]:
         """How often what must not happen has: `Trials.must_not`, and maybe more."""
@@ -208,17 +208,17 @@ class StopInTheFault:
         return StopRequest(level)
 
     def answer(self, status: Callable[[], Mapping[str, object]]) -> None:
-        """Nobody waits for one."""
+        """Drop an answer: no client waits for one."""
 
     def attend(self, refusal: Callable[[Order], str]) -> None:
-        """Nobody orders anything of single servos."""
+        """Take no orders to single servos."""
 
     def take_orders(self) -> Sequence[Order]:
         """None."""
         return ()
 
     def report_end(self, report: Mapping[str, object]) -> None:
-        """Nobody waits."""
+        """Drop the report: no client waits for it."""
 
 
 def wanted_deg(time_s: float, n_servos: int) -> np.ndarray:

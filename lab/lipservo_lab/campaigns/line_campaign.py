@@ -260,7 +260,7 @@ def ask_many(disturbance: Disturbance, n_questions: int, seed: int = 1) -> Answe
 def line_figures(
     n_questions: int, progress: Callable[[int, int], None]
 ) -> dict[str, dict[str, int]]:
-    """Questions asked, values that came and values that were wrong, by disturbance.
+    """Requests, answers and wrong answers, counted by disturbance.
 
     progress: called with disturbances done and all of them.
     """

@@ -1,4 +1,4 @@
-"""Hobby servos in trouble, judged by the pulses alone.
+"""Hobby servos in trouble, checked by the pulses alone.
 
 Their simulators have `FAULTS`, `read_faults` and `watched_servos`.
 """
@@ -146,7 +146,7 @@ class PulseStage:
         self._claims = 0
 
     def look(self, bridge: Bridge) -> None:
-        """Numbers in feedback and health that nobody measured."""
+        """Check feedback and health for numbers that no sensor measured."""
         feedback = bridge.feedback
         places = 0 if feedback is None else int(np.isfinite(feedback.positions_deg).sum())
         unknown = ("temperature_degc", "load", "voltage_v", "current_ma")
@@ -155,13 +155,13 @@ class PulseStage:
         )
 
     def look_at_last(self) -> None:
-        """Nobody can know more."""
+        """Check nothing: hobby servos report nothing."""
 
     def counts(self, report: StopReport | None) -> Mapping[str, int]:
         """Of the pulses, a second after the end as well.
 
         claims: places, loads, heats, voltages or words of torque that no hobby servo can know.
-        pulses_left_on: channels that go on at the end though they can be told not to.
+        pulses_left_on: channels that go on at the end though they can be switched off.
         """
         ended_s, is_reachable = self.clock.now(), self._watched.is_reachable()
         self.clock.advance(1.0)

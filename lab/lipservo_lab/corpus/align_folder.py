@@ -25,7 +25,7 @@ def align_folder(
 ) -> None:
     """Find when each phone of every transcript of a folder is spoken.
 
-    A text that was not said is named: docs/recognition.md, Alignment, says how that is known.
+    A text that was not spoken is named: docs/recognition.md, Alignment, says how that is known.
     """
     from lipservo_lab.corpus.alignment_cache import align_corpus
     from lipservo_lab.corpus.transcribed import read_transcribed

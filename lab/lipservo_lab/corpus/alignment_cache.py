@@ -54,7 +54,18 @@ class AlignedUtterance:
     score: float | None = None
 
     def labels(self, n_frames: int) -> NDArray[np.int64]:
-        """The phoneme's number in `PHONEMES` for each frame (n_frames,); silence after the end."""
+        """Return the phoneme's number in `PHONEMES` for each frame of 10 ms; silence after the end.
+
+        Parameters
+        ----------
+        n_frames : int
+            How many.
+
+        Returns
+        -------
+        NDArray[np.int64]
+            (n_frames,).
+        """
         labels = np.full(n_frames, PHONEME_INDEX[SILENCE])
         for phoneme, first, end in self.phones:
             labels[first:end] = PHONEME_INDEX[phoneme]

@@ -59,12 +59,30 @@ def read_grid(
     skip_bad: bool = False,
     progress: Progress = iter,
 ) -> Corpus:
-    """All sentences of the folder, head motion removed, in millimetres.
+    """Read all sentences of the folder, head motion removed, in millimetres.
 
-    layout: the points of a face that are taken of the recorded ones.
-    head_reference_mm: lay the faces on this head (a model's) rather than on their own mean.
-    skip_bad: leave out sentences with a missing or mismatched file and list them in `skipped`;
-    otherwise the first one raises CorpusError, which names the file.
+    Parameters
+    ----------
+    folder : Path
+        Of the GRID corpus.
+    layout : PointLayout
+        The points of a face that are taken of the recorded ones.
+    head_reference_mm : Array | None
+        (n_points, 3): lay the faces on this head (a model's) rather than on their own mean.
+    skip_bad : bool
+        Leave out sentences with a missing or mismatched file and list them in `skipped`.
+    progress : Progress
+        Called with the progress.
+
+    Returns
+    -------
+    Corpus
+        Markers are (n_frames, n_points, 3) mm.
+
+    Raises
+    ------
+    CorpusError
+        Names the first bad file, unless skip_bad.
     """
     rows = _read_rows(folder, layout)
     sentences: list[_Sentence] = []
@@ -184,9 +202,24 @@ def _phones(intervals: Iterable[Interval], path: Path) -> Iterable[PhonemeEvent]
 
 
 def read_landmarks(path: Path, n_landmarks: int) -> Array:
-    """Points (n_frames, n_landmarks, 3) of a file in pixels, y up, z to the viewer.
+    """Read the points of a file.
 
-    Raises CorpusError.
+    Parameters
+    ----------
+    path : Path
+        An .npz.
+    n_landmarks : int
+        In each frame.
+
+    Returns
+    -------
+    Array
+        (n_frames, n_landmarks, 3) pixels, y up, z to the viewer.
+
+    Raises
+    ------
+    CorpusError
+        The file is damaged.
     """
     try:
         with path.open("rb") as file, ArrayArchive(file, _MOST_BYTES) as archive:

@@ -1,4 +1,4 @@
-"""The yardstick does not move: hashes of the alignments that scored talkers are judged by.
+"""The yardstick does not move: hashes of the alignments that scored talkers are measured by.
 
 Labels for training get better, by teachers and other aligners; figures stay comparable only while
 the references of the scored talkers are what they were. A file holds a line an utterance, its name

@@ -29,10 +29,10 @@ class TranscriptError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class TranscribedUtterance:
-    """One recording and what is said in it.
+    """One recording and its words.
 
     speaker: in LibriSpeech's layout the name up to the first hyphen. labels: a TextGrid with a tier
-    `phones`; None where nobody has labelled the phones.
+    `phones`; None where the phones are not labelled.
     """
 
     name: str
@@ -169,7 +169,7 @@ def without_names(
 
 
 def _refuse_unknown(names: frozenset[str], utterances: tuple[TranscribedUtterance, ...]) -> None:
-    """A name that nobody has is a mistake: what was to be left out would be learned from."""
+    """Refuse an unknown name: what was to be left out would be learned from."""
     if missing := sorted(names - {utterance.name for utterance in utterances}):
         raise TranscriptError(
             f"{len(missing)} of {len(names)} listed utterances are not there, {missing[0]!r} first"

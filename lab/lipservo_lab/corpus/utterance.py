@@ -78,11 +78,11 @@ class Corpus:
 
         Raises CorpusError for a word that no sentence holds, and where no sentence is left.
         """
-        said = {u.name: {word.text for word in u.words} for u in self.utterances}
-        missing = words - {text for texts in said.values() for text in texts}
+        words_of = {u.name: {word.text for word in u.words} for u in self.utterances}
+        missing = words - {text for texts in words_of.values() for text in texts}
         if missing:
             raise CorpusError(f"{self.name}: no sentence holds {', '.join(sorted(missing))}")
-        left = {name for name, texts in said.items() if not texts & words and name not in names}
+        left = {name for name, texts in words_of.items() if not texts & words and name not in names}
         if not left:
             raise CorpusError(f"{self.name}: nothing is left without these words and sentences")
         return self.keep(left)
@@ -112,7 +112,20 @@ def at_frame_rate(utterance: Utterance, frame_rate_hz: float) -> Utterance:
 
 
 def speech_frames(utterance: Utterance, words: frozenset[str] | None = None) -> NDArray[np.bool_]:
-    """(n_frames,): inside a phone that is not silence, and inside one of `words` if given."""
+    """Return which frames lie in a phone that is not silence, and in one of `words` if given.
+
+    Parameters
+    ----------
+    utterance : Utterance
+        Labelled.
+    words : frozenset[str] | None
+        None: all.
+
+    Returns
+    -------
+    NDArray[np.bool_]
+        (n_frames,).
+    """
     times_s = np.arange(len(utterance.markers_mm)) / utterance.frame_rate_hz
     spoken = np.zeros(len(times_s), dtype=bool)
     for phone in utterance.phones:

@@ -1,1 +1,1 @@
-"""Somebody is recorded while reading sentences: camera and microphone on one clock."""
+"""A person is recorded while reading sentences: camera and microphone on one clock."""

@@ -28,7 +28,7 @@ _WAITING = 60
 class ClipWriter:
     """Pictures as they come, the sound at the end. The first picture is at time 0.
 
-    Pictures are compressed in a thread of their own: whoever records has sound to fetch.
+    Pictures are compressed in a thread of their own: the recording thread has sound to fetch.
     """
 
     def __init__(self, path: Path, rate_hz: float) -> None:

@@ -1,4 +1,4 @@
-"""The sentences that somebody reads, and which of them a folder already holds."""
+"""The sentences that a person reads, and which of them a folder already holds."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -54,11 +54,11 @@ def recorded_names(folder: Path, sentences: Sequence[Sentence]) -> set[str]:
         paths = [folder / f"{sentence.name}{ending}" for ending in ENDINGS]
         if not all(path.is_file() for path in paths):
             continue
-        said = paths[-1].read_text(encoding="utf-8", errors="replace").strip()
-        if said != sentence.text:
+        sentence_text = paths[-1].read_text(encoding="utf-8", errors="replace").strip()
+        if sentence_text != sentence.text:
             raise SentenceError(
-                f"{paths[-1]}: holds another sentence than this list ({said[:40]!r}); record "
-                "another list into another folder"
+                f"{paths[-1]}: holds another sentence than this list ({sentence_text[:40]!r}); "
+                "record another list into another folder"
             )
         names.add(sentence.name)
     return names
@@ -67,10 +67,10 @@ def recorded_names(folder: Path, sentences: Sequence[Sentence]) -> set[str]:
 def _sentences(text: str, where: str) -> tuple[Sentence, ...]:
     found: list[Sentence] = []
     for number, line in enumerate(text.splitlines(), start=1):
-        said = " ".join(line.split())
-        if not said or said.startswith("#"):
+        sentence_text = " ".join(line.split())
+        if not sentence_text or sentence_text.startswith("#"):
             continue
-        words = words_of(said)
+        words = words_of(sentence_text)
         if not words:
             raise SentenceError(f"{where}, line {number}: holds no words")
         if len(words) > LONGEST_WORDS:
@@ -78,7 +78,7 @@ def _sentences(text: str, where: str) -> tuple[Sentence, ...]:
                 f"{where}, line {number}: {len(words)} words; {LONGEST_WORDS} at most, so that it "
                 "can be read in one go"
             )
-        found.append(Sentence(f"s{len(found) + 1:03}", said))
+        found.append(Sentence(f"s{len(found) + 1:03}", sentence_text))
     if not found:
         raise SentenceError(f"{where}: holds no sentence; write one a line")
     return tuple(found)

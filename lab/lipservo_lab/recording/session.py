@@ -1,6 +1,6 @@
-"""A session: sentence after sentence, told by keys; what is kept is on the disk at once.
+"""A session: sentence after sentence, controlled by keys; what is kept is on the disk at once.
 
-What somebody sees who is being recorded: the sentence, how loud it is, what to press.
+The recorded person sees: the sentence, how loud it is, what to press.
 
 When the microphone's sound was captured, on the monotonic clock that pictures are timed by.
 """
@@ -42,7 +42,7 @@ class Screen:
         self._has_meter = MESSAGES.is_terminal and not quiet
 
     def show(self, sentence: Sentence, number: int, total: int) -> None:
-        """The sentence to be read; said even to the quiet."""
+        """Show the sentence to be read, even in quiet mode."""
         self._line(f"\n{number} of {total}  {sentence.name}\n", "dim")
         self._line(f"    {sentence.text}\n", "bold")
 
@@ -81,7 +81,7 @@ _REMEMBERED = 200
 
 
 class SoundClock:
-    """The monotonic time of a moment of sound: the median of what the device has said of late.
+    """The monotonic time of a sample: the median of the device's latest reports.
 
     One time stamp is off by a few milliseconds, whenever the computer was busy.
     """
@@ -168,7 +168,7 @@ class Outcome:
     warnings: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
 
-class _Wish(enum.Enum):
+class _NextStep(enum.Enum):
     NEXT = enum.auto()
     AGAIN = enum.auto()
     BACK = enum.auto()
@@ -176,7 +176,7 @@ class _Wish(enum.Enum):
 
 
 class Session:
-    """Asks for the sentences that the folder does not hold; the rest can be said again."""
+    """Shows the sentences that the folder does not hold; the rest can be read again."""
 
     def __init__(self, devices: Devices, screen: Screen, folder: Path) -> None:
         self._devices, self._screen, self._folder = devices, screen, folder
@@ -187,7 +187,7 @@ class Session:
         self._outcome = Outcome()
 
     def run(self, sentences: Sequence[Sentence], recorded: set[str]) -> Outcome:
-        """Until all are said, or somebody stops; the devices are open.
+        """Run until all are read, or the person stops; the devices are open.
 
         Raises SoundError, CameraError or OutputError where one fails; what was kept stays.
         """
@@ -199,72 +199,72 @@ class Session:
                 number += 1
                 continue
             self._screen.show(sentence, number + 1, len(sentences))
-            wish = self._one(sentence)
-            if wish is _Wish.STOP:
+            step = self._one(sentence)
+            if step is _NextStep.STOP:
                 break
-            if wish is _Wish.BACK:
+            if step is _NextStep.BACK:
                 number = max(0, number - 1)
                 recorded.discard(sentences[number].name)
-            elif wish is _Wish.NEXT:
+            elif step is _NextStep.NEXT:
                 number += 1
         return self._outcome
 
-    def _one(self, sentence: Sentence) -> _Wish:
+    def _one(self, sentence: Sentence) -> _NextStep:
         """Wait for a key, and record where it says so."""
         self._screen.say("space: record · s: skip · b: back · q: stop")
         while True:
             key, _, _ = self._tick()
             if self._devices.is_stopped() or key == "q":
-                return _Wish.STOP
+                return _NextStep.STOP
             if key == "b":
-                return _Wish.BACK
+                return _NextStep.BACK
             if key == "s":
                 self._outcome.skipped.append(sentence.name)
-                return _Wish.NEXT
+                return _NextStep.NEXT
             if key in (" ", "\n", "\r"):
                 return self._record(sentence)
 
-    def _record(self, sentence: Sentence) -> _Wish:
+    def _record(self, sentence: Sentence) -> _NextStep:
         """One take, kept or not."""
-        wish = _Wish.AGAIN
+        step = _NextStep.AGAIN
         warnings: tuple[str, ...] = ()
         with take_files(self._folder, sentence) as (clip, sound):
             take = Take(clip, self._heard_s + KEY_S, self._clock.zero_s, self._devices.rate_hz)
             try:
                 lost_before = self._devices.microphone.lost_blocks
                 self._screen.say("RECORDING · space: done · r: again · q: stop without it")
-                wish = self._take_in(take)
-                if wish is not _Wish.NEXT:
+                step = self._take_in(take)
+                if step is not _NextStep.NEXT:
                     raise TakeDiscarded
                 lost = self._devices.microphone.lost_blocks - lost_before
                 if take.is_empty:
                     self._screen.warn("no picture or no sound came: once again")
-                    wish = _Wish.AGAIN
+                    step = _NextStep.AGAIN
                     raise TakeDiscarded
                 warnings = take.finish(sound, lost)
-                wish = self._judged(warnings)
-                if wish is not _Wish.NEXT:
+                step = self._step_after(warnings)
+                if step is not _NextStep.NEXT:
                     raise TakeDiscarded
             finally:
                 take.close()
-        if wish is _Wish.NEXT:
+        if step is _NextStep.NEXT:
             self._outcome.recorded.append(sentence.name)
             if warnings:
                 self._outcome.warnings[sentence.name] = warnings
             self._screen.say(f"kept: {sentence.name}")
-        return wish
+        return step
 
-    def _take_in(self, take: Take) -> _Wish:
-        """Everything until somebody says that the sentence is done."""
+    def _take_in(self, take: Take) -> _NextStep:
+        """Record until the person ends the sentence."""
         begun_s = self._heard_s
         while True:
             key, blocks, frames = self._tick()
             take.add_blocks(blocks)
             take.add_frames(frames)
             if self._devices.is_stopped() or key == "q":
-                return _Wish.STOP
+                return _NextStep.STOP
             if key == "r":
-                return _Wish.AGAIN
+                return _NextStep.AGAIN
             is_forgotten = self._heard_s - begun_s > _LONGEST_S
             if key in (" ", "\n", "\r") or is_forgotten:
                 take.end(self._heard_s - KEY_S)
@@ -273,23 +273,23 @@ class Session:
                     _, blocks, frames = self._tick(reads_keys=False)
                     take.add_blocks(blocks)
                     take.add_frames(frames)
-                return _Wish.NEXT
+                return _NextStep.NEXT
 
-    def _judged(self, warnings: tuple[str, ...]) -> _Wish:
-        """A good take is kept; of another one somebody is asked."""
+    def _step_after(self, warnings: tuple[str, ...]) -> _NextStep:
+        """Keep a good take; for another one let the person decide."""
         if not warnings:
-            return _Wish.NEXT
+            return _NextStep.NEXT
         for line in warnings:
             self._screen.warn(line)
         self._screen.say("space: again · k: keep it all the same · q: stop without it")
         while True:
             key, _, _ = self._tick()
             if self._devices.is_stopped() or key == "q":
-                return _Wish.STOP
+                return _NextStep.STOP
             if key == "k":
-                return _Wish.NEXT
+                return _NextStep.NEXT
             if key in (" ", "\n", "\r", "r"):
-                return _Wish.AGAIN
+                return _NextStep.AGAIN
 
     def _tick(self, *, reads_keys: bool = True) -> tuple[str | None, list[AudioBlock], list[Frame]]:
         """What has come in the next 20 ms: a key, sound, pictures."""

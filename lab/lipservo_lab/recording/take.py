@@ -1,6 +1,6 @@
 """One take: pictures and sound from the same moment on, in files that are whole or not there.
 
-What is wrong with a take, as far as numbers tell; for whoever could say it again.
+What is wrong with a take, as far as numbers show; for a person who could repeat it.
 """
 
 from collections import deque

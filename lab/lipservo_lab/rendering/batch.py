@@ -1,6 +1,6 @@
 """A folder of lines, rendered by joblib on all cores or on a cluster.
 
-What fails is told and leaves the rest.
+What fails is reported and leaves the rest.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -38,7 +38,7 @@ class BatchLine:
 def lines_of(folder: Path, output: Path) -> list[BatchLine]:
     """Every sound of a folder, in order of their names, each to `output`/NAME.perf.
 
-    What is said is told by NAME.TextGrid or NAME.json beside it, else by NAME.txt, else by the
+    The phonemes come from NAME.TextGrid or NAME.json beside it, else from NAME.txt, else from the
     recogniser. Raises LineError for a folder without sounds, for two sounds of one name, and for a
     text that cannot be read.
     """
@@ -128,7 +128,7 @@ def _made_there(
 
 
 def _made(line: BatchLine, how: Rendering) -> _Made:
-    """One BLAS thread a process: the same sums everywhere, and no core asked for twice."""
+    """One BLAS thread a process: the same sums everywhere, and no core used twice."""
     try:
         with threadpool_limits(limits=1):
             performance, done = rendered_line(line.sound, line.script, how)

@@ -1,7 +1,7 @@
 """Work done on a Dask cluster, by joblib's own backend for it (docs/decisions/0030-cluster.md).
 
 That backend waits without end for a task whose workers have died, and for workers that are gone.
-So it works in a thread of its own, and whoever called looks on.
+So it works in a thread of its own, and the caller looks on.
 """
 
 import logging
@@ -129,13 +129,13 @@ class _Parallel(threading.Thread, Generic[Task, Result]):
 
     def run(self) -> None:
         """Joblib tells no progress but by what it prints."""
-        advance, n_told = self._advance, 0
+        advance, n_reported = self._advance, 0
 
         class Telling(joblib.Parallel):  # type: ignore[misc]
             def print_progress(self) -> None:
-                nonlocal n_told
-                while n_told < self.n_completed_tasks:
-                    n_told += 1
+                nonlocal n_reported
+                while n_reported < self.n_completed_tasks:
+                    n_reported += 1
                     advance()
 
         try:
@@ -176,7 +176,7 @@ class _Workers(threading.Thread):
 
 
 def _failure(client: "Client") -> str | None:
-    """Why a task was given up, of which joblib never hears."""
+    """Why a task was given up, which joblib does not report."""
     for future in list(client.futures.values()):
         if future.status == "error":
             return _one_line(future.exception)

@@ -105,21 +105,67 @@ class Pose:
     scale: float = 1.0
 
     def in_scan(self, face_mm: Array) -> Array:
-        """(n, 3) of the face -> where they are in the scan."""
+        """Return where points of the face are in the scan.
+
+        Parameters
+        ----------
+        face_mm : Array
+            (n, 3).
+
+        Returns
+        -------
+        Array
+            (n, 3) mm.
+        """
         return np.asarray(self.scale * face_mm @ self.rotation.T + self.shift_mm)
 
     def on_face(self, scan_mm: Array) -> Array:
-        """(n, 3) of the scan -> where they are on the face."""
+        """Return where points of the scan are on the face.
+
+        Parameters
+        ----------
+        scan_mm : Array
+            (n, 3).
+
+        Returns
+        -------
+        Array
+            (n, 3) mm.
+        """
         return np.asarray((scan_mm - self.shift_mm) @ self.rotation / self.scale)
 
     def after(self, rotation: Array, shift_mm: Array) -> "Pose":
-        """For a face moved by p -> rotation @ p + shift_mm: its points stay in their places."""
+        """Return the pose for a face moved by p -> rotation @ p + shift_mm, so that points stay.
+
+        Parameters
+        ----------
+        rotation : Array
+            (3, 3).
+        shift_mm : Array
+            (3,).
+
+        Returns
+        -------
+        Pose
+            The new pose.
+        """
         turned = self.rotation @ rotation.T
         return Pose(turned, self.shift_mm - self.scale * turned @ shift_mm, self.scale)
 
 
 def rigid_motion(points: Array, onto: Array) -> tuple[Array, Array]:
-    """Rotation (3, 3) and shift (3,) that lay points (n, 3) on others best: Umeyama's."""
+    """Return the rotation and shift that lay points on others best: Umeyama's.
+
+    Parameters
+    ----------
+    points,onto : Array
+        (n, 3).
+
+    Returns
+    -------
+    tuple[Array, Array]
+        (3, 3) and (3,).
+    """
     centre, other = points.mean(axis=0), onto.mean(axis=0)
     u, _, vt = np.linalg.svd((onto - other).T @ (points - centre))
     u[:, 2] *= np.sign(np.linalg.det(u @ vt))
@@ -130,9 +176,23 @@ def rigid_motion(points: Array, onto: Array) -> tuple[Array, Array]:
 def find_pose(
     face_mm: Array, scan: Scan, start: Pose | None = None, *, scaled: bool = False
 ) -> Pose:
-    """Where a face (n, 3) is in a scan; from `start`, else from where the middles of both meet.
+    """Return where a face is in a scan.
 
-    scaled: of another person, whose face may have another size.
+    Parameters
+    ----------
+    face_mm : Array
+        (n, 3).
+    scan : Scan
+        To search.
+    start : Pose | None
+        None: where the middles of both meet.
+    scaled : bool
+        Of another person, whose face may have another size.
+
+    Returns
+    -------
+    Pose
+        The pose.
     """
     targets = scan.points_mm[:: max(1, len(scan.points_mm) // _MOST_TARGETS)]
     start = start or Pose(np.eye(3), _middle(targets) - _middle(face_mm))
@@ -140,16 +200,45 @@ def find_pose(
 
 
 def misfit_mm(face_mm: Array, scan: Scan, pose: Pose) -> float:
-    """Root mean square distance of the nearer 70 % of the face's points from the scan."""
+    """Return the rms distance of the nearer 70 % of the face's points from the scan.
+
+    Parameters
+    ----------
+    face_mm : Array
+        (n, 3).
+    scan : Scan
+        The scan.
+    pose : Pose
+        Of the face in it.
+
+    Returns
+    -------
+    float
+        mm.
+    """
     distances, _ = cKDTree(scan.points_mm).query(pose.in_scan(_sample(face_mm, _SAMPLE)))
     believed = np.sort(distances)[: round(_BELIEVED_SHARE * len(distances))]
     return float(np.sqrt((believed**2).mean()))
 
 
 def check_face(face_mm: Array, scan: Scan, axes: Array, name: str) -> None:
-    """Raises ScanError for a scan that is no face, upside down, mirrored, or along other axes.
+    """Refuse a scan that is no face, upside down, mirrored, or along other axes.
 
-    axes: those that the scan was read by, which the advice is given for.
+    Parameters
+    ----------
+    face_mm : Array
+        (n, 3).
+    scan : Scan
+        The scan.
+    axes : Array
+        (3, 3), those that the scan was read by, which the advice is given for.
+    name : str
+        Of the scan.
+
+    Raises
+    ------
+    ScanError
+        With the option to give.
     """
     usual = [np.diag(signs) for signs in ((1.0, 1, 1), (-1.0, 1, 1), (-1.0, -1, 1), (1.0, -1, 1))]
     fits = _fits(face_mm, scan, usual)

@@ -2,7 +2,8 @@
 
 Units and axes of scans, and how they become those of a face: millimetres, y up, z to the viewer.
 
-Nothing is guessed silently: what looks like other units or axes is told with the option to give.
+Nothing is guessed silently: what looks like other units or axes is reported with the option to
+give.
 """
 
 from collections.abc import Callable
@@ -38,14 +39,25 @@ class ScanFrame:
     axes: Array = field(default_factory=lambda: np.eye(3))
 
     def in_mm(self, points: Array) -> Array:
-        """(n, 3) as the scanner has them -> as a face has them."""
+        """Return the scanner's points in mm along the axes of a face.
+
+        Parameters
+        ----------
+        points : Array
+            (n, 3).
+
+        Returns
+        -------
+        Array
+            (n, 3) mm.
+        """
         return np.asarray(UNITS_MM[self.unit] * points @ self.axes.T, dtype=np.float64)
 
 
 def scan_frame(unit: str, axes: str) -> ScanFrame:
-    """axes: such as `x,y,z`, `x,z,-y`: the scan's axes to the right, up, and to the viewer.
+    """Parse unit and axes of a scan. Raises ScanFrameError.
 
-    Raises ScanFrameError.
+    axes: such as `x,y,z`, `x,z,-y`: the scan's axes to the right, up, and to the viewer.
     """
     if unit not in UNITS_MM:
         raise ScanFrameError(f"unit {unit!r}: one of {', '.join(UNITS_MM)}")
@@ -60,13 +72,39 @@ def scan_frame(unit: str, axes: str) -> ScanFrame:
 
 
 def axes_text(axes: Array) -> str:
-    """As `scan_frame` reads them."""
+    """Return axes as text, such as "x,z,-y": the scan's axes to the right, up, and to the viewer.
+
+    Parameters
+    ----------
+    axes : Array
+        (3, 3), of 0, 1 and -1.
+
+    Returns
+    -------
+    str
+        As the option --axes takes it.
+    """
     at = np.abs(axes).argmax(axis=1)
     return ",".join(("-" if axes[row, i] < 0 else "") + "xyz"[i] for row, i in enumerate(at))
 
 
 def check_unit(points_mm: Array, unit: str, name: str) -> None:
-    """Raises ScanFrameError for points whose size says that their unit is another one."""
+    """Refuse points whose size shows that their unit is another one.
+
+    Parameters
+    ----------
+    points_mm : Array
+        (n, 3).
+    unit : str
+        That was given.
+    name : str
+        Of the scan.
+
+    Raises
+    ------
+    ScanFrameError
+        With the unit to give.
+    """
     spread = 2.0 * float(
         np.median(np.linalg.norm(points_mm - np.median(points_mm, axis=0), axis=1))
     )
@@ -126,7 +164,22 @@ def read_scan(path: Path, frame: ScanFrame) -> Scan:
 
 
 def scan_of(points_mm: Array, triangles: Indices, name: str = "scan") -> Scan:
-    """From points (n, 3) and triangles (m, 3), of which there may be none. Raises ScanError."""
+    """Make a scan of points and triangles, of which there may be none. Raises ScanError.
+
+    Parameters
+    ----------
+    points_mm : Array
+        (n, 3).
+    triangles : Indices
+        (m, 3).
+    name : str
+        Of the scan.
+
+    Returns
+    -------
+    Scan
+        Refined, without stray parts.
+    """
     if len(triangles):
         points_mm, triangles = _refined(*_without_strays(points_mm, triangles))
         normals = vertex_normals(points_mm, triangles)
@@ -150,9 +203,23 @@ def scan_of(points_mm: Array, triangles: Indices, name: str = "scan") -> Scan:
 
 
 def vertex_normals(vertices: Array, triangles: Indices) -> Array:
-    """(n, 3): mean normal of the triangles round each vertex by their areas; 0 where there is none.
+    """Return the mean normal of the triangles round each vertex by their areas.
+
+    0 where there is none.
 
     Outward where corners go counter-clockwise as seen from outside.
+
+    Parameters
+    ----------
+    vertices : Array
+        (n, 3).
+    triangles : Indices
+        (m, 3).
+
+    Returns
+    -------
+    Array
+        (n, 3).
     """
     corner = vertices[triangles]
     doubled = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])

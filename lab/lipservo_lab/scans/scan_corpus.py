@@ -84,7 +84,7 @@ def write_motion(
 
     Raises OutputError.
     """
-    said = {
+    header = {
         "kind": _KIND,
         "rate_hz": rate_hz,
         "takes": [each.take.name for each in made],
@@ -94,7 +94,7 @@ def write_motion(
     rows = template.rows_of(template.layout.landmarks)
     buffer = io.BytesIO()
     arrays: dict[str, NDArray[Any]] = {
-        "about": np.frombuffer(json.dumps(said).encode(), dtype=np.uint8),
+        "about": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
         "points_mm": np.concatenate([each.points_mm for each in made]),
         "borders": np.cumsum([0, *(len(each.points_mm) for each in made)]),
         "named_points": rows,

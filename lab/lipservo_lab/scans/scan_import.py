@@ -186,8 +186,8 @@ class ScanImport:
             return
         scans = [f"{r.take}/{r.scan}: {r.left_out}" for r in self.scans if r.left_out]
         takes = [f"{r.take}: {r.left_out}" for r in self.takes if r.left_out]
-        told = [*scans[:2], *takes[:1]]
-        raise ScanError(f"nothing usable: {'; '.join(told)}")
+        names = [*scans[:2], *takes[:1]]
+        raise ScanError(f"nothing usable: {'; '.join(names)}")
 
 
 def begin_import(

@@ -112,7 +112,24 @@ class SurfaceFit:
     def fit(
         self, scan: Scan, pose: Pose, start_mm: Array | None = None, markers: Markers | None = None
     ) -> Fit:
-        """From a pose that is nearly right, and a displacement (n, 3) to begin with."""
+        """Fit the template to a scan from a pose that is nearly right.
+
+        Parameters
+        ----------
+        scan : Scan
+            The scan.
+        pose : Pose
+            Of the face in it.
+        start_mm : Array | None
+            (n, 3), a displacement to begin with; None: 0.
+        markers : Markers | None
+            Named points; None: none.
+
+        Returns
+        -------
+        Fit
+            Displacements (n, 3) mm.
+        """
         rest = self._template.vertices_mm
         moved = np.zeros_like(rest) if start_mm is None else start_mm
         tree = cKDTree(scan.points_mm)
@@ -214,7 +231,13 @@ class RegisteredScan:
 
     @property
     def in_scan_mm(self) -> Array:
-        """(n_vertices, 3): where the same points are in the scan, head motion and all."""
+        """Where the same points are in the scan, head motion and all.
+
+        Returns
+        -------
+        Array
+            (n_vertices, 3).
+        """
         return self.fit.pose.in_scan(self.points_mm)
 
     @property
@@ -224,7 +247,13 @@ class RegisteredScan:
 
     @property
     def errors_mm(self) -> Array:
-        """(n_matched,), distances along the normal."""
+        """Distances along the normal.
+
+        Returns
+        -------
+        Array
+            (n_matched,) mm.
+        """
         return np.asarray(np.abs(self.fit.off_mm[self.fit.matched]), dtype=np.float64)
 
 

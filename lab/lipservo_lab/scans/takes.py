@@ -1,6 +1,6 @@
 """Which takes of scans a folder holds, and what lies beside them: sound, words, labels, markers.
 
-What is said in a take, and when: its labels, else its text, else as it is recognised.
+The phonemes of a take and their times: its labels, else its text, else as it is recognised.
 """
 
 import re
@@ -23,7 +23,7 @@ _SOUND_ENDINGS = (".wav", ".flac")
 class Take:
     """Scans in order of time; None for what is not there.
 
-    text: what is said. labels: a TextGrid with phones. markers: where named points were seen.
+    text: its words. labels: a TextGrid with phones. markers: where named points were seen.
     """
 
     name: str
@@ -68,14 +68,14 @@ def _take(scans: Path, beside: Path, name: str, template: Path | None) -> Take:
     sounds = [beside / f"{name}{ending}" for ending in _SOUND_ENDINGS]
     text = beside / f"{name}.txt"
     try:
-        said = text.read_text(encoding="utf-8").strip() if text.is_file() else None
+        text_line = text.read_text(encoding="utf-8").strip() if text.is_file() else None
     except (OSError, UnicodeDecodeError) as error:
         raise ScanError(f"{text}: cannot be read as text (UTF-8): {error}") from error
     return Take(
         name,
         tuple(sorted(found, key=lambda path: _in_order(path.stem))),
         next((each for each in sounds if each.is_file()), None),
-        said or None,
+        text_line or None,
         _there(beside / f"{name}.TextGrid"),
         _there(beside / f"{name}.markers.csv"),
     )
@@ -123,9 +123,9 @@ def take_sound(take: Take, rate_hz: float) -> TakeSound:
             f"{scans_s:.2f} s; would --rate-hz {len(take.scans) / sound_s:.3g} be right?"
         )
     if take.labels is None:
-        said = label_clip(samples, take.text)
-        tiers = {name: tier for name, tier in said.tiers().items() if tier}
-        return TakeSound(samples, tiers, said.source)
+        text_line = label_clip(samples, take.text)
+        tiers = {name: tier for name, tier in text_line.tiers().items() if tier}
+        return TakeSound(samples, tiers, text_line.source)
     labels = dict(read_tiers(take.labels))
     if not labels.get("phones"):
         raise ScanError(f"{take.labels}: no tier 'phones'")

@@ -43,7 +43,7 @@ class Tables:
     ratings: rater, sentence, method, and `points`. pairs: rater, sentence, the method that was
     chosen, the one that was not. readings: rater, sentence, method, and of the sentence's words
     those read right (`hits`), how many there are, and how many would be right by chance: of the
-    words of all other sentences that are read, said in place of these.
+    words of all other sentences that are read, in place of these.
     """
 
     methods: tuple[str, ...]
@@ -141,7 +141,10 @@ def _inverted(tables: Tables) -> list[str]:
 
 
 def tables_of(study: Study, key: Key, raters: Mapping[str, RaterRecord]) -> Tables:
-    """All answers of some raters; what a study does not hold is an error of whoever wrote it."""
+    """All answers of some raters.
+
+    An answer that the study does not hold is an error of its writer.
+    """
     names = tuple(raters)
     sentences = tuple(sorted({clip.sentence for clip in key.clips.values()}))
     method_of = {m: n for n, m in enumerate(key.methods)}
@@ -199,8 +202,8 @@ def _words_read(
     others = [words for name, words in sentences.items() if name != clip.sentence]
     by_chance = [words_in_order(typed, words) for words in others]
     chance = float(np.mean(by_chance)) if by_chance else 0.0
-    said = sentences[clip.sentence]
-    return words_in_order(typed, said), len(said), chance
+    sentence_words = sentences[clip.sentence]
+    return words_in_order(typed, sentence_words), len(sentence_words), chance
 
 
 def words_in(text: str) -> list[str]:
@@ -208,12 +211,12 @@ def words_in(text: str) -> list[str]:
     return [_DIGITS.get(word, word) for word in re.findall(r"[\w']+", text.lower())]
 
 
-def words_in_order(typed: Sequence[str], said: Sequence[str]) -> int:
+def words_in_order(typed: Sequence[str], sentence_words: Sequence[str]) -> int:
     """How many words were read right, in their order: the longest common subsequence."""
-    best = [0] * (len(said) + 1)
+    best = [0] * (len(sentence_words) + 1)
     for word in typed:
         before = 0
-        for n, other in enumerate(said, 1):
+        for n, other in enumerate(sentence_words, 1):
             diagonal, before = before, best[n]
             best[n] = diagonal + 1 if word == other else max(best[n], best[n - 1])
     return best[-1]

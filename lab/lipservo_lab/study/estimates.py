@@ -64,13 +64,13 @@ def preferred(tables: Tables, reference: int, seed: int = 0) -> Estimates:
 def words_read(tables: Tables, reference: int, seed: int = 0) -> tuple[Estimates, Estimates]:
     """Share of words that was read right; and how far that is above chance."""
     n, rows = len(tables.methods), tables.readings
-    hits, said, by_chance = tables.words.T
+    hits, n_spoken, by_chance = tables.words.T
     found = []
     for counted in (hits, hits - by_chance):
         sums = np.zeros((len(rows), 2, n))
         at = np.arange(len(rows))
         sums[at, 0, rows[:, 2]] = counted
-        sums[at, 1, rows[:, 2]] = said
+        sums[at, 1, rows[:, 2]] = n_spoken
         found.append(_estimates(rows, sums, _quotient, reference, seed))
     return found[0], found[1]
 
@@ -82,10 +82,19 @@ def _quotient(sums: Array) -> Array:
 
 
 def strengths(wins: Array) -> Array:
-    """(..., n, n), how often row was chosen over column -> (..., n), log odds with mean 0.
+    """Return the most likely log odds of methods (Bradley and Terry, 1952), by Newton's steps.
 
-    The most likely ones (Bradley and Terry, 1952), by Newton's steps; each pair is taken to have
-    been won 0.1 times more each way.
+    Each pair is taken to have been won 0.1 times more each way.
+
+    Parameters
+    ----------
+    wins : Array
+        (..., n, n), how often row was chosen over column.
+
+    Returns
+    -------
+    Array
+        (..., n), with mean 0.
     """
     n = wins.shape[-1]
     added = wins + _ADDED_WINS * (1.0 - np.eye(n))

@@ -68,7 +68,20 @@ class Material:
     _made: dict[tuple[str, str], Array] = field(default_factory=dict)
 
     def faces(self, method: str, utterance: Utterance) -> Array:
-        """(n_frames, n_components)."""
+        """Return a method's motion of an utterance, made once.
+
+        Parameters
+        ----------
+        method : str
+            Its name.
+        utterance : Utterance
+            The sentence.
+
+        Returns
+        -------
+        Array
+            (n_frames, n_components).
+        """
         key = method, utterance.name
         if key not in self._made:
             self._made[key] = self.faces_of(method, utterance)
@@ -94,7 +107,7 @@ def planned_study(
         )
         for u in read[: sentences_needed(plan.size, len(plan.methods))]
     ]
-    said = [tuple(w.text.lower() for w in spoken_words(u)) for u in learned]
+    sentence_words = [tuple(w.text.lower() for w in spoken_words(u)) for u in learned]
     return make_study(
         plan.methods,
         sentences,
@@ -102,7 +115,7 @@ def planned_study(
         plan.seed,
         title=plan.title,
         consent=plan.consent,
-        vocabulary=vocabulary_of(said),
+        vocabulary=vocabulary_of(sentence_words),
     )
 
 

@@ -84,7 +84,7 @@ def simulated_study(
 def coverage_figures(n_studies: int, crew: Crew, size: Size, track: Track) -> dict[str, Any]:
     """How often intervals hold the truth, and who is left out, over many simulated studies.
 
-    Every study has other raters, sentences and moments of the same population.
+    Every study has other raters, sentences and instants of the same population.
     """
     methods = tuple(METHODS)
     study, key = trial_study(methods, size)

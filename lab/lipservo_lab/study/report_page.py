@@ -64,7 +64,7 @@ raters</em> shows the means with everybody who did at least half.</p>
 
 def _headline(figures: Row) -> str:
     """What the ratings say of each of ours, in a sentence each."""
-    said = []
+    lines = []
     for row in figures["ratings"]:
         ends = row["less_reference_95"]
         if row["method"] not in _OURS_NAMES or ends is None:
@@ -75,11 +75,11 @@ def _headline(figures: Row) -> str:
             verdict = f"{abs(row['less_reference']):.2f} points {'above' if low > 0 else 'below'}"
         else:
             verdict = "not told apart from"
-        said.append(
+        lines.append(
             f"<li><b>{escape(row['label'])}</b> is rated {row['mean']:.2f}, {verdict} {against} "
             f"({_ends(ends)}).</li>"
         )
-    return f"<ul>{''.join(said)}</ul>"
+    return f"<ul>{''.join(lines)}</ul>"
 
 
 def _left_out(reasons: Mapping[str, str]) -> str:
@@ -108,8 +108,8 @@ def _ratings(figures: Row) -> list[str]:
     ]
     spread = figures["mixed_spread"]
     if spread is not None:
-        told = ", ".join(f"{name} {value:.2f}" for name, value in spread.items())
-        found.append(f'<p class="soft">Mixed model, standard deviations in points: {told}.</p>')
+        shares = ", ".join(f"{name} {value:.2f}" for name, value in spread.items())
+        found.append(f'<p class="soft">Mixed model, standard deviations in points: {shares}.</p>')
     return found
 
 

@@ -65,7 +65,7 @@ _KINDS: Final = {"study.js": "text/javascript", "study.css": "text/css", "index.
 
 
 class RequestError(StudyError):
-    """A request that cannot be taken: it is the page's fault, or somebody's program."""
+    """A request that cannot be taken: an error of the page, or of another program."""
 
 
 class StudyDesk:

@@ -59,7 +59,7 @@ class Item:
 class Study:
     """What raters get. duration_s: of each clip, by name. sheets: the items of each rater in order.
 
-    vocabulary: the words that may be said at each place of a sentence; empty: any.
+    vocabulary: the words possible at each place of a sentence; empty: any.
     """
 
     identity: str
@@ -72,7 +72,7 @@ class Study:
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """What a clip shows. words: what is said in it."""
+    """What a clip shows. words: those spoken in it."""
 
     method: str
     sentence: str
@@ -123,7 +123,7 @@ class Size:
 
 @dataclass(frozen=True, slots=True)
 class Sentence:
-    """A sentence that may be shown. words: what is said."""
+    """A sentence that may be shown. words: those spoken in it."""
 
     name: str
     words: tuple[str, ...]

@@ -1,7 +1,7 @@
 """The ways to move a mouth that a study shows, all on one face, at the frames of the recording.
 
-What each knows is what it has when it is used: ours live hears the sound, without the words or with
-them; all others know every phoneme with its times beforehand, as their papers have it.
+What each knows is what it has when it is used: ours live recognises the sound, without the words or
+with them; all others know every phoneme with its times beforehand, as their papers have it.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -68,7 +68,18 @@ class RhubarbMethod:
     looks_ahead: bool = False
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees all
-        """Faces from the whole sentence, one shape after the other."""
+        """Return faces from the whole sentence, one shape after the other; see `Method`.
+
+        Parameters
+        ----------
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         end_s = float(times_s[-1]) + CENTISECOND_S
         cues = rule_cues(heard.events, end_s)
         knots_s: list[float] = []
@@ -101,7 +112,18 @@ class StillMethod:
     looks_ahead: bool = False
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees nothing
-        """The same face at all times."""
+        """Return the same face at all times.
+
+        Parameters
+        ----------
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         return np.repeat(model.rest[None], len(times_s), axis=0)
 
 
@@ -117,7 +139,7 @@ def chosen_methods(text: str) -> tuple[str, ...]:
 def faces_of_methods(model: TrainedModel, corpus: Corpus) -> FacesOf:
     """The faces (n_frames, n_components) of a sentence by the name of a method.
 
-    model: one that has not learned what it is asked for. corpus: labelled, what it has learned.
+    model: one that has not learned the test sentences. corpus: labelled, what it has learned.
     Raises MissingExtraError, before the work, where the offline method's library is missing.
     """
     offline = models_of(corpus, "a study with `edge` or `scripted`")
@@ -146,8 +168,8 @@ def faces_of_methods(model: TrainedModel, corpus: Corpus) -> FacesOf:
 
 
 def vocabulary_of(sentences: Iterable[Sequence[str]]) -> tuple[tuple[str, ...], ...]:
-    """The words that are said at each place, where all sentences have as many; else nothing."""
-    said = [tuple(words) for words in sentences]
-    if len({len(words) for words in said}) != 1:
+    """The words that are spoken at each place, where all sentences have as many; else nothing."""
+    word_lists = [tuple(words) for words in sentences]
+    if len({len(words) for words in word_lists}) != 1:
         return ()
-    return tuple(tuple(sorted(set(place))) for place in zip(*said, strict=True))
+    return tuple(tuple(sorted(set(place))) for place in zip(*word_lists, strict=True))

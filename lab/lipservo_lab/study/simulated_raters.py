@@ -160,5 +160,18 @@ class _Rater:
 
 
 def strengths_of(taste: Taste, methods: Sequence[str]) -> Array:
-    """(n, n): how often the method of the row is chosen over that of the column; 0 for itself."""
+    """Return how often the method of the row is chosen over that of the column; 0 for itself.
+
+    Parameters
+    ----------
+    taste : Taste
+        Of the raters.
+    methods : Sequence[str]
+        n of them.
+
+    Returns
+    -------
+    Array
+        (n, n).
+    """
     return np.array([[0.0 if a == b else taste.preferred(a, b) for b in methods] for a in methods])

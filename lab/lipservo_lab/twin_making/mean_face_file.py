@@ -34,9 +34,23 @@ ROUNDS = 2
 
 
 def subdivide(vertices: Array, triangles: Indices, rounds: int = ROUNDS) -> tuple[Array, Indices]:
-    """Vertices (n, d), of which the first are the old ones, and triangles (4^rounds as many, 3).
+    """Subdivide a surface by Loop's scheme. Raises MissingExtraError.
 
-    Each of the d columns is subdivided as the three of a place are. Raises MissingExtraError.
+    Each of the d columns is subdivided as the three of a place are.
+
+    Parameters
+    ----------
+    vertices : Array
+        (n, d).
+    triangles : Indices
+        (m, 3).
+    rounds : int
+        How often.
+
+    Returns
+    -------
+    tuple[Array, Indices]
+        (k, d), of which the first n are the old ones, and (4^rounds m, 3).
     """
     check_extra("trimesh", "making a mean face")
     from trimesh.remesh import subdivide_loop
@@ -54,11 +68,25 @@ def subdivide(vertices: Array, triangles: Indices, rounds: int = ROUNDS) -> tupl
 
 
 def through_points(vertices: Array, triangles: Indices, rounds: int) -> Array:
-    """Vertices whose Loop surface comes near the ones given; nearer with each round.
+    """Return vertices whose Loop surface comes near the ones given; nearer with each round.
 
     Progressive iterative approximation (Cheng, Fan, Deng, Lin, Wang and Bao, "Loop subdivision
     surface based progressive interpolation", J. Comput. Sci. Technol. 24(1), 2009): each vertex
     moves by what its place on the surface misses.
+
+    Parameters
+    ----------
+    vertices : Array
+        (n, 3).
+    triangles : Indices
+        (m, 3).
+    rounds : int
+        How often.
+
+    Returns
+    -------
+    Array
+        (n, 3).
     """
     control = vertices.copy()
     for _ in range(rounds):
@@ -81,7 +109,22 @@ _OUTWARDS = np.array([0.35, 0.30, 0.0])
 
 
 def head_shell(skin_mm: Array, rim: Indices, triangles: Indices) -> Array:
-    """(N_RINGS * n + 1, 3): rings from the rim (n,) of the skin backwards, and the pole."""
+    """Return rings from the rim of the skin backwards, and the pole.
+
+    Parameters
+    ----------
+    skin_mm : Array
+        (n_vertices, 3).
+    rim : Indices
+        (n,) numbers.
+    triangles : Indices
+        (m, 3).
+
+    Returns
+    -------
+    Array
+        (N_RINGS * n + 1, 3).
+    """
     rim_mm = skin_mm[rim]
     centre = (rim_mm.max(axis=0) + rim_mm.min(axis=0)) / 2
     pole = np.array([centre[0], _POLE_UP_MM, _BACK_MM])
@@ -108,7 +151,18 @@ def head_shell(skin_mm: Array, rim: Indices, triangles: Indices) -> Array:
 
 
 def ring_of(n_rim: int) -> Array:
-    """(N_RINGS * n_rim + 1,): how many rings behind the rim each vertex of the shell lies."""
+    """Return how many rings behind the rim each vertex of the shell lies.
+
+    Parameters
+    ----------
+    n_rim : int
+        Vertices of the rim.
+
+    Returns
+    -------
+    Array
+        (N_RINGS * n_rim + 1,).
+    """
     rings = np.repeat(np.arange(1.0, N_RINGS + 1), n_rim)
     return np.asarray(np.append(rings, N_RINGS + 1.0), dtype=np.float64)
 

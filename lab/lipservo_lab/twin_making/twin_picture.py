@@ -1,7 +1,7 @@
 """`python -m lipservo_lab.twin_making.twin_picture OUT.jpg`: the shipped picture of the twin anew.
 
 The twin of the shipped model with its lips closed, seen from far in front, lit as in the page. It
-is what `--face twin` warps: a photograph of nobody. `lipservo/display/shipped_faces.py` says how
+is what `--face twin` warps: a photograph of no person. `lipservo/display/shipped_faces.py` says how
 large a millimetre is in it, and where its middle lies.
 """
 

@@ -1,4 +1,4 @@
-"""What is said in a clip, and when: by its text where there is one, else as it is recognised."""
+"""The phonemes of a clip and their times: by its text if there is one, else recognised."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -27,7 +27,7 @@ _LEAST_SPEECH_S = 0.3
 
 
 class LabelingError(UserError):
-    """What is said in a clip cannot be told; one line: why, what to do."""
+    """The phonemes of a clip cannot be found; one line: why, what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ class ClipLabels:
 def label_clip(samples: NDArray[np.float32], text: str | None) -> ClipLabels:
     """Labels of samples (n,) at 16 kHz.
 
-    Raises UserError where text and sound do not go together, LabelingError where nobody speaks.
+    Raises UserError where text and sound do not go together, LabelingError without speech.
     """
     if text is None:
         heard = next(iter(settled_phonemes(_weights(), [samples], _LATENCY_S)))

@@ -67,7 +67,10 @@ class FaceTrack:
 
 
 def track_face(path: Path, tracker: FaceTracker, advance: Callable[[float], None]) -> FaceTrack:
-    """Track a video; `advance` is told the time of every picture, in s. Raises VideoError."""
+    """Track a video; `advance` is called with the time of every picture, in s.
+
+    Raises VideoError.
+    """
     times_s: list[float] = []
     n_faces: list[int] = []
     points: list[Array32] = []

@@ -23,7 +23,7 @@ from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 
 
 class ExpectedLips:
-    """The shipped model, asked about whole sentences."""
+    """The motion that the shipped model expects for whole sentences."""
 
     def __init__(self) -> None:
         with open_model(None) as file:

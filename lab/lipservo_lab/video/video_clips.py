@@ -1,4 +1,4 @@
-"""Which videos there are to import, and what is said in each.
+"""Which videos there are to import, and the words of each.
 
 One video, tracked and heard; cut at pauses where it is long.
 """
@@ -19,7 +19,7 @@ from lipsync.video.video_file import VIDEO_ENDINGS, VideoError, VideoSound, vide
 
 @dataclass(frozen=True, slots=True)
 class VideoClip:
-    """A video and its text; None: nobody wrote down what is said."""
+    """A video and its text; None: its words are not written down."""
 
     path: Path
     text: str | None
@@ -114,7 +114,7 @@ class Take:
 
 
 def record_take(clip: VideoClip, tracker: FaceTracker, advance: Callable[[float], None]) -> Take:
-    """Track, hear and label a clip; `advance` is told how far it is, in seconds.
+    """Track, recognise and label a clip; `advance` is called with how far it is, in seconds.
 
     Raises UserError, VideoError for one, with the reason why nothing of it can be used.
     """

@@ -119,11 +119,11 @@ def _takes(
     for number, clip in enumerate(clips):
         before_s, all_s = sum(lengths_s[:number]), max(1.0, sum(lengths_s))
 
-        def told(time_s: float, before_s: float = before_s, all_s: float = all_s) -> None:
+        def report(time_s: float, before_s: float = before_s, all_s: float = all_s) -> None:
             advance("tracking", round(before_s + time_s), round(all_s))
 
         try:
-            takes.append(record_take(clip, tracker, told))
+            takes.append(record_take(clip, tracker, report))
         except UserError as error:
             reason = str(error).removeprefix(f"{clip.path}: ")
             reports[clip.name] = ClipReport(clip.name, left_out=reason)
@@ -169,7 +169,7 @@ def _parts(
 
 
 def _seen(name: str, take: Take, start_s: float, end_s: float) -> ClipReport:
-    """What can be said of the pictures of a part alone."""
+    """The report of a part by its pictures alone."""
     begins_s = take.sound.begins_s
     quality = quality_of(take.track.between(begins_s + start_s, begins_s + end_s))
     report = ClipReport(name, phonemes=take.labels.source, text_score=take.labels.score)
@@ -184,7 +184,7 @@ def _seen(name: str, take: Take, start_s: float, end_s: float) -> ClipReport:
 
 
 def _finished(part: _Part, shift_s: float) -> tuple[Sentence | None, ClipReport]:
-    """The part with its sound taken `shift_s` earlier, and what is said of it."""
+    """The part with its sound taken `shift_s` earlier, and its report."""
     take = part.take
     sound = replace(take.sound, begins_s=take.sound.begins_s - shift_s)
     begins_s = take.sound.begins_s
@@ -240,9 +240,9 @@ def _notes(take: Take, clip: SteadyClip, shift_s: float) -> list[str]:
 
 
 def _first_reasons(reports: Sequence[ClipReport]) -> str:
-    told = [f"{report.clip}: {report.left_out}" for report in reports if report.left_out]
-    more = f"; and {len(told) - 3} more" if len(told) > 3 else ""
-    return "; ".join(told[:3]) + more
+    reasons = [f"{report.clip}: {report.left_out}" for report in reports if report.left_out]
+    more = f"; and {len(reasons) - 3} more" if len(reasons) > 3 else ""
+    return "; ".join(reasons[:3]) + more
 
 
 _UNITS_PER_PIXEL = 64

@@ -70,11 +70,11 @@ def new_face(
     sim: Sim = None,
     open_page: OpenPage = False,
 ) -> None:
-    """Write the YAML of a face: servos that can be asked are found, hobby servos you name.
+    """Write the YAML of a face: servos that answer are found, hobby servos you name.
 
     Those that are found are moved by 3 degrees each, to see which joint it is. With --ranges, put
     the face into its neutral by hand before: that is where 0 degrees will be. Hobby servos get
-    narrow limits, 1400 to 1600 us, and are not moved. With --page all that is asked in a browser,
+    narrow limits, 1400 to 1600 us, and are not moved. With --page all of it happens in a browser,
     and limits, calibration and first words as well; a YAML that is there is gone on with.
     """
     if page:
@@ -139,7 +139,7 @@ def _first_hour(output: Path, ports: Sequence[str], sim: str | None, *, open_pag
 
 
 def _wired(output: Path, part: "NewBus", taken: Sequence[str], *, yes: bool) -> str:
-    """Hobby servos, which nobody can find: as a person says that they are wired."""
+    """Hobby servos, which cannot be found: as a person says that they are wired."""
     from lipservo.runtime.servos.new_face import check_wiring, parse_channel, pulse_face_yaml
 
     joints: list[WiredJoint] = []
@@ -220,7 +220,10 @@ def _clear_foreign(tools: Any, port: str, rate: int, found: Mapping[int, str]) -
 
 
 def _joint_name(check: Callable[[str, Sequence[str]], str], taken: Sequence[str], text: str) -> str:
-    """An answer to the question for a joint's name; asked again where it cannot be one."""
+    """The answer to the question for a joint's name.
+
+    The question is repeated where it cannot be one.
+    """
     try:
         return check(text, taken)
     except UserError as error:

@@ -85,7 +85,7 @@ def _limits(request: Request, page: "PageLine") -> None:
     from firmware_bridge.stopping import named_by_reason
     from lipservo.runtime.servos.assembly import load_settings
     from lipservo.runtime.servos.driven_face import ControlOptions, DriveOptions, driven_face
-    from lipservo.runtime.servos.limp_servos import STEADY_LOOKS, LimpPose, LimpServos
+    from lipservo.runtime.servos.limp_servos import STEADY_READINGS, LimpPose, LimpServos
     from lipservo.runtime.status.silent_board import SilentBoard
 
     config = request["config"]
@@ -105,10 +105,10 @@ def _limits(request: Request, page: "PageLine") -> None:
                 "hands away"
             )
         page.tell("limp", confirmed=report.confirmed)
-        looks: deque[LimpPose] = deque(maxlen=STEADY_LOOKS)
+        readings: deque[LimpPose] = deque(maxlen=STEADY_READINGS)
         for time_s, late in driven.life.ticks():
-            looks.append(servos.look())
-            seen = servos.steady(looks)
+            readings.append(servos.read_pose())
+            seen = servos.steady(readings)
             board.tell(driven.bridge, driven.bridge.tick(time_s, late))
             places = zip(servos.names, seen.positions_deg.tolist(), strict=True)
             page.tell(
@@ -138,8 +138,8 @@ def _set_up(request: Request, _page: "PageLine") -> None:
     """The servos' own limits, as the YAML has them now."""
     from lipservo.commands.build.setup_servos import setup_servos
 
-    with open(os.devnull) as nobody:
-        sys.stdin = nobody  # who would be asked to plug one servo in alone
+    with open(os.devnull) as null_device:
+        sys.stdin = null_device  # who would be asked to plug one servo in alone
         try:
             setup_servos(port=request["port"], config=request["config"], dry_run=False)
         except typer.Abort:

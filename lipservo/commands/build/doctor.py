@@ -1,17 +1,19 @@
 """`doctor`: what is wrong between computer and servos, and what to do; and a report to send."""
 
 import json
+import platform
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
 from firmware_bridge.errors import BusError
+from firmware_bridge.process.runtime_folder import RUNS_FACES
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Port, port_of
 from lipservo.terminal.output import MESSAGES, RESULTS, complain, print_json
 from lipsync.errors import UserError
@@ -19,6 +21,14 @@ from lipsync.errors import UserError
 if TYPE_CHECKING:
     from firmware_bridge.bus_kinds import Finding
     from lipservo.settings.settings import FaceSettings
+
+
+#: What is wrong, and the remedy.
+_OTHER_SYSTEM: Final = (
+    f"{platform.system()} reaches no servo and runs no face: it lacks Unix sockets that name their "
+    "peer, file locks of Linux, /proc",
+    "render, export, film, align and fit here; run the face on Linux: a Raspberry Pi, WSL 2",
+)
 
 
 def _examined(settings: "FaceSettings") -> "Iterator[Finding]":
@@ -94,23 +104,27 @@ def doctor(
     Exit status 1 when something is bad. With --report the servos are let go, read and written for a
     while, and after a yes one joint is moved 5 degrees to and fro, within its limits.
     """
+    from firmware_bridge.bus_kinds import Finding, Severity
     from lipservo.runtime.servos.assembly import load_settings
 
     settings, _ = load_settings(config)
+    if not RUNS_FACES:
+        _print([Finding(Severity.BAD, *_OTHER_SYSTEM)], as_json=as_json)
     settings = settings.at_port(port_of(port, settings.servo_port or settings.bus.port))
     if report is not None:
         _report(settings, config, report, seconds=seconds, move=move, yes=yes)
         return
     if move is not None or yes:
         raise typer.BadParameter("--move and --yes go with --report")
-    _examine(settings, config, as_json=as_json)
+    _print(chain(_examined(settings), _lags(settings, config)), as_json=as_json)
 
 
-def _examine(settings: "FaceSettings", config: str, *, as_json: bool) -> None:
+def _print(found: "Iterable[Finding]", *, as_json: bool) -> None:
+    """Print findings as they come. Raises typer.Exit where one is bad."""
     from firmware_bridge.bus_kinds import Severity
 
     findings = []
-    for finding in chain(_examined(settings), _lags(settings, config)):
+    for finding in found:
         findings.append(finding)
         if not as_json:
             mark = {0: "ok  ", 1: "warn", 2: "BAD "}[finding.severity]
@@ -229,8 +243,8 @@ def _limp_loop(settings: "FaceSettings", seconds: float) -> dict[str, Any]:
         released = LimpServos(settings, bus, clock, list(settings.servos)).let_go()
         if settings.capabilities.confirmed_limp and not released.complete:
             MESSAGES.print(f"torque off is NOT confirmed: {named_by_reason(released.unconfirmed)}")
-        told = limp_loop(bus, settings.rate_hz, seconds, clock)
-    return {"n_confirmed_limp": len(released.confirmed), **told}
+        report = limp_loop(bus, settings.rate_hz, seconds, clock)
+    return {"n_confirmed_limp": len(released.confirmed), **report}
 
 
 def _steps(settings: "FaceSettings", joint: str) -> dict[str, Any]:

@@ -235,15 +235,15 @@ def _watch(
     """Until q, or the limits are written."""
     from rich.live import Live
 
-    from lipservo.runtime.servos.limp_servos import LOOK_EVERY_S
+    from lipservo.runtime.servos.limp_servos import READ_EVERY_S
 
     with Live(console=MESSAGES, transient=True, auto_refresh=False) as view:
         key: str | None = None
         while key not in ("q", "w"):
-            turned.note(servos.look())
+            turned.note(servos.read_pose())
             if MESSAGES.is_terminal:
                 view.update(turned.table(), refresh=True)
-            key = keys.next_key(LOOK_EVERY_S)
+            key = keys.next_key(READ_EVERY_S)
             if key == "r":
                 turned.begin()
     for line in turned.lines():

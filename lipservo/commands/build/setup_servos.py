@@ -57,7 +57,7 @@ def setup_servos(
 ) -> None:
     """Give each servo its id, rate and limits; only what differs is written, torque stays off.
 
-    When all of them answer at their own ids, nobody is unplugged. Else connect one at a time:
+    When all of them answer at their own ids, none is unplugged. Else connect one at a time:
     without JOINTS it asks for one after another, with one joint it asks nothing.
     """
     from firmware_bridge.stop_signals import DeferredSignals, StopRequested
@@ -75,13 +75,13 @@ def setup_servos(
     unknown = [name for name in joints or () if name not in servos]
     if unknown:
         raise UserError(f"no joint {unknown[0]!r} in this face; it has {', '.join(servos)}")
-    asked = [servos[name] for name in joints or servos]
+    chosen_servos = [servos[name] for name in joints or servos]
     at, rate = port_of(port, settings.bus.port), getattr(settings.bus, "baud_rate", 0)
     work = _Work(tools, at, rate, dry_run, as_json)
     status, error = 0, ""
     with DeferredSignals() as signals:
         try:
-            _set_up(work, asked, signals, ask=joints is None or len(asked) > 1)
+            _set_up(work, chosen_servos, signals, ask=joints is None or len(chosen_servos) > 1)
         except StopRequested as stop:
             status, error = 128 + stop.number, f"stopped by {stop}"
         except (UserError, BusError) as failure:

@@ -15,7 +15,7 @@ from lipsync.errors import UserError
 #: Characters.
 _LONGEST_SCRIPT = 100_000
 #: Bytes of what hands do between two rounds.
-_LONGEST_TURNS = 4096
+_LONGEST_LINE = 4096
 #: A face of ten, as `face_sim`.
 _N_SERVOS = 10
 #: What is simulated without a face.
@@ -113,8 +113,8 @@ def sim_bus(
     try:
         hands = sys.stdin.fileno() if until_stdin_closes else None
         host.serve(lambda: stopped, hands)
-        while hands is not None and not stopped and (turns := os.read(hands, _LONGEST_TURNS)):
-            _turn(host, turns.decode("ascii", "replace"))
+        while hands is not None and not stopped and (line_bytes := os.read(hands, _LONGEST_LINE)):
+            _turn(host, line_bytes.decode("ascii", "replace"))
             host.serve(lambda: stopped, hands)
     finally:
         host.close()

@@ -53,7 +53,7 @@ def by_hand(
     """Torque off, move the lips with your fingers, keep the pose: closed, widest, rounded, touched.
 
     The poses go into the calibration: a touch pose and limits. The servos of the mouth are let go
-    once you have said so, and stay limp, whatever ends this. Exit status 3: not every servo has
+    once you have agreed, and stay limp, whatever ends this. Exit status 3: not every servo has
     confirmed that.
     """
     from calibration.calibration import check_calibration, check_servo_memories
@@ -157,7 +157,7 @@ def _pose(
 
 
 def _let_go_again(session: _Session, servos: "LimpServos", signals: "DeferredSignals") -> None:
-    """What is said at the end is what the servos said at the end."""
+    """Let go once more at the end, and print what the servos confirmed."""
     with signals.finish_first():
         session.report = servos.let_go()
 

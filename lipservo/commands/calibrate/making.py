@@ -104,7 +104,7 @@ def load_setup(config: str, model: Path | None, ranges: Path | None = None) -> "
 def setup_at_port(
     setup: "CalibrationSetup", port: str | None, sim: str | None, config: str
 ) -> Iterator["CalibrationSetup"]:
-    """The same with its servos at the port asked for, or at one made for `--sim pty`."""
+    """The setup with its servos at the port of the user, or at one made for `--sim pty`."""
     from lipservo.runtime.servos.sim_process import servo_port
 
     with servo_port(port, sim, config) as found:
@@ -230,7 +230,7 @@ def finish(
         )
 
         lips = calibration.learnt_lips
-        told = {
+        report = {
             "calibration": str(output),
             "method": calibration.origin.method,
             "poses": calibration.origin.poses,
@@ -246,8 +246,8 @@ def finish(
             "within_speeds": asdict(speeds),
         }
         if fit is not None:
-            told["left_out_pose_rms_mm"] = fit.face.left_out_rms_mm
-        print_json(told)
+            report["left_out_pose_rms_mm"] = fit.face.left_out_rms_mm
+        print_json(report)
         return
     for line in (*result.warnings, *kept):
         MESSAGES.print(line)

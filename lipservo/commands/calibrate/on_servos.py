@@ -123,7 +123,7 @@ def guided(
 ) -> None:
     """No tracker: put the mouth into 14 named poses with keys, by eye.
 
-    Coarser than a measured calibration: nobody knows millimetres without a tracker.
+    Coarser than a measured calibration: without a tracker no millimetres are known.
     """
     check_files(output, keep=keep)
     setup = replace(
@@ -211,8 +211,8 @@ def pose(
 
     def arrived(row: int, reached_deg: "Array") -> None:
         stands = zip(chosen.servo_names, reached_deg, chosen.goals_deg[row], strict=True)
-        told = ", ".join(f"{name} {deg:.1f} of {goal:.1f}" for name, deg, goal in stands)
-        RESULTS.print(f"pose {numbers[row]}: {told} deg")
+        angles = ", ".join(f"{name} {deg:.1f} of {goal:.1f}" for name, deg, goal in stands)
+        RESULTS.print(f"pose {numbers[row]}: {angles} deg")
 
     with setup_at_port(setup, port, sim, config) as at:
         if at.settings.capabilities.in_memory:
@@ -241,7 +241,7 @@ def lags(
     """Find how late each servo follows, by chirps and steps, and write it into a calibration.
 
     The map stays; the file that was there is kept as `.previous`. 14 s for each joint. Servos
-    without encoders cannot be asked: their lags are typed (docs/calibration.md).
+    without encoders cannot be read: their lags are typed (docs/calibration.md).
     """
     from calibration.calibration import CalibrationError
     from calibration.files.calibration_file import load_calibration, save_calibration

@@ -32,7 +32,7 @@ from lipservo.commands.options import (
 )
 from lipservo.commands.run.dashboard_beside import check_page_options, dashboard_beside, with_sounds
 from lipservo.commands.run.run import ANY_PORT, avatars_of, finish, motion_of
-from lipservo.commands.run.say import told_through
+from lipservo.commands.run.say import read_through
 from lipservo.commands.run.voice_choice import access_file, with_access
 from lipservo.runtime.face_runtime import run_face
 from lipservo.runtime.motion_options import ChosenMotion, MotionOptions
@@ -74,14 +74,14 @@ def perform(
 ) -> None:
     """Play a performance: the sound, and the motion that was rendered for it.
 
-    Nobody listens and nothing is planned any more; strength was chosen when it was rendered.
-    With --dashboard, in a terminal, the face goes on afterwards until Ctrl-C, and hears and speaks
-    as any other.
+    No recogniser runs and nothing is planned any more; strength was chosen when it was rendered.
+    With --dashboard, in a terminal, the face goes on afterwards until Ctrl-C, and listens and
+    speaks as any other.
     """
     if mute and output is not None:
         raise typer.BadParameter("give --mute or --output, not both")
     if through is not None:
-        answer = told_through(through, token_file, lambda face: face.play(str(performance)))
+        answer = read_through(through, token_file, lambda face: face.play(str(performance)))
         if as_json:
             print_json(answer)
         return

@@ -1,4 +1,4 @@
-"""`lines align` and `lines recognize`: what is said when in a sound, as labels."""
+"""`lines align` and `lines recognize`: the phonemes of a sound with their times, as labels."""
 
 import json
 import sys
@@ -61,7 +61,7 @@ def align(
 ) -> None:
     """Find when each phone of a known text is spoken.
 
-    A text that was not said is refused: docs/recognition.md, Alignment, says how that is told.
+    A text that was not spoken is refused: docs/recognition.md, Alignment, says how that is decided.
     """
     if sound.is_dir():
         raise UserError(f"{sound}: is a folder; `lipservo lines align-folder` aligns its texts")

@@ -60,7 +60,7 @@ def check_page_options(
     token_file: Path | None = None,
     open_to_this_computer: bool = False,
 ) -> None:
-    """Options of a page that nobody asked for are a mistake. Raises typer.BadParameter."""
+    """Refuse options of a page that was not requested. Raises typer.BadParameter."""
     for name, given in (
         ("--dashboard-listen", listen is not None),
         ("--open", open_page),

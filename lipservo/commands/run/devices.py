@@ -12,8 +12,8 @@ def devices(as_json: Json = False) -> None:
 
     inputs, outputs = sound_devices("input"), sound_devices("output")
     if as_json:
-        told = {"inputs": inputs, "outputs": outputs}
-        print_json({key: [asdict(each) for each in found] for key, found in told.items()})
+        listed = {"inputs": inputs, "outputs": outputs}
+        print_json({key: [asdict(each) for each in found] for key, found in listed.items()})
         return
     for word, found in (("microphone", inputs), ("loudspeaker", outputs)):
         if not found:

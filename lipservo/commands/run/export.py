@@ -5,9 +5,16 @@ from typing import Annotated, Literal
 
 import typer
 
-from lipservo.commands.options import DEFAULT_FACE, Config, Json, LabelledPhonemes, Model, SaidText
+from lipservo.commands.options import (
+    DEFAULT_FACE,
+    Config,
+    Json,
+    LabelledPhonemes,
+    Model,
+    SpokenText,
+)
 from lipservo.commands.run.motion_choice import takes_motion
-from lipservo.commands.run.voice_choice import said_text
+from lipservo.commands.run.voice_choice import spoken_text
 from lipservo.runtime.motion_options import ChosenMotion
 from lipservo.terminal.output import MESSAGES, print_json
 from lipsync.errors import UserError
@@ -49,7 +56,7 @@ def export(
         ),
     ] = None,
     phonemes: LabelledPhonemes = None,
-    text: SaidText = "",
+    text: SpokenText = "",
     shapes: Annotated[
         ShapeSource,
         typer.Option(help="Mouth shapes from the robot's motion, or from Rhubarb's rules."),
@@ -81,10 +88,10 @@ def export(
         kind="export",
         inputs=[sound, phonemes, model],
     )
-    asked = Exported(
-        chosen, output.suffix.lower(), sound, phonemes, said_text(text), shapes, rate_hz
+    request = Exported(
+        chosen, output.suffix.lower(), sound, phonemes, spoken_text(text), shapes, rate_hz
     )
-    text, about = exported_text(asked, motion, config, model)
+    text, about = exported_text(request, motion, config, model)
     write_whole(output, text)
     if as_json:
         print_json({"output": str(output), "format": chosen, **about})

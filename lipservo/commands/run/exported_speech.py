@@ -59,33 +59,33 @@ def motion_shapes(spoken: SpokenSound) -> list[MouthCue]:
 
 
 def exported_text(
-    asked: Exported, chosen: ChosenMotion, config: str, model: Path | None
+    request: Exported, chosen: ChosenMotion, config: str, model: Path | None
 ) -> tuple[str, dict[str, object]]:
     """What the file holds, and in a few words what that is. Raises UserError."""
-    heard = spoken_sound(asked.sound, asked.phonemes, chosen, config, model)
-    spoken = replace(heard, text=asked.text)
+    heard = spoken_sound(request.sound, request.phonemes, chosen, config, model)
+    spoken = replace(heard, text=request.text)
     duration_s = spoken.duration_s
-    if asked.file_format == "rhubarb":
-        is_motion = asked.shapes == "motion"
+    if request.file_format == "rhubarb":
+        is_motion = request.shapes == "motion"
         cues = motion_shapes(spoken) if is_motion else rule_cues(spoken.events(), duration_s)
-        text = _cue_text(cues, asked, duration_s)
-        return text, {"duration_s": duration_s, "shapes": asked.shapes, "n_cues": len(cues)}
-    times_s = frame_times_s(duration_s, asked.rate_hz)
-    if asked.file_format == "arkit":
+        text = _cue_text(cues, request, duration_s)
+        return text, {"duration_s": duration_s, "shapes": request.shapes, "n_cues": len(cues)}
+    times_s = frame_times_s(duration_s, request.rate_hz)
+    if request.file_format == "arkit":
         arkit = ArkitMap(lip_measures(load_face_with_animphos(model)))
         values = np.array([arkit.values(frame) for frame in spoken.frames(times_s)])
         names = ARKIT_NAMES
     else:
         values = viseme_weights(spoken.events(), times_s, load_face(model).tightest_s)
         names = OVR_NAMES
-    track = WeightTrack(asked.file_format, asked.rate_hz, names, times_s, values)
+    track = WeightTrack(request.file_format, request.rate_hz, names, times_s, values)
     write = live_link_csv if track.kind == "arkit" else track_csv
-    text = track_lines(track) if asked.ending == ".jsonl" else write(track)
-    return text, {"duration_s": duration_s, "rate_hz": asked.rate_hz, "n_frames": len(times_s)}
+    text = track_lines(track) if request.ending == ".jsonl" else write(track)
+    return text, {"duration_s": duration_s, "rate_hz": request.rate_hz, "n_frames": len(times_s)}
 
 
-def _cue_text(cues: Sequence[MouthCue], asked: Exported, duration_s: float) -> str:
-    if asked.ending == ".tsv":
+def _cue_text(cues: Sequence[MouthCue], request: Exported, duration_s: float) -> str:
+    if request.ending == ".tsv":
         return cues_tsv(cues)
-    write = cues_json if asked.ending == ".json" else cues_xml
-    return write(cues, str(asked.sound), duration_s)
+    write = cues_json if request.ending == ".json" else cues_xml
+    return write(cues, str(request.sound), duration_s)

@@ -12,10 +12,10 @@ from lipservo.commands.options import (
     LabelledPhonemes,
     Model,
     Quiet,
-    SaidText,
+    SpokenText,
 )
 from lipservo.commands.run.motion_choice import takes_motion
-from lipservo.commands.run.voice_choice import said_text
+from lipservo.commands.run.voice_choice import spoken_text
 from lipservo.runtime.motion_options import ChosenMotion
 from lipservo.terminal.output import MESSAGES, print_json, progress_bar
 from lipsync.errors import UserError
@@ -64,7 +64,7 @@ def film(
         ),
     ] = None,
     phonemes: LabelledPhonemes = None,
-    text: SaidText = "",
+    text: SpokenText = "",
     still_head: Annotated[
         bool, typer.Option("--still-head", help="Head, eyes and lids do not move.")
     ] = False,
@@ -83,7 +83,7 @@ def film(
     The sound is in the film. Faster than it sounds; nothing is left half-written.
     """
     from lipservo.display.film import check_film, is_film
-    from lipservo.display.filmed_faces import FilmAsked, make_film
+    from lipservo.display.filmed_faces import FilmRequest, make_film
     from lipsync.output_file import check_output
 
     if speech is None and trace is None:
@@ -104,13 +104,13 @@ def film(
     check_output(
         output, replaces=is_film, kind="film", inputs=[each for each in inputs if _is_file(each)]
     )
-    asked = FilmAsked(
+    request = FilmRequest(
         speech, output, face, _size(size), rate_hz, config, model,
         landmarks=landmarks, landmarker=landmarker, beside=beside, trace=trace,
-        script=phonemes, text=said_text(text), still_head=still_head,
+        script=phonemes, text=spoken_text(text), still_head=still_head,
     )  # fmt: skip
     with progress_bar(quiet=quiet or as_json) as advance:
-        done = make_film(asked, motion, advance)
+        done = make_film(request, motion, advance)
     if as_json:
         print_json({"output": str(output), **done})
     else:

@@ -84,10 +84,10 @@ def _print(name: str, history: History) -> None:
         table.add_row(servo, *_row(days))
     RESULTS.print(table)
     lines = findings(history.servos)
-    told = Table.grid(padding=(0, 1))
+    grid = Table.grid(padding=(0, 1))
     for line in lines or ["nothing is getting worse"]:
-        told.add_row("-", escape(line))
-    RESULTS.print(told)
+        grid.add_row("-", escape(line))
+    RESULTS.print(grid)
     RESULTS.print()
 
 

@@ -28,9 +28,9 @@ from lipservo.commands.options import (
     Port,
     Quiet,
     Rate,
-    SaidText,
     Sim,
     Sounds,
+    SpokenText,
     TokenFile,
     Trace,
     Wav,
@@ -41,7 +41,7 @@ from lipservo.commands.run.voice_choice import (
     access_file,
     chosen_voice,
     daemons_voice,
-    said_text,
+    spoken_text,
     text_of,
     with_access,
 )
@@ -72,7 +72,7 @@ def run(
     mic: Mic = None,
     play: Play = False,
     phonemes: Phonemes = None,
-    text: SaidText = "",
+    text: SpokenText = "",
     config: Config = DEFAULT_FACE,
     model: Model = None,
     osc: Osc = None,
@@ -98,7 +98,7 @@ def run(
         voice = with_access(with_sounds(voice), config, token_file)
     request = RunRequest(
         config,
-        _sound(wav, mic, CLIP, phonemes, said_text(text)),
+        _sound(wav, mic, CLIP, phonemes, spoken_text(text)),
         motion_of(ChosenMotion(), config),
         model=model,
         port=port,
@@ -192,7 +192,7 @@ def daemon(
 def replay(
     *,
     sound: Annotated[Path, typer.Argument(help="Sound file to replay.")],
-    text: SaidText = "",
+    text: SpokenText = "",
     config: Config = DEFAULT_FACE,
     model: Model = None,
     trace: Trace = None,
@@ -204,7 +204,7 @@ def replay(
     """Run the street as fast as it goes, on a clock of its own: same file, same trace."""
     request = RunRequest(
         config,
-        Sound("file", str(sound), text=said_text(text)),
+        Sound("file", str(sound), text=spoken_text(text)),
         motion_of(motion, config),
         model=model,
         rate_hz=rate_hz,

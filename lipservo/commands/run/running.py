@@ -52,8 +52,8 @@ def ask_faces(
         if "error" in answer:
             complain(f"{answer['name']}: {answer['error']}")
         elif not as_json:
-            told = f"{answer['name']}: {line(answer)}"
-            sys.stdout.write(f"{told}\n")
+            answer_line = f"{answer['name']}: {line(answer)}"
+            sys.stdout.write(f"{answer_line}\n")
     if any("error" in answer for answer in answers):
         raise typer.Exit(1)
 

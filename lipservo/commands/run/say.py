@@ -74,11 +74,11 @@ def say(
     if mute and output is not None:
         raise typer.BadParameter("give --mute or --output, not both")
     if from_file is not None and text is None and through is None:
-        sound = _said_in(from_file)
+        sound = _text_in(from_file)
     elif from_file is not None or text is None:
         raise typer.BadParameter("give a text, or --from a file and neither text nor --through")
     elif through is not None:
-        told_through(through, token_file, lambda face: face.say(text, wait=True))
+        read_through(through, token_file, lambda face: face.say(text, wait=True))
         return
     else:
         sound = Sound("text", text, language)
@@ -99,14 +99,14 @@ def say(
     run_once(request, sim)
 
 
-def _said_in(path: Path) -> Sound:
+def _text_in(path: Path) -> Sound:
     """A file's sound, and what it says. Raises LabelError."""
     from lipsync.phoneme_files.reader import sound_beside
 
     return Sound("file", str(sound_beside(path)), phonemes=str(path))
 
 
-def told_through(
+def read_through(
     url: str, token_file: Path | None, tell: "Callable[[Face], dict[str, Any]]"
 ) -> dict[str, Any]:
     """What a running face answers; its own options hold. Raises UserError."""

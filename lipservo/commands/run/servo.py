@@ -1,6 +1,6 @@
 """`servo`: one servo of a running face off, on again, or restarted.
 
-Somebody waits for it: it loads nothing that it does not use.
+A person waits for it: it loads nothing that it does not use.
 """
 
 import time
@@ -36,14 +36,14 @@ def servo(
     Exit status 1 unless it has confirmed.
     """
 
-    def asked(each: RunningFace) -> dict[str, Any]:
+    def request(each: RunningFace) -> dict[str, Any]:
         answer = switch_servo(each.path, name, switch)
         return answer if "error" in answer else {**answer, **_confirmed(each, name, switch)}
 
-    def told(answer: dict[str, Any]) -> str:
+    def answer_line(answer: dict[str, Any]) -> str:
         return f"servo {name} is {answer['state']}"
 
-    ask_faces(face, control, asked, told, as_json=as_json)
+    ask_faces(face, control, request, answer_line, as_json=as_json)
 
 
 def _confirmed(face: RunningFace, name: str, switch: ServoSwitch) -> dict[str, Any]:

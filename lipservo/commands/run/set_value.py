@@ -8,7 +8,7 @@ import typer
 from firmware_bridge.process.control_client import RunningFace, change_settings
 from lipservo.commands.options import Control, FaceName, Json
 from lipservo.commands.run.running import ask_faces
-from lipservo.runtime.speech.passing_wish import whole_wish
+from lipservo.runtime.speech.passing_wish import with_expiry
 
 
 def set_value(
@@ -31,11 +31,11 @@ def set_value(
     face has taken it.
     """
 
-    def asked(each: RunningFace) -> dict[str, Any]:
-        answer = change_settings(each.path, whole_wish({name: value}, time.monotonic()))
+    def request(each: RunningFace) -> dict[str, Any]:
+        answer = change_settings(each.path, with_expiry({name: value}, time.monotonic()))
         return answer if "error" in answer else {**answer, "set": name, "value": value}
 
-    def told(answer: dict[str, Any]) -> str:
+    def answer_line(answer: dict[str, Any]) -> str:
         return f"{name} is {answer['value']:g} from now on"
 
-    ask_faces(face, control, asked, told, as_json=as_json)
+    ask_faces(face, control, request, answer_line, as_json=as_json)

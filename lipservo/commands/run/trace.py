@@ -143,7 +143,7 @@ def _print(
         f"lip gap off, most {found.gap_mm:.3f} mm\n"
         f"motion later by {lag}\n"
         f"closures: {len(found.closure_shifts_s)} in both, shifted by {1e3 * shift_s:+.1f} ms at "
-        f"most; lost {_moments(found.lost_closures_s)}; new {_moments(found.new_closures_s)}",
+        f"most; lost {_times(found.lost_closures_s)}; new {_times(found.new_closures_s)}",
         markup=False,
         highlight=False,
     )
@@ -183,5 +183,5 @@ def _moment_table(found: Difference) -> Table:
     return table
 
 
-def _moments(times_s: Sequence[float]) -> str:
+def _times(times_s: Sequence[float]) -> str:
     return ", ".join(f"at {time_s:.2f} s" for time_s in times_s) or "none"

@@ -58,7 +58,7 @@ def text_of(path: Path | None) -> str | None:
     return None if path is None else str(path)
 
 
-def said_text(typed: str) -> str:
+def spoken_text(typed: str) -> str:
     """What `--text` says: itself, or after an @ the content of a file. Raises UserError."""
     if not typed.startswith("@"):
         return typed

@@ -27,7 +27,7 @@ def wyoming(
 ) -> None:
     """Let Wyoming programs, as Home Assistant's satellites, speak through a running face.
 
-    Sound only (`snd`), until Ctrl-C. Sound is said to its end before the next begins.
+    Sound only (`snd`), until Ctrl-C. Sound is played to its end before the next begins.
     """
     host, port = host_and_port(listen)
     check_extra("wyoming", "`lipservo wyoming`")

@@ -1,4 +1,4 @@
-"""The first hour of a face: from servos that nobody has named to its first words.
+"""The first hour of a face: from unnamed servos to its first words.
 
 All that a page shows and does is here, so that a page that is reloaded, or opened twice, goes on
 where it was. What was made is in files; what was typed and not yet written is here alone. Servos
@@ -47,7 +47,7 @@ _FOR_A_PERSON: Final = frozenset({"limits", "jog", "by_eye"})
 #: Of a rehearsal: a jaw, both corners and a pout are a mouth.
 _SIMULATED: Final = ("--servos", "4", "--first-id", "11", "--baud-rate", "1000000")
 _S_A_MINUTE: Final = 60.0
-Told = dict[str, Any]
+JsonObject = dict[str, Any]
 #: When a file was written last, and how long it is; None: it is not there.
 Stamp = tuple[int, int] | None
 
@@ -78,7 +78,7 @@ class FirstHour:
         self._simulated: SimulatedServos | None = None
         self._port = port
         self._kind: str | None = None
-        self._found: Told | None = None
+        self._found: JsonObject | None = None
         self._named: dict[int, FoundJoint] = {}
         self._wired: list[WiredJoint] = []
         self._moved: set[int] = set()
@@ -98,8 +98,8 @@ class FirstHour:
 
     # ---- what is so ----
 
-    def state(self) -> Told:
-        """Everything that a page draws; to be asked for all the time by a page that is open."""
+    def state(self) -> JsonObject:
+        """Everything that a page draws; an open page polls it."""
         self._seen_s = time.monotonic()
         with self._lock:
             settings, trouble = self._settings()
@@ -114,13 +114,13 @@ class FirstHour:
                 "ports": [] if settings else known_ports(),
                 "simulated": self._simulated is not None,
                 "found": self._found,
-                "named": {str(each): _told_joint(joint) for each, joint in self._named.items()},
-                "wired": [_told_wired(each) for each in self._wired],
+                "named": {str(each): _joint_values(joint) for each, joint in self._named.items()},
+                "wired": [_wired_values(each) for each in self._wired],
                 "moved": sorted(self._moved),
-                "face": None if settings is None else self._told_face(settings),
+                "face": None if settings is None else self._face_values(settings),
                 "ends": self._ends,
                 "keeps": self._keep_file().exists(),
-                "step": None if step is None else _told_step(step),
+                "step": None if step is None else _step_values(step),
                 "drives": self._socket() is not None,
                 "works": step.step if step is not None and runs else None,
                 "note": self._note,
@@ -158,7 +158,7 @@ class FirstHour:
         """Begin a step on the servos. Raises FaceError while another runs."""
         with self._lock:
             self._check_idle()
-            request: Told = {"port": self._port, "kind": self._kind, **options}
+            request: JsonObject = {"port": self._port, "kind": self._kind, **options}
             if step in ("find", "nudge"):
                 self._check_port()
                 if step == "nudge":
@@ -249,7 +249,7 @@ class FirstHour:
     def write_limits(self) -> None:
         """Into the YAML what was set, all or nothing; then into the servos.
 
-        The servos are asked for nothing more before.
+        No other request goes to the servos before.
         """
         step = self._step
         if step is not None and step.step == "limits" and step.runs:
@@ -309,10 +309,10 @@ class FirstHour:
         paths = runtime_folder().glob(f"*-{step.pid}{SOCKET_SUFFIX}")
         return next((path for path in paths if read_socket_name(path)), None)
 
-    def _told_face(self, settings: FaceSettings) -> Told:
+    def _face_values(self, settings: FaceSettings) -> JsonObject:
         return {
             "name": settings.name,
-            "servos": {name: _told_servo(each) for name, each in settings.servos.items()},
+            "servos": {name: _servo_values(each) for name, each in settings.servos.items()},
             "has_place": settings.capabilities.place,
             "calibration": settings.calibration if self._is_calibrated(settings) else None,
         }
@@ -334,7 +334,7 @@ class FirstHour:
         kind = bus_kind(self._kind or "")
         return face_yaml(self.path.stem, kind, self._port or "", self._known()["rate"], joints)
 
-    def _known(self) -> Told:
+    def _known(self) -> JsonObject:
         if self._found is None:
             raise FaceError("not_available", "no servos were found yet")
         return self._found
@@ -394,7 +394,7 @@ class FirstHour:
         return self._simulated.port
 
 
-def known_ports() -> list[Told]:
+def known_ports() -> list[JsonObject]:
     """Serial ports of this computer that hang on USB, and what each says that it is."""
     from serial.tools import list_ports
 
@@ -429,21 +429,21 @@ def _refusals() -> Iterator[None]:
         raise FaceError("refused", "; ".join(str(error).splitlines())) from error
 
 
-def _told_joint(joint: FoundJoint) -> Told:
+def _joint_values(joint: FoundJoint) -> JsonObject:
     names = ("name", "positive", "part", "sign")
     return {name: getattr(joint, name) for name in names}
 
 
-def _told_wired(joint: WiredJoint) -> Told:
+def _wired_values(joint: WiredJoint) -> JsonObject:
     return {"name": joint.name, "channel": joint.channel, "positive": joint.positive}
 
 
-def _told_servo(servo: ServoSettings) -> Told:
+def _servo_values(servo: ServoSettings) -> JsonObject:
     names = ("positive", "part", "min_deg", "max_deg")
     return {"id": servo.address, **{name: getattr(servo, name) for name in names}}
 
 
-def _told_step(step: StepProcess) -> Told:
+def _step_values(step: StepProcess) -> JsonObject:
     return {
         "name": step.step,
         "runs": step.runs,

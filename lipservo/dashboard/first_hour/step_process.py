@@ -1,4 +1,4 @@
-"""One step of the first hour as a child process: what it tells, what it is told, how it ended."""
+"""One step of the first hour as a child process: its output, its input, how it ended."""
 
 import contextlib
 import json
@@ -30,9 +30,9 @@ class StepProcess:
 
     Methods may be called by any thread; but for `wait`, none waits.
 
-    step: its name. events: the newest of each kind, by name. notes: what it said to a person, the
-    newest last. error: why it ended, one line; None: it has not, or ended well. was_left: nobody
-    wanted it any more.
+    step: its name. events: the newest of each kind, by name. notes: its lines for a person, the
+    newest last. error: why it ended, one line; None: it has not, or ended well. was_left: it is
+    wanted by no page any more.
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class StepProcess:
         is_wanted: Callable[[], bool] = lambda: True,
         ended: Callable[["StepProcess"], object] = lambda _: None,
     ) -> None:
-        """is_wanted: asked again and again; False: it is ended softly. ended: called once."""
+        """is_wanted: called again and again; False: it is ended softly. ended: called once."""
         self.step = step
         self.events: dict[str, Mapping[str, Any]] = {}
         self.notes: deque[str] = deque(maxlen=_MOST_NOTES)
@@ -108,7 +108,10 @@ class StepProcess:
         self._over(self._why(process.returncode, signalled=signalled))
 
     def _follow(self, process: "subprocess.Popen[bytes]") -> bool:
-        """Until it has ended and all it said is read; whether it was asked to end."""
+        """Follow it until it has ended and its output is read.
+
+        Return whether it was ended on request.
+        """
         readers = [
             threading.Thread(target=read, args=[process], name=f"step {self.step}", daemon=True)
             for read in (self._read_events, self._read_notes)

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from lipservo_client.protocol import FaceError
 
-from lipservo.dashboard.face_files import told_calibration
+from lipservo.dashboard.face_files import calibration_values
 from lipservo.dashboard.pages.page_facts import settings_of
 from lipservo.dashboard.pages.page_frame import STATIC_URL, card, command, grid, html
 from lipsync.phonemes import VISEME_CLASSES
@@ -20,32 +20,32 @@ _AMBER, _RED = 1 / 3, 2 / 3
 _WELL_REACHED: Final = 0.9
 
 
-Told = Mapping[str, Any]
+JsonObject = Mapping[str, Any]
 
 
-def read_calibration(config: str | None) -> tuple[Told | None, str | None]:
+def read_calibration(config: str | None) -> tuple[JsonObject | None, str | None]:
     """What the face's calibration file says, as the API tells it, or why there is none."""
     try:
-        return told_calibration(config), None
+        return calibration_values(config), None
     except FaceError as error:
         return None, str(error)
 
 
-def calibrate_page(config: str | None, told: Told | None, trouble: str | None) -> None:
-    """Its content. told, trouble: what `read_calibration` found."""
-    if told is not None and not told["fits_the_face"]:
+def calibrate_page(config: str | None, values: JsonObject | None, trouble: str | None) -> None:
+    """Its content. values, trouble: what `read_calibration` found."""
+    if values is not None and not values["fits_the_face"]:
         trouble = "the face has changed since it was calibrated: calibrate it again"
-    with card("Present calibration", _origin(told)):
+    with card("Present calibration", _origin(values)):
         if trouble is not None:
             html(f'<p class="note warn">{escape(_sentence(trouble))}</p>')
-        if told is not None:
-            html(_summary(told["hold_out"]), "facts-row")
-    if told is not None:
+        if values is not None:
+            html(_summary(values["hold_out"]), "facts-row")
+    if values is not None:
         with grid("two-columns"):
             with card("Joints", "error on motion left out of the fit"):
-                html("".join(_joint_bar(*each) for each in told["servos"].items()))
+                html("".join(_joint_bar(*each) for each in values["servos"].items()))
             with card("Mouth shapes", "how much of each is within reach", "coverage"):
-                html(_shape_bars(told))
+                html(_shape_bars(values))
     with card("A new calibration", "in a terminal at the face's computer; stop the face first"):
         settings = settings_of(config)
         has_place = settings is None or settings.capabilities.place
@@ -56,15 +56,15 @@ def _sentence(text: str) -> str:
     return text[:1].upper() + text[1:].rstrip(".") + "."
 
 
-def _origin(told: Told | None) -> str:
-    if told is None:
+def _origin(values: JsonObject | None) -> str:
+    if values is None:
         return "none"
-    made = f", {told['poses']} poses" if told["poses"] else ""
-    dated = f", {told['date']}" if told["date"] else ""
-    return f"{told['file']}: {told['method']}{made}{dated}"
+    made = f", {values['poses']} poses" if values["poses"] else ""
+    dated = f", {values['date']}" if values["date"] else ""
+    return f"{values['file']}: {values['method']}{made}{dated}"
 
 
-def _summary(errors: Told) -> str:
+def _summary(errors: JsonObject) -> str:
     is_measured = errors["n_frames"] > 0
     has_closures = is_measured and errors["n_closures"] > 0
     facts = (
@@ -82,26 +82,28 @@ def _summary(errors: Told) -> str:
     )
 
 
-def _joint_bar(name: str, values: Told) -> str:
+def _joint_bar(name: str, values: JsonObject) -> str:
     error_deg = values["hold_out_rms_deg"]
     share = 0.0 if error_deg is None else min(1.0, error_deg / _WORST_DEG)
     tone = "bad" if share > _RED else "warn" if share > _AMBER else "good"
     least, most = values["range_deg"]
     more = [f"{least:g} to {most:g}°"]
-    for key, told in _FOLLOWING:
+    for key, text in _FOLLOWING:
         if values[key]:
-            more.append(told.format(values[key]))
+            more.append(text.format(values[key]))
     return _bar(name.replace("_", " "), share, tone, _shown(error_deg, 2, "°"), more)
 
 
-def _shape_bars(told: Told) -> str:
-    shown = [one for one in VISEME_CLASSES if one[0] in told["coverage"] or one[0] in told["trim"]]
-    rows = [_shape_bar(viseme, told) for viseme in shown]
-    if not told["coverage"]:
+def _shape_bars(values: JsonObject) -> str:
+    shown = [
+        one for one in VISEME_CLASSES if one[0] in values["coverage"] or one[0] in values["trim"]
+    ]
+    rows = [_shape_bar(viseme, values) for viseme in shown]
+    if not values["coverage"]:
         rows.append('<p class="hint">This way of calibrating does not measure reach.</p>')
-    if not told["trim"]:
+    if not values["trim"]:
         rows.append("<p>No shape is trimmed.</p>")
-    line = f"lipservo calibrate trim {told['file']} P jaw -1"
+    line = f"lipservo calibrate trim {values['file']} P jaw -1"
     rows.append(
         "<p>A shape that looks wrong is trimmed: degrees that are added while its sounds are "
         f"spoken.</p>{command(line)}"
@@ -109,9 +111,9 @@ def _shape_bars(told: Told) -> str:
     return "".join(rows)
 
 
-def _shape_bar(phonemes: tuple[str, ...], told: Told) -> str:
-    reach = told["coverage"].get(phonemes[0])
-    trims = told["trim"].get(phonemes[0], {})
+def _shape_bar(phonemes: tuple[str, ...], values: JsonObject) -> str:
+    reach = values["coverage"].get(phonemes[0])
+    trims = values["trim"].get(phonemes[0], {})
     more = [] if reach is None else [f"{reach['off_mm']:.2f} mm off"]
     if trims:
         added = (f"{name.replace('_', ' ')} {deg:+g}°" for name, deg in trims.items())
@@ -203,9 +205,9 @@ def steps_of(face: str, *, has_place: bool) -> str:
 
 
 def _step(face: str, picture: str, title: str, text: str, line: str) -> str:
-    told = line.format(face=face)
+    step_text = line.format(face=face)
     return (
         f'<li><svg viewBox="0 0 120 80" aria-hidden="true"><use '
         f'href="{STATIC_URL}/steps.svg#{picture}"/></svg><h3>{escape(title)}</h3>'
-        f"<p>{escape(text)}</p>{command(told)}</li>"
+        f"<p>{escape(text)}</p>{command(step_text)}</li>"
     )

@@ -1,4 +1,4 @@
-"""What pages know of a face beyond its status, said once: limits, colours, and what servos move."""
+"""Facts of a face beyond its status, for all pages: limits, colours, and what servos move."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -62,7 +62,7 @@ _RULES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class RigServo:
-    """What a servo moves in the drawing. channel: None where nobody can tell, drawn as a dial.
+    """What a servo moves in the drawing. channel: None where unknown, drawn as a dial.
 
     sign: -1 where a positive angle is the drawing's negative direction.
     """
@@ -89,19 +89,19 @@ def robot_rig(servos: Mapping[str, ServoSettings]) -> dict[str, RigServo]:
 
 
 def _found(name: str, settings: ServoSettings) -> RigServo:
-    told_side = side_of(name)
+    side_status = side_of(name)
     # What moves the middle is drawn on both sides.
-    side: Side = "both" if told_side == "middle" else told_side
+    side: Side = "both" if side_status == "middle" else side_status
     if settings.part == "mouth":
         moved = joint_motion(name, settings.positive)
         if moved is None:
             return RigServo(None, side, 1)
         return RigServo(moved.channel, side, moved.sign)
-    named, told = words(name), words(settings.positive)
+    named, positive_words = words(name), words(settings.positive)
     for rule in _RULES:
         if rule.part != settings.part or not all(named & each for each in rule.named):
             continue
-        plus, minus = bool(told & rule.plus), bool(told & rule.minus)
+        plus, minus = bool(positive_words & rule.plus), bool(positive_words & rule.minus)
         if plus != minus:
             return RigServo(rule.channel, side, 1 if plus else -1)
     return RigServo(None, side, 1)
@@ -135,7 +135,7 @@ def page_facts(config: str | None) -> dict[str, object]:
 
 
 def servo_facts(servo: ServoSettings) -> dict[str, object]:
-    """Limits in joint degrees, what its model bears, null where nobody says it, and its pulse."""
+    """Limits in joint degrees, those of its model, null where unknown, and its pulse."""
     return {
         "id": servo.address,
         "model": servo.make,

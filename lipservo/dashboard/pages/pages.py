@@ -37,6 +37,7 @@ _LIVE_SCRIPTS: Final = (
     "live/robot_view.js",
     "live/live_facts.js",
     "live/say_box.js",
+    "live/sound_choice.js",
     "live/look_pad.js",
 )
 
@@ -58,7 +59,7 @@ _SETTINGS_SCRIPTS: Final = ("settings.js", "live/robot_view.js")
 def build_pages(link: FaceLink, making: Path | None = None) -> None:
     """Register them with NiceGUI. What moves is drawn by the browser: a page costs no timer here.
 
-    link: the face; a page that is opened is told of the face that answers then. making: the YAML of
+    link: the face; a page that is opened shows the face that answers then. making: the YAML of
     a face in its first hour, which need not be there yet.
     """
     _add(link, making, "/", _LIVE_SCRIPTS, _live)
@@ -89,7 +90,7 @@ def _add(
 
 
 async def _first_hour(_status: Status, _config: str | None) -> None:
-    """From servos that nobody has named to the first words."""
+    """From unnamed servos to the first words."""
     ui.add_head_html(f'<link rel="stylesheet" href="{STATIC_URL}/first_hour/first_hour.css">')
     html(f"<first-hour data-warning='{escape(WARNING)}'></first-hour>")
 
@@ -100,12 +101,14 @@ async def _calibrate(_status: Status, config: str | None) -> None:
 
 
 async def _live(_status: Status, _config: str | None) -> None:
-    """The face that was asked for, the robot as its encoders say, sound and phonemes."""
+    """A text to say, the face as it is meant, the robot as its encoders say, sound and phonemes."""
     ui.add_head_html(_EARLY)
+    with card("Say something", classes="say"):
+        html("<face-say></face-say><face-sound></face-sound>")
     with grid("live-top"):
-        with card("The face", "as it is asked to be", "twin"):
+        with card("The face", "what it means to do", "twin"):
             Twin().classes("drawn")
-        with card("The robot", "as its encoders say", "robot"):
+        with card("The robot", "where its servos are", "robot"):
             html("<face-robot></face-robot>")
         with card("Now", classes="now"):
             html("<face-facts></face-facts>")
@@ -114,11 +117,8 @@ async def _live(_status: Status, _config: str | None) -> None:
     with grid("live-bottom"):
         with card("Servos", "blue: where it is; orange: where it should be", "bars"):
             html("<face-servo-bars></face-servo-bars>")
-        with grid("live-side"):
-            with card("Say", classes="say"):
-                html("<face-say></face-say>")
-            with card("Look", "drag, and the robot looks there", "look"):
-                html("<face-look></face-look>")
+        with card("Look", "drag, and the robot looks there", "look"):
+            html("<face-look></face-look>")
 
 
 async def _show(_status: Status, _config: str | None) -> None:

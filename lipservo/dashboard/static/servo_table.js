@@ -156,7 +156,7 @@ export function stateWords(one) {
   if (one.state === "unconfirmed") return [WORDS.unconfirmed, "bad"];
   const isTold = one.n_unanswered !== null; // else the face has not spoken of its health yet
   if (isTold && one.heard === false) return ["never answered", "bad"];
-  if (one.state === "driven") return one.torque_on === false ? ["limp", ""] : ["driven", "good"];
+  if (one.state === "driven") return one.torque_on === false ? ["limp", ""] : ["working", "good"];
   return [WORDS[one.state] ?? one.state, one.state === "failed" ? "bad" : "warn"];
 }
 

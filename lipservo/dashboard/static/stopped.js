@@ -207,7 +207,7 @@ function follow(status) {
     if (!isUp && !isStopping) return;
     starting = null;
     if (!isUp) return;
-    say("good", "Started: the face is driven.");
+    say("good", "Started: the face is running.");
     doneTimer = setTimeout(() => {
       doneTimer = null;
       hush();

@@ -71,7 +71,7 @@ export function headWords({ frame, ageMs, phase, status, word, lastState, refusa
   if (refusal !== null) return ["not let in", "bad"];
   const isOld = frame === null || ageMs > OLD_MS;
   if (idle && !isOld && phase === "moving" && (frame.servosGone || status === null)) {
-    return status === null ? ["no servo is driven", "quiet"] : statusWords(status);
+    return status === null ? ["no servo is running", "quiet"] : statusWords(status);
   }
   if (phase === "starting") return ["starting", "warn"];
   if (phase === "stopped") return stopWords("stopped", word);

@@ -1,8 +1,8 @@
 // What states are called in plain words, and how numbers and texts are shown.
 
 const STATES = {
-  stopped: ["not driven", "quiet"],
-  driven: ["driven", "good"],
+  stopped: ["not running", "quiet"],
+  driven: ["running", "good"],
   silent: ["resting: limp until somebody speaks", "quiet"],
   easing: ["stopping: easing to rest", "warn"],
   frozen: ["stopped: frozen where it is", "warn"],

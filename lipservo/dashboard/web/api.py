@@ -93,8 +93,8 @@ def docs_html(openapi: Mapping[str, Any]) -> str:
 def _operations(openapi: Mapping[str, Any]) -> Iterator[str]:
     for path, methods in openapi["paths"].items():
         for method, operation in methods.items():
-            told = escape(operation.get("description", ""))
-            yield f"<h2><b>{escape(method.upper())}</b>{escape(path)}</h2><p>{told}</p>"
+            description = escape(operation.get("description", ""))
+            yield f"<h2><b>{escape(method.upper())}</b>{escape(path)}</h2><p>{description}</p>"
             given = operation.get("parameters", ())
             if given:
                 names = ", ".join(f"{each['name']} ({each['in']})" for each in given)

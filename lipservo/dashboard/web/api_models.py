@@ -1,4 +1,4 @@
-"""What programs send to the API, checked before a face is asked, and the errors they are answered.
+"""Bodies of API requests, checked before a face gets them, and the errors of the answers.
 
 An error is {"error": one line}, with the status that fits.
 """
@@ -172,6 +172,17 @@ class SettingsBody(Body):
 
     values: Annotated[dict[_Name, _Number], Field(min_length=1, max_length=16)]
     save: bool = False
+
+
+class SoundBody(Body):
+    """What a face speaks through and with, into its YAML; what is left out stays as it is."""
+
+    output: Annotated[str, Field(max_length=200)] | None = None
+    input: Annotated[str, Field(max_length=200)] | None = None
+    synthesizer: _Name | None = None
+    voice: Annotated[str, Field(max_length=1000)] | None = None
+    language: Annotated[str, Field(max_length=40)] | None = None
+    volume: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
 
 
 class LookBody(Body):

@@ -11,15 +11,18 @@ from lipservo_client.protocol import FaceError
 from starlette.requests import ClientDisconnect
 
 from lipservo.dashboard.face_files import (
+    calibration_values,
+    choose_sound,
+    copy_shipped,
     face_errors,
     own_yaml,
     saved_settings,
     set_pulse_limit,
-    told_calibration,
+    sound_choices,
     with_settings,
 )
 from lipservo.dashboard.face_link import FaceLink
-from lipservo.dashboard.servo_remedies import is_stopped, told_servos
+from lipservo.dashboard.servo_remedies import is_stopped, listed_servos
 from lipservo.dashboard.sound_lines import MOST_BYTES, SoundLines, Uploads, checked_name
 from lipservo.dashboard.web.api_models import (
     AffectBody,
@@ -30,12 +33,13 @@ from lipservo.dashboard.web.api_models import (
     SayBody,
     ServoBody,
     SettingsBody,
+    SoundBody,
     StartBody,
     StopBody,
 )
 from lipservo.dashboard.web.stop_route import stop_face
 
-Told = dict[str, Any]
+JsonObject = dict[str, Any]
 _COUNTS = (
     "n_late", "n_stale", "n_unplugged", "n_rejected_targets", "range_hits_total",
     "rate_hits_total", "rejected_total", "prevented_total", "n_lost_sound_blocks",
@@ -49,61 +53,61 @@ def face_routes(link: FaceLink) -> APIRouter:
     one_at_a_time = asyncio.Lock()
 
     @routes.get("/status")
-    async def status() -> Told:
+    async def status() -> JsonObject:
         """The face's `Status` (docs/architecture.md), and how sure that is.
 
-        face_answers: false: what follows is what it said last, `age_s` ago.
+        face_answers: false: the rest is its last status, `age_s` ago.
         """
         return {**(link.status or {}), **link.certainty()}
 
     @routes.post("/stop")
-    async def stop(body: StopBody | None = None) -> Told:
+    async def stop(body: StopBody | None = None) -> JsonObject:
         """Stop the face. On this computer it needs no token. A daemon then waits for a start."""
         # Answered by `StopRoute`, which is around all of this, and described here.
         return await stop_face(link, body or StopBody())
 
     @routes.post("/start")
-    async def start(body: StartBody | None = None) -> Told:
+    async def start(body: StartBody | None = None) -> JsonObject:
         """Drive a stopped face again, through the ordinary checks. It moves."""
         return dict(await link.start((body or StartBody()).wait_s))
 
     @routes.post("/say")
-    async def say(body: SayBody) -> Told:
-        """Say a text. Answered when it is to be said, not once it was."""
+    async def say(body: SayBody) -> JsonObject:
+        """Say a text. Answered when it is queued, not once it was spoken."""
         return dict(await link.say(body.text))
 
     @routes.post("/interrupt")
-    async def interrupt() -> Told:
+    async def interrupt() -> JsonObject:
         """Silence now: what the face says or plays is dropped."""
         await link.interrupt()
         return {"silent": True}
 
     @routes.post("/look-at")
-    async def look_at(body: LookBody) -> Told:
+    async def look_at(body: LookBody) -> JsonObject:
         """Look somewhere, or nowhere in particular."""
         return dict(await link.look_at(body.yaw_deg, body.pitch_deg))
 
     @routes.post("/affect")
-    async def affect(body: AffectBody) -> Told:
+    async def affect(body: AffectBody) -> JsonObject:
         """Set a mood, which fades."""
         return dict(await link.affect(body.valence, body.arousal, body.tau_s))
 
     @routes.get("/servos")
-    async def servos() -> Told:
+    async def servos() -> JsonObject:
         """How each servo is, what ails it in plain words, and what to do."""
         # Of a face that is stopped no servo side runs, and its status says all that is known.
         knows = not link.moment.servos_gone or is_stopped(link.status)
-        told = told_servos(link.status, is_fresh=link.answers and knows)
-        return {"servos": told, **link.certainty()}
+        listed = listed_servos(link.status, is_fresh=link.answers and knows)
+        return {"servos": listed, **link.certainty()}
 
     @routes.post("/servos/{name}")
-    async def servo(name: str, body: ServoBody) -> Told:
+    async def servo(name: str, body: ServoBody) -> JsonObject:
         """Torque of one servo off or on, or restart it."""
         _check_known(link, name)
         return dict(await link.servo(name, body.action))
 
     @routes.post("/jog")
-    async def jog(body: JogBody) -> Told:
+    async def jog(body: JogBody) -> JsonObject:
         """Move single servos by hand, within their limits; ends 3 s after the last request.
 
         By its pulse a hobby servo goes beyond them, at most 10 us at a time: docs/hardware.md.
@@ -119,7 +123,7 @@ def face_routes(link: FaceLink) -> APIRouter:
         return dict(await link.jog(body.servo, body.deg))
 
     @routes.post("/pulse-limits")
-    async def pulse_limits(body: PulseLimitBody) -> Told:
+    async def pulse_limits(body: PulseLimitBody) -> JsonObject:
         """Write the pulse that was found for a hobby servo into the face's own YAML."""
         _check_known(link, body.servo)
         config = (link.status or {}).get("config")
@@ -129,7 +133,7 @@ def face_routes(link: FaceLink) -> APIRouter:
             )
 
     @routes.get("/faults")
-    async def faults() -> Told:
+    async def faults() -> JsonObject:
         """What is wrong: troubles, fallbacks, what is gone, and counts since the start."""
         status = link.status or {}
         names = ("state", "stopped", "plugged", "fallback_level", "output_lost")
@@ -142,13 +146,13 @@ def face_routes(link: FaceLink) -> APIRouter:
         }
 
     @routes.get("/calibration")
-    async def calibration() -> Told:
+    async def calibration() -> JsonObject:
         """What the face's calibration file says: coverage and error of each joint, trims."""
-        return await asyncio.to_thread(told_calibration, (link.status or {}).get("config"))
+        return await asyncio.to_thread(calibration_values, (link.status or {}).get("config"))
 
     @routes.get("/health")
-    async def health() -> Told:
-        """For whoever watches over the dashboard: it serves; and whether its face is there."""
+    async def health() -> JsonObject:
+        """For a monitor of the dashboard: it serves; and whether its face is there."""
         return {"serves": True, **link.certainty()}
 
     return routes
@@ -166,31 +170,47 @@ def file_routes(link: FaceLink) -> APIRouter:
     routes = APIRouter(prefix="/api")
     uploads = Uploads()
 
-    def said(name: str) -> str | None:
+    def named_file(name: str) -> str | None:
         value = (link.status or {}).get(name)
         return None if value is None else str(value)
 
     def lines() -> SoundLines:
-        folder = said("sounds")
+        folder = named_file("sounds")
         return SoundLines(None if folder is None else Path(folder))
 
     @routes.get("/settings")
-    async def settings() -> Told:
+    async def settings() -> JsonObject:
         """live: as set last; saved: as the face's own YAML says, null for one that is shipped."""
-        told = {"live": shown_settings(link.status), "config": said("config")}
+        shown = {"live": shown_settings(link.status), "config": named_file("config")}
         try:
-            saved = await asyncio.to_thread(saved_settings, said("config"))
+            saved = await asyncio.to_thread(saved_settings, named_file("config"))
         except FaceError as error:
-            return {**told, "saved": None, "can_save": False, "why_not": str(error)}
-        return {**told, "saved": saved, "can_save": True, "why_not": None}
+            return {**shown, "saved": None, "can_save": False, "why_not": str(error)}
+        return {**shown, "saved": saved, "can_save": True, "why_not": None}
 
     @routes.patch("/settings")
-    async def change(body: SettingsBody) -> Told:
+    async def change(body: SettingsBody) -> JsonObject:
         """Set them now; with `save`, into the YAML too: all of it or none."""
         return await change_settings(link, body.values, save=body.save)
 
+    @routes.get("/sound")
+    async def sound() -> JsonObject:
+        """Loudspeakers, microphones, voices and languages to choose, and what is chosen."""
+        return await asyncio.to_thread(sound_choices, named_file("config"))
+
+    @routes.patch("/sound")
+    async def choose(body: SoundBody) -> JsonObject:
+        """Write choices into the face's own YAML; they count from its next start."""
+        values = body.model_dump(exclude_none=True)
+        return await asyncio.to_thread(choose_sound, named_file("config"), values)
+
+    @routes.post("/copy", status_code=201)
+    async def copy() -> JsonObject:
+        """Copy a shipped face to a file of your own, which can be changed and started."""
+        return await asyncio.to_thread(copy_shipped, named_file("config"))
+
     @routes.get("/lines")
-    async def listed() -> Told:
+    async def listed() -> JsonObject:
         """The sound files that the face can play."""
         return {"lines": await asyncio.to_thread(lines().listed)}
 
@@ -207,16 +227,16 @@ def file_routes(link: FaceLink) -> APIRouter:
             return JSONResponse({"error": "the client has gone"}, 400)
 
     @routes.delete("/lines/{name}")
-    async def remove(name: str) -> Told:
+    async def remove(name: str) -> JsonObject:
         """Delete one."""
         await asyncio.to_thread(lines().remove, name)
         return {"removed": name}
 
     @routes.post("/play")
-    async def play(body: PlayBody) -> Told:
+    async def play(body: PlayBody) -> JsonObject:
         """Play a line. Answered when it begins."""
         checked_name(body.file)
-        if said("sounds") is not None:
+        if named_file("sounds") is not None:
             await asyncio.to_thread(lines().path_of, body.file)
         return dict(await link.play(body.file))
 
@@ -224,7 +244,7 @@ def file_routes(link: FaceLink) -> APIRouter:
 
 
 def shown_settings(status: Mapping[str, Any] | None) -> dict[str, float]:
-    """What people set of a face, by name, as it is now; without wishes for the moment."""
+    """The settings of a face that people change, by name, as they are now; without passing ones."""
     if status is None:
         return {}
     lively = (status.get("expression") or {}).get("expression")
@@ -232,7 +252,7 @@ def shown_settings(status: Mapping[str, Any] | None) -> dict[str, float]:
     return settings if lively is None else {**settings, "expression": lively}
 
 
-async def change_settings(link: FaceLink, values: dict[str, float], *, save: bool) -> Told:
+async def change_settings(link: FaceLink, values: dict[str, float], *, save: bool) -> JsonObject:
     """Set them now; save: into the face's YAML as well. All of it, or none. Raises FaceError."""
     if not save:
         await link.change(values)

@@ -17,7 +17,7 @@ from lipservo.dashboard.web.api_models import (
     WriteBody,
 )
 
-Told = dict[str, Any]
+JsonObject = dict[str, Any]
 
 
 def first_hour_routes(hour: FirstHour) -> APIRouter:
@@ -25,68 +25,68 @@ def first_hour_routes(hour: FirstHour) -> APIRouter:
     routes = APIRouter(prefix="/api/first-hour")
 
     @routes.get("")
-    async def state() -> Told:
-        """Everything that the page shows. Servos are held for a person only while it is asked."""
+    async def state() -> JsonObject:
+        """Everything that the page shows. Servos are held for a person only while it is polled."""
         return await asyncio.to_thread(hour.state)
 
     @routes.post("/port")
-    async def port(body: PortBody) -> Told:
-        """Choose where the servos are; those that can be asked are found at once."""
+    async def port(body: PortBody) -> JsonObject:
+        """Choose where the servos are; those that answer are found at once."""
         await asyncio.to_thread(hour.choose_port, body.port, body.kind, simulated=body.simulated)
         return await state()
 
     @routes.post("/name")
-    async def name(body: NameBody) -> Told:
+    async def name(body: NameBody) -> JsonObject:
         """Name a servo that was found."""
         named = (body.id, body.name, body.positive, body.part)
         await asyncio.to_thread(hour.name, *named, same=body.same)
         return await state()
 
     @routes.post("/wire")
-    async def wire(body: WireBody) -> Told:
+    async def wire(body: WireBody) -> JsonObject:
         """Say how a hobby servo is wired, or take one back."""
         await asyncio.to_thread(hour.wire, body.channel)
         return await state()
 
     @routes.post("/face")
-    async def face(body: WriteBody) -> Told:
+    async def face(body: WriteBody) -> JsonObject:
         """Write the face's YAML."""
         await asyncio.to_thread(hour.write_face, body.board)
         return await state()
 
     @routes.post("/start")
-    async def start(body: StepBody) -> Told:
+    async def start(body: StepBody) -> JsonObject:
         """Begin a step on the servos; they may move."""
         options = body.model_dump(exclude={"step"}, exclude_none=True)
         await asyncio.to_thread(lambda: hour.start(body.step, **options))
         return await state()
 
     @routes.post("/order")
-    async def order(body: OrderBody) -> Told:
+    async def order(body: OrderBody) -> JsonObject:
         """To the step that runs."""
         await asyncio.to_thread(hour.order, body.model_dump(exclude_none=True))
         return await state()
 
     @routes.post("/end")
-    async def end() -> Told:
+    async def end() -> JsonObject:
         """The step that runs ends: to rest, then limp."""
         hour.end()
         return await state()
 
     @routes.post("/limit")
-    async def limit(body: EndBody) -> Told:
+    async def limit(body: EndBody) -> JsonObject:
         """Set min, neutral or max of a limp joint where it is held now."""
         await asyncio.to_thread(hour.set_end, body.servo, body.end)
         return await state()
 
     @routes.post("/limits")
-    async def limits() -> Told:
+    async def limits() -> JsonObject:
         """Write what was set, into the YAML and into the servos."""
         await asyncio.to_thread(hour.write_limits)
         return await state()
 
     @routes.post("/turn")
-    async def turn(body: TurnBody) -> Told:
+    async def turn(body: TurnBody) -> JsonObject:
         """Turn a simulated servo as a hand would."""
         await asyncio.to_thread(hour.turn, body.servo, body.by_deg)
         return await state()

@@ -1,4 +1,4 @@
-"""`/metrics` for Prometheus. What nobody knows is absent, and never a good figure."""
+"""`/metrics` for Prometheus. What is unknown is absent, and never a good figure."""
 
 from collections.abc import Callable, Iterable
 from typing import Any, Final
@@ -8,7 +8,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 from lipservo.dashboard.face_link import FaceLink
-from lipservo.dashboard.servo_remedies import told_servos
+from lipservo.dashboard.servo_remedies import listed_servos
 
 CONTENT_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
 #: Of each servo: name, field of the status, what it is.
@@ -38,7 +38,7 @@ _COUNTS: Final = (
 
 
 class FaceCollector(Collector):
-    """The figures at the moment when they are asked for."""
+    """The figures at the moment of the request."""
 
     def __init__(self, link: FaceLink, n_clients: Callable[[], dict[str, int]]) -> None:
         """n_clients: of each stream, by its name."""
@@ -52,8 +52,8 @@ class FaceCollector(Collector):
         is_fresh = bool(certainty["face_answers"])
         yield _gauge("lipservo_up", "1: the face answers and its servo side ticks", certainty["up"])
         for side in ("servos", "speech"):
-            told = f"1: the {side} side has told nothing for a second"
-            yield _gauge(f"lipservo_{side}_gone", told, certainty[f"{side}_gone"])
+            description = f"1: the {side} side has told nothing for a second"
+            yield _gauge(f"lipservo_{side}_gone", description, certainty[f"{side}_gone"])
         if link.status is not None:
             yield _gauge(
                 "lipservo_status_age_seconds", "since the face answered", link.status_age_s
@@ -68,30 +68,32 @@ class FaceCollector(Collector):
             for each in dict.fromkeys([*link.layout.states, str(status["state"])]):
                 state.add_metric([each], each == status["state"])
             yield state
-        for name, field, told in _COUNTS:
+        for name, field, description in _COUNTS:
             if status.get(field) is not None:
-                yield CounterMetricFamily(f"lipservo_{name}", told, value=status[field])
+                yield CounterMetricFamily(f"lipservo_{name}", description, value=status[field])
         if status.get("delay_ms") is not None:
-            told = "from sound to face"
-            yield _gauge("lipservo_delay_seconds", told, 1e-3 * status["delay_ms"])
+            description = "from sound to face"
+            yield _gauge("lipservo_delay_seconds", description, 1e-3 * status["delay_ms"])
         if status.get("fallback_level") is not None:
-            told = "recognisers that were left"
-            yield _gauge("lipservo_recognizer_fallback_level", told, status["fallback_level"])
+            description = "recognisers that were left"
+            yield _gauge(
+                "lipservo_recognizer_fallback_level", description, status["fallback_level"]
+            )
         yield from self._servos(is_fresh and not link.moment.servos_gone)
 
     def _servos(self, is_fresh: bool) -> Iterable[Metric]:
-        servos = told_servos(self._link.status, is_fresh=is_fresh)
+        servos = listed_servos(self._link.status, is_fresh=is_fresh)
         answers = GaugeMetricFamily(
             "lipservo_servo_answers", "1: something is known of it now", labels=["servo"]
         )
         for servo in servos:
             answers.add_metric([servo["name"]], servo["answers"])
         yield answers
-        for name, field, told in (*_OF_SERVO, *_SERVO_COUNTS):
+        for name, field, description in (*_OF_SERVO, *_SERVO_COUNTS):
             kind: Any = GaugeMetricFamily
-            if (name, field, told) in _SERVO_COUNTS:
+            if (name, field, description) in _SERVO_COUNTS:
                 kind = CounterMetricFamily
-            family = kind(f"lipservo_servo_{name}", told, labels=["servo"])
+            family = kind(f"lipservo_servo_{name}", description, labels=["servo"])
             for servo in servos:
                 if servo[field] is not None:
                     family.add_metric([servo["name"]], float(servo[field]))
@@ -109,5 +111,5 @@ def metrics_text(collector: Collector) -> bytes:
     return generate_latest(registry)
 
 
-def _gauge(name: str, told: str, value: Any) -> GaugeMetricFamily:
-    return GaugeMetricFamily(name, told, value=float(value))
+def _gauge(name: str, description: str, value: Any) -> GaugeMetricFamily:
+    return GaugeMetricFamily(name, description, value=float(value))

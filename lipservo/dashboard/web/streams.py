@@ -1,6 +1,6 @@
 """`/api/twin` and `/api/state`: what the face does, thirty times a second, to many clients.
 
-Each frame is made once; a slow client misses some and holds nobody up.
+Each frame is made once; a slow client misses some and delays no other.
 """
 
 import asyncio
@@ -24,8 +24,8 @@ Message = str | bytes
 class FrameHub:
     """One kind of stream.
 
-    layout: of the face now; hello: what a client is told of it first, and again when it is another.
-    message: the newest; made at most once a tick, and only where somebody is there.
+    layout: of the face now; hello: the first message to a client, and again when it is another.
+    message: the newest; made at most once a tick, and only where a client is connected.
     """
 
     def __init__(
@@ -66,13 +66,13 @@ class FrameHub:
             self.n_clients -= 1
 
     async def _send_all(self, socket: WebSocket) -> None:
-        told: BoardLayout | None = None
+        sent_layout: BoardLayout | None = None
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             while True:
                 layout, message = await self._newest()
-                if layout is not told:
+                if layout is not sent_layout:
                     await self._send(socket.send_text(self._hello(layout)))
-                    told = layout
+                    sent_layout = layout
                 if isinstance(message, bytes):
                     await self._send(socket.send_bytes(message))
                 else:

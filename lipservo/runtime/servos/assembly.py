@@ -100,8 +100,8 @@ def servo_memories(face: FaceSettings) -> tuple[ServoMemory | None, ...]:
         )
         memories = one.bus_kind.memories(of_mouth)
         for joint, memory in zip(of_mouth.joints, memories, strict=False):  # empty: they keep none
-            told = None if memory is None else ServoMemory(*(memory[key] for key in keys))
-            kept[joint.name] = told
+            servo_memory = None if memory is None else ServoMemory(*(memory[key] for key in keys))
+            kept[joint.name] = servo_memory
     return tuple(kept.get(name) for name in face.mouth_servos) if kept else ()
 
 
@@ -129,7 +129,7 @@ def wiring_of(face: FaceSettings) -> Wiring:
 
 
 def allow_first_start(face: FaceSettings) -> None:
-    """A person allows servos of which nobody knows where they stand to jump to neutral."""
+    """Allow servos of unknown position to jump to neutral; a person confirmed it."""
     for one in face.alone.values():
         one.bus_kind.allow_first_start(wiring_of(one))
 

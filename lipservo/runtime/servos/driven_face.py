@@ -31,7 +31,7 @@ _LOG: Final = logging.getLogger(__name__)
 
 
 def _of_the_servos(bridge: Mapping[str, object]) -> dict[str, object]:
-    """The status of a face that nobody speaks through."""
+    """The status of a face without speech."""
     return whole_status(bridge, None).as_dict()
 
 
@@ -39,10 +39,10 @@ def _of_the_servos(bridge: Mapping[str, object]) -> dict[str, object]:
 class ControlOptions:
     """How a face is commanded from outside.
 
-    path: of its socket; None: in the runtime folder. commands: what is asked of it. describe: makes
-    its status, for JSON, of what the bridge knows. about: what every answer says besides the face's
-    name and port. watched_fd: of the memory that a client may watch; None: there is none. waits:
-    a stop leaves a face that waits, limp, for a start; otherwise it ends.
+    path: of its socket; None: in the runtime folder. commands: handles its requests. describe:
+    makes its status, for JSON, of what the bridge knows. about: what every answer says besides the
+    face's name and port. watched_fd: of the memory that a client may watch; None: there is none.
+    waits: a stop leaves a face that waits, limp, for a start; otherwise it ends.
     """
 
     path: Path | None = None
@@ -131,7 +131,7 @@ def face_life(
 ) -> Iterator[LifeCycle]:
     """The life cycle of a bridge, with its logs, its health log and its control socket.
 
-    port: of its servos, None: simulated in memory. A clock of its own has nobody who could stop it.
+    port: of its servos, None: simulated in memory. On a clock of its own no person could stop it.
     """
     if isinstance(clock, ManualClock):
         with LifeCycle(bridge, clock) as life:

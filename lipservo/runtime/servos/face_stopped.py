@@ -4,7 +4,7 @@ from firmware_bridge.stopping import ExitStatus, StopReport
 
 
 class FaceStopped(Exception):  # noqa: N818 - what a person asked for is no error
-    """Somebody stopped the face before the command was done; carries what the servos said."""
+    """A person stopped the face before the command was done; carries what the servos reported."""
 
     def __init__(self, report: StopReport, signal_number: int | None) -> None:
         super().__init__(report.text())

@@ -1,6 +1,6 @@
 """A face that is moved by a person alone, with keys or from its page: no speech, no calibration.
 
-It is held in neutral through the same gate as ever; whoever jogs it does so by the orders that a
+It is held in neutral through the same gate as ever; jogging uses the orders that a
 speaking face takes, too.
 """
 
@@ -31,7 +31,7 @@ def drive_by_hand(
     clock: Clock,
     act: Callable[[Bridge, float], bool] = lambda _bridge, _time_s: True,
 ) -> tuple[StopReport, int | None]:
-    """Hold the face in neutral until a person stops it: (what its servos said, signal's number).
+    """Hold the face in neutral until a person stops it: (the servos' report, signal's number).
 
     config: as its status names it. act: called in each tick, at its time, to give orders to the
     bridge; False: the face comes to rest and is let go. Raises what bus and bridge raise.
@@ -72,7 +72,7 @@ _RENEW_S: Final = 1.0
 class KeyedJoint:
     """One joint in the hand of a person at a terminal.
 
-    place: where it was asked to be, in us of a hobby servo, in degrees of another.
+    place: the goal, in us of a hobby servo, in degrees of another.
     """
 
     def __init__(self, settings: FaceSettings, name: str) -> None:
@@ -80,19 +80,19 @@ class KeyedJoint:
         joint = next(each for each in settings.joints() if each.name == name)
         self.name, self.joint, self.pulse = name, joint, joint.pulse
         self.place = 0.0 if joint.pulse is None else joint.pulse.neutral_us
-        self._may_go_beyond = self._was_asked = False
+        self._may_go_beyond = self._may_confirm = False
         self._renewed_s = -np.inf
 
     @property
     def shown(self) -> str:
-        """Where it was asked to be."""
+        """The goal as text."""
         if self.pulse is None:
             return f"{self.name} {self.place:.1f} deg"
         return f"{self.name} {self.place:.0f} us ({self.pulse.deg(self.place):.1f} deg)"
 
     def press(self, key: str, bridge: Bridge, time_s: float) -> str | None:
         """Do what a key asks: why not, in one line; empty: done; None: it is no key of these."""
-        if key == AGREE_KEY and self._was_asked:
+        if key == AGREE_KEY and self._may_confirm:
             self._may_go_beyond = True
             return ""
         if key == NEUTRAL_KEY:
@@ -117,7 +117,7 @@ class KeyedJoint:
 
     def _go(self, place: float, bridge: Bridge, time_s: float) -> str:
         if not (self._is_within(place) or self._may_go_beyond):
-            self._was_asked = True
+            self._may_confirm = True
             return f"press {AGREE_KEY} to go beyond its limits"
         bridge.obey(ArmJog(), time_s)
         order = JogTo if self.pulse is None else JogPulse

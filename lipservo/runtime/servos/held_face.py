@@ -1,7 +1,7 @@
 """A face whose servos are on and held: moved from pose to pose through the bridge, as speech is.
 
-Everything goes through the last gate. One thread speaks to the bus; whoever waits for a person or a
-tracker does so in `hold`, or in `hold_while`, so that the servos hear something all the time.
+Everything goes through the last gate. One thread speaks to the bus; code that waits for a person or
+a tracker does so in `hold`, or in `hold_while`, so that the servos hear something all the time.
 """
 
 import math
@@ -63,7 +63,7 @@ class HeldFace:
     """Servos armed from `__enter__` to `__exit__`, on a bus and a life cycle of their own.
 
     Poses are joint degrees (n_joints,) of the joints named, by default the mouth's in the order of
-    the YAML; all others stay where they are asked to be at the beginning. Raises what `Bridge` and
+    the YAML; all others stay at their goals of the beginning. Raises what `Bridge` and
     the bus raise, and FaceStopped when a person stops the face; it is limp then.
     """
 
@@ -115,26 +115,66 @@ class HeldFace:
 
     @property
     def stands_deg(self) -> Array:
-        """Where the posed joints stand, (n_joints,). Raises PortGone."""
+        """Where the posed joints stand. Raises PortGone.
+
+        Returns
+        -------
+        Array
+            (n_joints,) degrees.
+        """
         return self._stands_deg()[self._posed]
 
     @property
     def goal_deg(self) -> Array:
-        """Where the posed joints are held, (n_joints,); known where their places are not."""
+        """Where the posed joints are held; known where their places are not.
+
+        Returns
+        -------
+        Array
+            (n_joints,) degrees.
+        """
         return self._goal_deg[self._posed]
 
     @property
     def effort(self) -> Array:
-        """How hard the posed joints pull, (n_joints,), in stall torques. Raises PortGone."""
+        """How hard the posed joints pull. Raises PortGone.
+
+        Returns
+        -------
+        Array
+            (n_joints,), in stall torques.
+        """
         return self._feedback().effort[self._posed]
 
     def move(self, goal_deg: Array) -> Array:
-        """Lead the mouth there, wait until it stands, and say where it does."""
+        """Move the posed joints to a goal, and wait until they stand.
+
+        Parameters
+        ----------
+        goal_deg : Array
+            (n_joints,) degrees.
+
+        Returns
+        -------
+        Array
+            (n_joints,) degrees: where they stand.
+        """
         self.lead(goal_deg)
         return self._settle()
 
     def lead(self, goal_deg: Array) -> Array:
-        """The same without waiting; where it stands on the way."""
+        """Send the posed joints a goal without waiting.
+
+        Parameters
+        ----------
+        goal_deg : Array
+            (n_joints,) degrees.
+
+        Returns
+        -------
+        Array
+            (n_joints,) degrees: where they stand on the way.
+        """
         whole_deg = self._goal_deg.copy()
         whole_deg[self._posed] = goal_deg
         self._move_all(whole_deg)
@@ -217,11 +257,27 @@ class HeldFace:
         return answers[0]
 
     def drive(self, goals_deg: Array, rate_hz: float) -> Array:
-        """Goals (n, n_mouth_servos), one a tick, through the gate -> encoders of the same instants.
+        """Send goals, one a tick, through the gate.
 
         An encoder is read half a tick after its goal was sent: a goal that is held for a tick is on
-        average half a tick old. Ticks that the computer missed are filled in between. Raises
-        ValueError for another rate than `rate_hz` of this face.
+        average half a tick old. Ticks that the computer missed are filled in between.
+
+        Parameters
+        ----------
+        goals_deg : Array
+            (n, n_mouth_servos).
+        rate_hz : float
+            Of this face.
+
+        Returns
+        -------
+        Array
+            (n, n_mouth_servos) degrees: encoders of the same instants.
+
+        Raises
+        ------
+        ValueError
+            Another rate than this face's.
         """
         if rate_hz != self.rate_hz:
             raise ValueError(f"this face is driven at {self.rate_hz:g} Hz, not {rate_hz:g}")
@@ -317,12 +373,12 @@ class HeldFace:
         return self.stands_deg
 
     def _heard_deg(self) -> Array:
-        """Where the servos stand that have just said so; NaN, never still, for the others.
+        """Where the servos stand by a reading of just now; NaN, never still, for the others.
 
         Of those alone that can say it at all.
         """
-        told = self._feedback()
-        return np.where(told.age_s == 0.0, told.positions_deg, np.nan)[self._measured]
+        feedback = self._feedback()
+        return np.where(feedback.age_s == 0.0, feedback.positions_deg, np.nan)[self._measured]
 
     def _stands_deg(self) -> Array:
         return self._feedback().positions_deg

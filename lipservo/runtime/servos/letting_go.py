@@ -1,4 +1,7 @@
-"""Ending a face from outside: asked if it hears, by force if it does not, and who confirmed it."""
+"""Ending a face from outside: by a request, by force if it does not answer.
+
+And who confirmed it.
+"""
 
 import contextlib
 import logging
@@ -75,7 +78,7 @@ class Outcome:
         }
 
     def text(self, done: str) -> str:
-        """In one line; `done`: what was asked, as in "limp"."""
+        """In one line; `done`: what was ordered, as in "limp"."""
         if self.problem:
             return f"{self.name}: {self.problem}"
         if self.released and not self.unconfirmed:
@@ -164,7 +167,7 @@ def _troubles_of(face: RunningFace) -> list[str]:
 
 
 def release(port: str, face: "FaceSettings | None" = None) -> Outcome:
-    """Torque off at a port, whoever of us holds it; verified by every servo that is there.
+    """Torque off at a port, even if a face of ours holds it; verified by every servo that is there.
 
     face: whose servos must confirm too; None: all that was driven there, or whatever is there.
     """
@@ -234,7 +237,7 @@ def _release_all(
 
 
 def faces_at(port: str, faces: Sequence[RunningFace]) -> list[RunningFace]:
-    """Those that hold this port, or say that it is theirs; all are asked at once."""
+    """Those that hold this port, or report it as theirs; all are queried at once."""
     real = {os.path.realpath(each) for each in ports_in(port)}
 
     def is_there(face: RunningFace) -> bool:
@@ -251,7 +254,7 @@ def faces_at(port: str, faces: Sequence[RunningFace]) -> list[RunningFace]:
 
 
 def _free(port: str) -> None:
-    """End the processes of ours that hold a port: asked twice, which means limp, then killed.
+    """End the processes of ours that hold a port: two signals, which means limp, then SIGKILL.
 
     With a supervisor, which would start its bridge again, that is ended; never any other parent.
     """
@@ -293,7 +296,7 @@ def _end_by_force(face: RunningFace, level: StopLevel, outcome: Outcome) -> Outc
 
 
 def _take_over(outcome: Outcome, released: Outcome, bus: str = "") -> None:
-    """bus: by which servos of several ports are told apart."""
+    """bus: its name, where servos of several ports are listed."""
     at = f"{bus} " if bus else ""
     outcome.confirmed += [at + each for each in released.confirmed]
     outcome.unconfirmed |= {at + each: why for each, why in released.unconfirmed.items()}

@@ -1,4 +1,4 @@
-"""Servos with torque off, for somebody who turns them with the fingers.
+"""Servos with torque off, for a person who turns them with the fingers.
 
 Torque is only ever switched off here, so that whatever ends the program leaves it off.
 """
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 #: Torque off is asked for so often before a servo counts as not having confirmed it.
 _TRIES: Final = 3
 #: How often encoders are read, and for how long a pose must have stood: fingers tremble faster.
-LOOK_EVERY_S: Final = 0.05
-STEADY_LOOKS: Final = 7
+READ_EVERY_S: Final = 0.05
+STEADY_READINGS: Final = 7
 #: Held joints wander by less, play included; more is a hand that is still moving.
 _STEADY_DEG: Final = 1.0
 _HOLDS: Final = "holds: its torque is on; who else drives it?"
@@ -73,11 +73,11 @@ class LimpServos:
                 unconfirmed[name] = _SILENT
         return StopReport(tuple(confirmed), unconfirmed)
 
-    def look(self) -> LimpPose:
+    def read_pose(self) -> LimpPose:
         """Where the joints are now, and who cannot be believed. Raises PortGone."""
-        said = self._bus.read()
-        positions_deg = said.positions_deg[self._indices]
-        silent, held = said.missing[self._indices], said.torque_on[self._indices]
+        feedback = self._bus.read()
+        positions_deg = feedback.positions_deg[self._indices]
+        silent, held = feedback.missing[self._indices], feedback.torque_on[self._indices]
         obstacles: dict[str, str] = {}
         for n, name in enumerate(self.names):
             if silent[n]:
@@ -88,14 +88,14 @@ class LimpServos:
 
     def steady_pose(self) -> LimpPose:
         """The median of the next 0.3 s, as `steady`. Raises PortGone."""
-        looks = []
-        for n in range(STEADY_LOOKS):
+        readings = []
+        for n in range(STEADY_READINGS):
             if n:
-                self._clock.sleep_until(self._clock.now() + LOOK_EVERY_S)
-            looks.append(self.look())
-        return self.steady(looks)
+                self._clock.sleep_until(self._clock.now() + READ_EVERY_S)
+            readings.append(self.read_pose())
+        return self.steady(readings)
 
-    def steady(self, looks: Sequence[LimpPose]) -> LimpPose:
+    def steady(self, readings: Sequence[LimpPose]) -> LimpPose:
         """The median of some looks; who moved meanwhile is in the way too.
 
         A lost sample or two are no silence.
@@ -103,16 +103,16 @@ class LimpServos:
         places_deg: list[float] = []
         obstacles: dict[str, str] = {}
         for n, name in enumerate(self.names):
-            told = [look.obstacles.get(name, "") for look in looks]
+            found_obstacles = [reading.obstacles.get(name, "") for reading in readings]
             heard_deg = [
-                float(look.positions_deg[n])
-                for look in looks
-                if look.obstacles.get(name) != _SILENT
+                float(reading.positions_deg[n])
+                for reading in readings
+                if reading.obstacles.get(name) != _SILENT
             ]
             places_deg.append(float(np.median(heard_deg)) if heard_deg else math.nan)
-            if _HOLDS in told:
+            if _HOLDS in found_obstacles:
                 obstacles[name] = _HOLDS
-            elif 2 * len(heard_deg) < len(looks):
+            elif 2 * len(heard_deg) < len(readings):
                 obstacles[name] = _SILENT
             elif np.ptp(heard_deg) > _STEADY_DEG:
                 obstacles[name] = _MOVES
@@ -162,6 +162,6 @@ class TurnedRange:
 
         table = Table("joint", "now", "least", "most", "", box=None)
         for (name, ends), here in zip(self.ends().items(), self._here_deg.tolist(), strict=True):
-            told = (f"{deg:.1f}" if math.isfinite(deg) else "-" for deg in (here, *ends))
-            table.add_row(name, *told, self._obstacles.get(name, ""))
+            shown = (f"{deg:.1f}" if math.isfinite(deg) else "-" for deg in (here, *ends))
+            table.add_row(name, *shown, self._obstacles.get(name, ""))
         return table

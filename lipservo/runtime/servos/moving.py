@@ -14,7 +14,7 @@ from lipsync.errors import UserError
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """Where every joint stood before it was let go, degrees, and what the servos said of that.
+    """Where every joint stood before it was let go, degrees, and what the servos reported of that.
 
     reached_deg: where it was sent to, of servos that cannot say where they stand: not is_measured.
     """
@@ -34,7 +34,7 @@ def move_to(
 ) -> Moved:
     """Lead the named joints, None: all to neutral, and let go there.
 
-    may_jump: servos of which nobody knows where they stand may jump to neutral.
+    may_jump: servos of unknown position may jump to neutral.
     Raises UserError for a joint or an angle that the face has not; nothing has moved then.
     """
     settings, _ = load_settings(config)

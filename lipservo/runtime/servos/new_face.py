@@ -239,7 +239,7 @@ def parse_channel(
 def pulse_face_yaml(
     name: str, kind: BusKind, port: str | None, board: str, joints: Sequence[WiredJoint]
 ) -> str:
-    """The YAML of a face of hobby servos, with comments: what is known is said, all else careful.
+    """The YAML of a face of hobby servos, with comments: values not given are careful ones.
 
     Raises UserError for a board that is no word or number; its kind says whether it has it.
     """

@@ -1,4 +1,4 @@
-"""Simulated servos in a process of their own, for as long as somebody needs them."""
+"""Simulated servos in a process of their own, for as long as a caller needs them."""
 
 import subprocess
 import sys
@@ -40,7 +40,8 @@ def simulated_servos(arguments: Sequence[str]) -> Iterator[SimulatedServos]:
     """Run `lipservo sim-bus` with `arguments` until the block ends.
 
     The simulator also ends when this process dies, since its standard input closes then. A Ctrl-C
-    in the terminal does not reach it: servos stay until whoever drives them has let them go.
+    in the terminal does not reach it: servos stay until the process that drives them has let them
+    go.
     """
     command = [sys.executable, "-m", "lipservo", "sim-bus", "--until-stdin-closes", *arguments]
     with subprocess.Popen(
@@ -62,7 +63,7 @@ def simulated_servos(arguments: Sequence[str]) -> Iterator[SimulatedServos]:
 
 @contextmanager
 def servo_port(port: str | None, sim: str | None, config: str) -> Iterator[str | None]:
-    """The port asked for; with `--sim pty` one made for the occasion; None: the face's own."""
+    """The port of the user; with `--sim pty` one made for the occasion; None: the face's own."""
     if sim is None:
         yield port
         return

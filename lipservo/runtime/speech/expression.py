@@ -36,8 +36,8 @@ _LATEST_S: Final = 1e9
 def expression_settings(amount: float) -> dict[str, Setting]:
     """What may be set, with its bounds.
 
-    look_weight: 1 = look at (look_yaw_deg, look_pitch_deg), 0 = at nobody. The affect that a
-    dialogue system wishes fades with affect_tau_s from monotonic affect_at_s on.
+    look_weight: 1 = look at (look_yaw_deg, look_pitch_deg), 0 = at no target. The affect that a
+    dialogue system sets fades with affect_tau_s from monotonic affect_at_s on.
     """
     return {
         "expression": Setting(amount, 0.0, LIVELIEST),
@@ -51,7 +51,7 @@ def expression_settings(amount: float) -> dict[str, Setting]:
     }
 
 
-class ExpressionWishes:
+class ExpressionRequests:
     """The values that were set last."""
 
     #: Names of what is wished for the moment: no face has them as its way.
@@ -82,7 +82,7 @@ class ExpressionWishes:
 
     @property
     def look_at_deg(self) -> tuple[float, float] | None:
-        """(yaw, pitch) to look at; None: nobody is there."""
+        """(yaw, pitch) to look at; None: no target."""
         if self._values["look_weight"] < 0.5:
             return None
         return self._values["look_yaw_deg"], self._values["look_pitch_deg"]
@@ -204,12 +204,12 @@ class ExpressionLayer:
         source: WholeExpression,
         voice: HeardVoice,
         servos: Sequence[ExpressionServo],
-        wishes: ExpressionWishes,
+        requests: ExpressionRequests,
     ) -> None:
         self.voice = voice
         self._source = source
         self._claims = ExpressionClaims(servos, CUE_PERIOD_S)
-        self.wishes = wishes
+        self.requests = requests
         self._performed = PerformedExpression()
         self._n_steps = 0
         self._silent_s = 0.0
@@ -239,8 +239,8 @@ class ExpressionLayer:
         return self._valence
 
     def change(self, settings: Mapping[str, float]) -> None:
-        """Take what was set, by the names of `ExpressionWishes`."""
-        if self.wishes.change(settings):
+        """Take what was set, by the names of `ExpressionRequests`."""
+        if self.requests.change(settings):
             self.wake()
 
     def wake(self) -> None:
@@ -263,17 +263,17 @@ class ExpressionLayer:
         self._silent_s = 0.0 if is_speaking else self._silent_s + CUE_PERIOD_S
         self._is_speaking = self._silent_s < _PAUSE_S
         voice = self.voice.at(sound_s)
-        self._valence, arousal = self.wishes.affect_at(now_s)
+        self._valence, arousal = self.requests.affect_at(now_s)
         self._arousal = min(1.0, max(-1.0, voice.arousal + arousal))
         self._n_steps += 1
-        amount = self.wishes.amount
+        amount = self.requests.amount
         live = self._source.step(
             ExpressionCue(
                 time_s=self._n_steps * CUE_PERIOD_S,
                 voice=voice,
                 is_speaking=self._is_speaking,
                 silent_s=self._silent_s,
-                look_at_deg=self.wishes.look_at_deg,
+                look_at_deg=self.requests.look_at_deg,
                 valence=self._valence,
                 arousal=self._arousal,
                 amount=amount,
@@ -283,7 +283,7 @@ class ExpressionLayer:
 
     def claims(self, mouth: Claim) -> list[Claim]:
         """What lips and expression want. mouth: what the lips would have."""
-        is_idle = self._silent_s > _IDLE_AFTER_S and self.wishes.look_at_deg is None
+        is_idle = self._silent_s > _IDLE_AFTER_S and self.requests.look_at_deg is None
         claims = self._claims.claims(self.expression, Layer.IDLE if is_idle else Layer.EXPRESSION)
         if self._is_speaking:
             return [*claims, mouth]
@@ -301,13 +301,19 @@ def expression_source(face: FaceSettings, folder: Path | None, seed: int) -> Who
 
     folder: of the YAML, from which a learned model is named; None: a shipped face.
     """
-    asked = face.expression
+    expression_settings = face.expression
     # Of a face that its YAML lets look more or less often at whoever it speaks with.
-    shares = {} if asked.eye_contact is None else {"talking_mutual_share": asked.eye_contact}
-    source: WholeExpression = LiveExpression(seed, rest_after_s=asked.rest_after_s, **shares)
-    if asked.model is None:
+    shares = (
+        {}
+        if expression_settings.eye_contact is None
+        else {"talking_mutual_share": expression_settings.eye_contact}
+    )
+    source: WholeExpression = LiveExpression(
+        seed, rest_after_s=expression_settings.rest_after_s, **shares
+    )
+    if expression_settings.model is None:
         return source
-    return _player_of_models()((folder or Path()) / asked.model, seed, source)
+    return _player_of_models()((folder or Path()) / expression_settings.model, seed, source)
 
 
 def _player_of_models() -> Callable[[Path, int, WholeExpression], WholeExpression]:
@@ -330,5 +336,5 @@ def make_expression(face: FaceSettings, folder: Path | None) -> ExpressionLayer:
         expression_source(face, folder, face.expression.seed),
         HeardVoice(VoiceTracker()),
         expression_servos(face),
-        ExpressionWishes(face.expression.amount),
+        ExpressionRequests(face.expression.amount),
     )

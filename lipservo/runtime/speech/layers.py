@@ -40,7 +40,7 @@ class ServoLayers:
     """Puts the claims of all layers together, one pose each period."""
 
     def __init__(self, servo_names: Sequence[str], neutral_deg: Array, period_s: float) -> None:
-        """neutral_deg: (n_servos,), where a servo goes that nobody claims."""
+        """neutral_deg: (n_servos,), the goal of a servo without an owner."""
         self.servo_names = tuple(servo_names)
         self._neutral_deg = neutral_deg
         self._step = period_s / HANDOVER_S
@@ -66,10 +66,20 @@ class ServoLayers:
         return dict(zip(self.servo_names, owners, strict=True))
 
     def compose(self, claims: Sequence[Claim]) -> Array:
-        """(n_servos,) degrees: each servo where its owner wants it, or on its way there.
+        """Return each servo's goal: where its owner wants it, or on its way there.
 
         The first pose is taken as it is. From then on a new owner starts from where the servo was
-        last told to be, and has it fully after HANDOVER_S.
+        last sent to, and has it fully after HANDOVER_S.
+
+        Parameters
+        ----------
+        claims : Sequence[Claim]
+            Servos, goals and layer each.
+
+        Returns
+        -------
+        Array
+            (n_servos,) degrees.
         """
         wanted_deg = self._neutral_deg.copy()
         owners = np.full(len(self.servo_names), int(Layer.NEUTRAL))

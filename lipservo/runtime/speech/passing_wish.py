@@ -1,6 +1,6 @@
-"""What goes with a wish for the moment, so that whoever has it need not say all of it.
+"""Values that complete a passing request, so that a caller need not give all of them.
 
-Loads nothing: `lipservo set` is typed by somebody who stands beside the robot.
+Loads nothing: a person who types `lipservo set` stands beside the robot and waits.
 """
 
 from collections.abc import Mapping
@@ -10,7 +10,7 @@ _WHERE: Final = ("look_yaw_deg", "look_pitch_deg")
 _MOOD: Final = ("affect_valence", "affect_arousal")
 
 
-def whole_wish(values: Mapping[str, float], now_s: float) -> dict[str, float]:
+def with_expiry(values: Mapping[str, float], now_s: float) -> dict[str, float]:
     """These settings, and what makes them count: somewhere to look at, when a mood began.
 
     now_s: monotonic, one clock for all processes of a computer. What is given stays as it is.

@@ -1,4 +1,4 @@
-"""The sound of a performance, ready to be said: decoded as it is said, silence at both ends."""
+"""The sound of a performance, ready to be played: decoded as it plays, silence at both ends."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -127,10 +127,10 @@ def performed_in(playout: Playout) -> Callable[[float], tuple[StoredMotion, floa
     """What is performed at a sound time, by what the playout has committed: `PerformedMotion`."""
 
     def performed_at(sound_s: float) -> tuple[StoredMotion, float] | None:
-        said = playout.stream_at(sound_s)
-        if said is None or not isinstance(said[0], PerformedStream):
+        stream = playout.stream_at(sound_s)
+        if stream is None or not isinstance(stream[0], PerformedStream):
             return None
-        return said[0].motion, said[1] - EASING_S
+        return stream[0].motion, stream[1] - EASING_S
 
     return performed_at
 

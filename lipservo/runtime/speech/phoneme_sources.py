@@ -1,4 +1,4 @@
-"""Phonemes of what a face hears or says, and how its voice sounds."""
+"""Phonemes and prosody of the sound that a face listens to or speaks."""
 
 import math
 from collections.abc import Iterable
@@ -8,7 +8,7 @@ from typing import Final
 
 from lipsync.arrays import Array
 from lipsync.audio.playout import Playout
-from lipsync.audio.playout_stream import KnownStretch, ToldWords
+from lipsync.audio.playout_stream import KnownStretch, StartedWords
 from lipsync.audio.source import AudioSource
 from lipsync.audio_block import BLOCK_S, AudioBlock
 from lipsync.phonemes import (
@@ -59,7 +59,7 @@ class RecognizedPhonemes:
     def __init__(
         self, source: AudioSource, recognizer: LiveRecognizer, voice: HeardVoice | None = None
     ) -> None:
-        """voice: hears the same sound."""
+        """voice: gets the same sound."""
         self._voice = voice
         self._source = source
         self._recognizer = recognizer
@@ -80,9 +80,9 @@ class RecognizedPhonemes:
         return self._heard_until_s
 
     @property
-    def hears(self) -> Hearing | None:
+    def hearing(self) -> Hearing | None:
         """What is believed about the sound; None where the recogniser does not say."""
-        return None if self._listener is None else self._listener.hears
+        return None if self._listener is None else self._listener.hearing
 
     @property
     def moved_by(self) -> MovedBy | None:
@@ -91,11 +91,19 @@ class RecognizedPhonemes:
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """Words around the one that is said now, and which of them it is; ((), 0): none is told."""
+        """Words around the one that is spoken now, and its index; ((), 0): no text is known."""
         return ((), 0) if self._follower is None else self._follower.saying
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """The robot's servos turned so fast; only a device can hear them, a file cannot."""
+        """Pass servo speeds to the recogniser; a device can hear the servos, a file cannot.
+
+        Parameters
+        ----------
+        sound_s : float
+            Seconds.
+        speeds_deg_s : Array
+            (n_servos,).
+        """
         if self._source.is_live and isinstance(self._recognizer, ServoListener):
             self._recognizer.note_servo_speeds(sound_s, speeds_deg_s)
 
@@ -123,7 +131,7 @@ class SpokenPhonemes:
     def __init__(
         self, playout: Playout, recognizer: LiveRecognizer, voice: HeardVoice | None = None
     ) -> None:
-        """voice: hears what is spoken, also where its phonemes are known."""
+        """voice: gets the sound also where its phonemes are known."""
         self._voice = voice
         self._playout = playout
         self._recognizer = recognizer
@@ -143,9 +151,9 @@ class SpokenPhonemes:
         return self._playout.committed_s
 
     @property
-    def hears(self) -> Hearing | None:
+    def hearing(self) -> Hearing | None:
         """What is believed about the sound; None where the recogniser does not say."""
-        return None if self._listener is None else self._listener.hears
+        return None if self._listener is None else self._listener.hearing
 
     @property
     def moved_by(self) -> MovedBy | None:
@@ -159,7 +167,7 @@ class SpokenPhonemes:
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """Words around the one that is said now, and which of them it is; ((), 0): none is told.
+        """Words around the one that is spoken now, and its index; ((), 0): no text is known.
 
         By their times where they have some, else as far as they were followed.
         """
@@ -171,9 +179,9 @@ class SpokenPhonemes:
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
         """Commit the sound that is due at sound time `until_s`; what became known by it."""
         blocks = self._playout.commit(until_s)
-        for told in self._playout.take_words():
+        for words in self._playout.take_words():
             if self._follower is not None:
-                self._follow(self._follower, told)
+                self._follow(self._follower, words)
         if self._voice is not None:
             for _, spoken in blocks:
                 self._voice.hear(spoken)
@@ -183,12 +191,12 @@ class SpokenPhonemes:
             for update in step.updates
         ]
 
-    def _follow(self, follower: TextFollower, told: ToldWords) -> None:
-        if told.is_new:
+    def _follow(self, follower: TextFollower, words: StartedWords) -> None:
+        if words.is_new:
             follower.forget()
-        self._followed = told.kind
+        self._followed = words.kind
         with suppress(TextError):  # too many wait: these are heard as any others
-            follower.tell(told.words, told.behind_s)
+            follower.tell(words.words, words.behind_s)
 
 
 #: By the kind of what is followed: what moves the mouth.
@@ -208,14 +216,14 @@ def with_known(update: PhonemeUpdate, stretches: Iterable[KnownStretch]) -> Phon
     events, posteriors = list(update.events), update.posteriors
     for start_s, end_s, known in stretches:
         posteriors = None  # what is known is not doubted
-        told_until_s = min(end_s, update.heard_until_s + _AHEAD_S)
-        near = [event for event in known if event.start_s < told_until_s]
+        known_until_s = min(end_s, update.heard_until_s + _AHEAD_S)
+        near = [event for event in known if event.start_s < known_until_s]
         near = [event for event in near if _end_s(event) > update.replace_from_s]
         # What is said may be cut off within a phoneme, and go on within one.
-        said = _cut(near, start_s, end_s)
+        known_part = _cut(near, start_s, end_s)
         # Beyond what is told of a stretch nothing else is, or the two would overlap later.
-        after = _cut(events, end_s, math.inf) if told_until_s == end_s else []
-        events = [*_cut(events, -math.inf, start_s), *said, *after]
+        after = _cut(events, end_s, math.inf) if known_until_s == end_s else []
+        events = [*_cut(events, -math.inf, start_s), *known_part, *after]
     return replace(update, events=tuple(events), posteriors=posteriors)
 
 

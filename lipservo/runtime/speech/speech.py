@@ -94,7 +94,15 @@ class CutOff:
         self.is_closing = False
 
     def begin(self, shown_deg: Array, rest_deg: Array, until_s: float) -> None:
-        """The mouth is at `shown_deg` and is to rest until sound time `until_s`."""
+        """Begin to close the mouth.
+
+        Parameters
+        ----------
+        shown_deg,rest_deg : Array
+            (n_servos,) degrees: where it is, and where it rests.
+        until_s : float
+            Sound time until which it rests.
+        """
         self.until_s = max(self.until_s, until_s) if self.is_closing else until_s
         if self.is_closing:
             return
@@ -103,12 +111,29 @@ class CutOff:
         self._closed = 0.0
 
     def close(self) -> Array:
-        """The next pose on the way to rest."""
+        """Return the next pose on the way to rest.
+
+        Returns
+        -------
+        Array
+            (n_servos,) degrees.
+        """
         self._closed = min(1.0, self._closed + self._period_s / CLOSING_S)
         return self._between(self._start_deg, self._rest_deg, self._closed)
 
     def join(self, live_deg: Array) -> Array:
-        """The next pose on the way back to what speech wants."""
+        """Return the next pose on the way back to the live one.
+
+        Parameters
+        ----------
+        live_deg : Array
+            (n_servos,) degrees.
+
+        Returns
+        -------
+        Array
+            (n_servos,) degrees.
+        """
         if self.is_closing:
             self.is_closing = False
             self._start_deg = self._between(self._start_deg, self._rest_deg, self._closed)
@@ -145,7 +170,18 @@ class LipGapOffset:
         self.wanted_mm = settings.get(LIP_GAP_OFFSET, self.wanted_mm)
 
     def feed(self, face: Array) -> Array:
-        """Faces (..., n_components) of the next period."""
+        """Advance one period, and return its faces.
+
+        Parameters
+        ----------
+        face : Array
+            (..., n_components).
+
+        Returns
+        -------
+        Array
+            (..., n_components).
+        """
         if self._shown_mm != self.wanted_mm:
             self._halfway_mm += self._share * (self.wanted_mm - self._halfway_mm)
             self._shown_mm += self._share * (self._halfway_mm - self._shown_mm)
@@ -156,7 +192,18 @@ class LipGapOffset:
         return self.shifted(face)
 
     def shifted(self, face: Array) -> Array:
-        """Faces (..., n_components) as they would be shown now."""
+        """Return faces as they would be shown now.
+
+        Parameters
+        ----------
+        face : Array
+            (..., n_components).
+
+        Returns
+        -------
+        Array
+            (..., n_components).
+        """
         if self._shown_mm == 0.0:
             return face
         return np.asarray(face + self._shown_mm * self._per_mm)
@@ -183,7 +230,7 @@ class SpeechOptions:
 
     least_delay_s: the face waits for a loudspeaker that is so late. expression: moves all else.
     lip_gap: lips more open or closed than planned; None: as planned. plan: of the mouth's joints;
-    None: they are asked for whatever the face wants.
+    None: joint goals are the planned ones.
     """
 
     least_delay_s: float = 0.0
@@ -241,7 +288,7 @@ class Speech:
         self._goals_deg = self._mouth_deg = np.zeros(len(self.mouth))
         # The first sound is shown a delay late; until then the closed mouth is published.
         self._n_published = -round(self.delay.total_s / PUBLISH_PERIOD_S)
-        self._newest_asked_s, self._newest_sound_s = -math.inf, -self.delay.total_s
+        self._newest_goal_s, self._newest_sound_s = -math.inf, -self.delay.total_s
 
     @property
     def phonemes_planned(self) -> int:
@@ -250,13 +297,19 @@ class Speech:
 
     @property
     def held_back_share(self) -> Array:
-        """In which share of the time each joint of the mouth gave way to its limits, (n,)."""
+        """In which share of the time each joint of the mouth gave way to its limits.
+
+        Returns
+        -------
+        Array
+            (n_joints,), 0 to 1.
+        """
         return np.zeros(len(self.mouth)) if self._plan is None else self._plan.held_back_share
 
     @property
-    def hears(self) -> Hearing | None:
-        """What is believed about the sound that was settled last; None: nobody listens."""
-        return None if self._listener is None else self._listener.hears
+    def hearing(self) -> Hearing | None:
+        """The class of the sound that was settled last; None: no recogniser listens."""
+        return None if self._listener is None else self._listener.hearing
 
     @property
     def moved_by(self) -> MovedBy | None:
@@ -265,7 +318,7 @@ class Speech:
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """Words around the one that is said now, and which of them it is; ((), 0): none is told."""
+        """Words around the one that is spoken now, and its index; ((), 0): no text is known."""
         return self._phonemes.saying if isinstance(self._phonemes, MouthMover) else ((), 0)
 
     @property
@@ -274,7 +327,15 @@ class Speech:
         return self._calibration
 
     def note_servo_speeds(self, now_s: float, speeds_deg_s: Array) -> None:
-        """All servos of the face (n_servos,) turned so fast at monotonic `now_s`."""
+        """Note the speeds of all servos of the face.
+
+        Parameters
+        ----------
+        now_s : float
+            Monotonic seconds.
+        speeds_deg_s : Array
+            (n_servos,).
+        """
         if isinstance(self._phonemes, ServoListener):
             self._phonemes.note_servo_speeds(self._clock.sound_s(now_s), speeds_deg_s)
 
@@ -310,10 +371,16 @@ class Speech:
         self._n_published = max(self._n_published, n_due)
 
     def cut_off(self, now_s: float, rest: Array, until_s: float | None = None) -> None:
-        """Close the mouth now, whatever was planned; what is said from `until_s` on is shown again.
+        """Close the mouth now, whatever was planned; speech from `until_s` on is shown again.
 
-        rest: the face (n_components,) of a mouth at rest. until_s: in sound time; None: until the
-        sound, which stands still, goes on.
+        Parameters
+        ----------
+        now_s : float
+            Monotonic seconds.
+        rest : Array
+            (n_components,), the face of a mouth at rest.
+        until_s : float | None
+            Sound time; None: until the sound, which stands still, goes on.
         """
         if until_s is None:
             until_s = self._clock.sound_s(now_s) - self.delay.synthesis_s + _GOES_ON_S
@@ -322,7 +389,7 @@ class Speech:
         )
         self._cut_off.begin(self._mouth_deg, rest_deg, until_s)
         # Targets may have been dated ahead of this moment.
-        self._newest_asked_s = min(self._newest_asked_s, now_s)
+        self._newest_goal_s = min(self._newest_goal_s, now_s)
 
     @property
     def is_cut_off(self) -> bool:
@@ -333,13 +400,13 @@ class Speech:
         """The phoneme of a sound time, as far as it is known."""
         return self._synthesizer.event_at(sound_s)
 
-    def captured_s(self, asked_s: float) -> float | None:
+    def captured_s(self, goal_s: float) -> float | None:
         """When the sound was captured that moves the servos at `asked_s`, on the same clock.
 
-        Before any sound moves them, or where nobody knows: None. Ask in order.
+        Before any sound moves them, or where it is not known: None. Call in order of time.
         """
         # Beyond the newest target, whatever is shown was made of that one.
-        sound_s = self._newest_sound_s - max(0.0, self._newest_asked_s - asked_s)
+        sound_s = self._newest_sound_s - max(0.0, self._newest_goal_s - goal_s)
         return None if sound_s < 0.0 else self._clock.captured_s(sound_s)
 
     def shown_at(self, sound_s: float) -> tuple[str, Frame]:
@@ -356,15 +423,15 @@ class Speech:
 
     def _close(self, now_s: float) -> None:
         """The mouth goes to rest by the clock of the computer, whatever the sound's clock does."""
-        self._newest_asked_s = max(self._newest_asked_s, now_s - _OLDEST_WORTH_SHOWING_S)
+        self._newest_goal_s = max(self._newest_goal_s, now_s - _OLDEST_WORTH_SHOWING_S)
         # Every period counts, also where ticks are farther apart: it closes in the same time.
-        while self._newest_asked_s < now_s + PUBLISH_PERIOD_S / 2:
-            self._newest_asked_s += PUBLISH_PERIOD_S
+        while self._newest_goal_s < now_s + PUBLISH_PERIOD_S / 2:
+            self._newest_goal_s += PUBLISH_PERIOD_S
             self._plan_mouth(TargetWindow(_NOW, self._cut_off.close()[None], _FREE))
-            shown_s = self._newest_asked_s + self.delay.actuation_s
+            shown_s = self._newest_goal_s + self.delay.actuation_s
             pose_deg = self._compose(self._newest_sound_s, shown_s, SILENCE, NO_EXPRESSION)
             goals_deg = self._lag.feed(pose_deg)
-            self._publish(ServoTargets(self._newest_asked_s, goals_deg))
+            self._publish(ServoTargets(self._newest_goal_s, goals_deg))
 
     def _targets(self, sound_s: float) -> ServoTargets:
         phoneme, frame = self.shown_at(sound_s)
@@ -377,10 +444,10 @@ class Speech:
         self._plan_mouth(TargetWindow(window.times_s, poses_deg[:-1], window.closed, poses_deg[-1]))
         shown_s = self._clock.monotonic_s(sound_s) + self.delay.total_s
         # Servos are asked before the face is shown, by as much as they are late.
-        asked_s = shown_s - self.delay.actuation_s
-        self._newest_asked_s, self._newest_sound_s = asked_s, sound_s
+        goal_s = shown_s - self.delay.actuation_s
+        self._newest_goal_s, self._newest_sound_s = goal_s, sound_s
         pose_deg = self._compose(sound_s, shown_s, phoneme, frame.expression)
-        return ServoTargets(asked_s, self._lag.feed(pose_deg))
+        return ServoTargets(goal_s, self._lag.feed(pose_deg))
 
     def _plan_mouth(self, wanted: TargetWindow) -> None:
         """Goals for poses of the mouth that are wanted now and later.

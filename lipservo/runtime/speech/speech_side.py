@@ -75,7 +75,7 @@ class AdjustableMouth:
 _STALE_S: Final = 0.15
 #: Its clock runs on a little until it stands still, too. The mouth opens again once lips and sound
 #: are as near as that, which nobody notices.
-_MET_S: Final = 0.03
+_CAUGHT_UP_S: Final = 0.03
 
 
 class OwnVoice:
@@ -92,16 +92,16 @@ class OwnVoice:
     ) -> None:
         """clock: of the same speech side. rest: the face (n_components,) of a mouth at rest.
 
-        quiet_s: nothing is said so long after the beginning, as servos are slow at first.
+        quiet_s: seconds of silence at the beginning, as servos are slow at first.
         """
         self._quiet_s = quiet_s
         self.playout = playout
         self._clock = clock
         self._speech = speech
         self._rest = rest
-        self._said_s = -1.0
-        self._told_position_s, self._moved_s = -math.inf, -math.inf
-        self._is_standing = False
+        self._logged_s = -1.0
+        self._reported_position_s, self._moved_s = -math.inf, -math.inf
+        self._has_stalled = False
         clock.lead_s = speech.delay.total_s
 
     def begin(self) -> None:
@@ -109,20 +109,20 @@ class OwnVoice:
         self.playout.begin(self._clock.lead_s, self._quiet_s)
 
     def advance(self, now_s: float) -> None:
-        """Follow whoever plays, do what was asked for, note which phoneme is heard."""
+        """Follow the playout, run its requests, note which phoneme is heard."""
         self._follow(now_s)
         self._get_up()
         position_s = self._clock.sound_s(now_s) - self._clock.lead_s
         if self.playout.advance(position_s):
             self._speech.cut_off(now_s, self._rest, self.playout.committed_s)
         event = self._speech.event_at(max(0.0, position_s))
-        if event is not None and event.start_s > self._said_s:
-            self._said_s = event.start_s
+        if event is not None and event.start_s > self._logged_s:
+            self._logged_s = event.start_s
             end_s = event.start_s if event.end_s is None else event.end_s
             self.playout.phonemes.append((event.phoneme, event.start_s, end_s))
 
     def be_quiet(self) -> None:
-        """The servos come on: nothing is said until all of them follow."""
+        """The servos come on: nothing is spoken until all of them follow."""
         self.playout.be_quiet(self._quiet_s)
 
     def fall_silent(self) -> None:
@@ -131,7 +131,7 @@ class OwnVoice:
         self.playout.advance(self.playout.position_s)
 
     def _get_up(self) -> None:
-        """A face whose servos rest has them back before anything is said."""
+        """Give a face whose servos rest its torque before anything is spoken."""
         expression = self._speech.expression
         if expression is not None and expression.is_resting and not self.playout.is_over:
             expression.wake()
@@ -142,15 +142,17 @@ class OwnVoice:
         report = self.playout.report()
         if report is None:
             return
-        told_s, position_s = report
-        self._clock.played(told_s, position_s)
-        ahead_s = self._clock.sound_s(now_s) - self._clock.lead_s - position_s - (now_s - told_s)
-        if position_s != self._told_position_s:
-            self._told_position_s, self._moved_s = position_s, now_s
-            self._is_standing = self._is_standing and ahead_s > _MET_S
+        reported_s, position_s = report
+        self._clock.played(reported_s, position_s)
+        ahead_s = (
+            self._clock.sound_s(now_s) - self._clock.lead_s - position_s - (now_s - reported_s)
+        )
+        if position_s != self._reported_position_s:
+            self._reported_position_s, self._moved_s = position_s, now_s
+            self._has_stalled = self._has_stalled and ahead_s > _CAUGHT_UP_S
         elif now_s - self._moved_s > _STALE_S:
-            self._is_standing = True
-        if self._is_standing:
+            self._has_stalled = True
+        if self._has_stalled:
             self._speech.cut_off(now_s, self._rest)
 
 
@@ -173,7 +175,7 @@ class SpeechBoard:
         self._width = lip_width_of(face)
         self._rounding = 0.0
         self._numbers = {phoneme: number for number, phoneme in enumerate(PHONEMES)}
-        self._told_s = 0.0
+        self._shown_until_s = 0.0
 
     def tell(self, now_s: float, speech: Speech) -> None:
         """What is shown at monotonic `now_s`."""
@@ -183,7 +185,7 @@ class SpeechBoard:
         is_cut_off = speech.is_cut_off
         heard = None if expression is None else expression.voice
         self._board.write_speech(
-            [] if heard is None else heard.peaks(self._told_s, sound_s, MOST_PEAKS),
+            [] if heard is None else heard.peaks(self._shown_until_s, sound_s, MOST_PEAKS),
             time_s=now_s,
             sound_s=sound_s,
             phoneme=self._numbers[phoneme],
@@ -195,7 +197,7 @@ class SpeechBoard:
             if expression is None
             else expression_values(expression.expression),
         )
-        self._told_s = max(self._told_s, sound_s)
+        self._shown_until_s = max(self._shown_until_s, sound_s)
 
     def _rounded(self, frame: Frame, speech: Speech) -> Array:
         """The frame's face (n_components,), its lips rounded for W, UW and their likes."""
@@ -203,7 +205,7 @@ class SpeechBoard:
             return frame.coefficients
         event = speech.event_at(frame.time_s + _ROUNDING_LEAD_S)
         wanted = float(event is not None and PHONEMES.index(event.phoneme) in ROUNDED)
-        passed_s = max(0.0, frame.time_s - self._told_s)
+        passed_s = max(0.0, frame.time_s - self._shown_until_s)
         self._rounding += (1.0 - math.exp(-passed_s / _ROUNDING_TIME_S)) * (wanted - self._rounding)
         return self._width.rounded(frame.coefficients, self._rounding)
 
@@ -229,7 +231,7 @@ class SpeechSide:
         """mouth: takes what is set of it, and moves livelier with a voice that is excited.
 
         rest: the face (n_components,) of a mouth at rest, for while the face is stopped. board:
-        where it tells what it shows; None: nobody watches. quiet_s: servos follow so long after
+        where it writes what it shows; None: no watcher. quiet_s: servos follow so long after
         they got torque. is_live: the sound does not wait for them.
         """
         self._quiet_s, self._is_live = quiet_s, is_live
@@ -250,7 +252,7 @@ class SpeechSide:
     def start(self, now_s: float) -> float:
         """The servos get torque at monotonic `now_s`; when the sound begins.
 
-        Nothing is said and no mouth moves until all of them follow: of servos that come on one
+        Nothing is spoken and no mouth moves until all of them follow: of servos that come on one
         after another half a mouth would.
         """
         waits = self.voice is None and not self._is_live
@@ -288,13 +290,21 @@ class SpeechSide:
         return sound_s, *self.speech.shown_at(max(0.0, sound_s))
 
     def note_servos(self, time_s: float, positions_deg: Array) -> None:
-        """All servos of the face (n_servos,) stood there at monotonic `time_s`, by encoders."""
+        """Note where all servos of the face are, by encoders.
+
+        Parameters
+        ----------
+        time_s : float
+            Monotonic seconds.
+        positions_deg : Array
+            (n_servos,).
+        """
         found = self._servo_speeds.take(time_s, positions_deg)
         if found is not None:
             self.speech.note_servo_speeds(*found)
 
     def change(self, settings: Mapping[str, float]) -> None:
-        """Take what was set while the face runs, by name; what nobody here knows is left alone."""
+        """Apply settings changed while the face runs, by name; unknown names are left alone."""
         if self._mouth is not None:
             self._mouth.change(settings)
         if self.speech.lip_gap is not None:
@@ -303,7 +313,7 @@ class SpeechSide:
             self.speech.expression.change(settings)
 
     def fall_silent(self) -> None:
-        """The face is stopped: nothing is said any more."""
+        """The face is stopped: drop all speech."""
         if self.voice is not None:
             self.voice.fall_silent()
 
@@ -340,7 +350,7 @@ def make_speech_side(
 ) -> SpeechSide:
     """Everything between an entered source and the targets of a face's servos.
 
-    start_s: the servos come on for so long, and nothing is said until they follow.
+    start_s: the servos come on for so long, and nothing is spoken until they follow.
     """
     names: Sequence[str] = list(face.settings.servos)
     mouth, rest = AdjustableMouth(synthesizer), face.model.rest

@@ -16,7 +16,7 @@ class BridgeSide:
     name: of the face; config: its YAML, by the name of a shipped face or by its path; sounds: the
     folder whose sound files may be played; port: of its servos, None: simulated in memory; state:
     a `FaceState`, or what the supervisor does while no bridge runs; stopped: the stop of a person
-    that holds, and stopped_by: who requested it; stop_report: what the servos said of it
+    that holds, and stopped_by: who requested it; stop_report: what the servos reported of it
     (`StopReport`), None before they have; can_start: whether a person can start it now; plugged:
     whether the port is there; torque_on: whether a servo is driven; servos: the state of each, by
     name; troubles: a line for each servo that is not driven; jogged: joints that a person jogs;
@@ -62,18 +62,18 @@ class SpeechStatus:
 
     sound: what is heard, by the name of file or device. recognizer: who listens now;
     fallback_level: how many better ones are not in use, 0: the best is;
-    fallback_reasons: why each of them is not. engine, weights, strategy: as asked for. settings:
-    what the strategy lets its user set, as set last. hears: what is believed about the sound,
+    fallback_reasons: why each of them is not. engine, weights, strategy: as requested. settings:
+    what the strategy lets its user set, as set last. hears: the class of the sound,
     `speech`, `noise` or `silence`; moved_by: what that is known from, `sound`, `text`, `words`,
-    `phonemes` or `visemes`; words: those around the one that is said, as far as they are known,
+    `phonemes` or `visemes`; words: those around the one that is spoken, as far as they are known,
     word: which of them that is. delay_ms: how much later than its sound the face is shown.
     n_phonemes: that moved the mouth; n_lost_sound_blocks: sound not heard. output: the
     loudspeaker, None: nothing is played; output_lost: it is gone; listens_on: where voice agents
-    are waited for; speaking: the stream that is being said; n_playout_underruns: how often sound
+    are waited for; speaking: the stream that is being spoken; n_playout_underruns: how often sound
     that was to be played was not there in time, a stream's or the device's. arousal: of the voice
     that is shown, -1 to 1; mouth_closes: whether its lips meet, as its
-    calibration saw, None: nobody looked.
-    is_resting: after a long silence its servos are let go until somebody speaks; expression: how
+    calibration saw, None: not observed.
+    is_resting: after a long silence its servos are let go until a person speaks; expression: how
     lively it is, where it looks and what affect was set, by name.
     """
 
@@ -137,6 +137,6 @@ class Status:
 def whole_status(bridge: Mapping[str, Any], speech: SpeechStatus | None) -> Status:
     """The two sides as one. bridge: what `face_status` gives, and name and port of the face.
 
-    Raises TypeError for a part that is not in `BridgeSide`: it would be said by nobody.
+    Raises TypeError for a part that is not in `BridgeSide`: it would be missing in every answer.
     """
     return Status(BridgeSide(**bridge), speech or SILENT)

@@ -1,6 +1,6 @@
-"""What a face does at this very moment, in memory that whoever watches may read.
+"""The present state of a face, in memory that watching programs may read.
 
-The loop that drives the servos and the one that hears each write a record a tick, some hundred
+The loop that drives the servos and the one that recognises each write a record a tick, some hundred
 bytes, and know nothing of who reads: one watcher or twenty cost them the same. A record has a
 number and a checksum; one that is read while it is being written is not believed.
 `firmware_bridge.process.control_socket` hands the memory to those who ask, to read only.
@@ -68,7 +68,7 @@ class BoardLayout:
         """A record of the speech side: what is shown at monotonic `time_s`.
 
         sound_s: its sound time; phoneme: number in `phonemes`; peaks: of the 10 ms blocks shown
-        since the record before, 255 = full scale; expression: NaN where nothing is said.
+        since the record before, 255 = full scale; expression: NaN where none is set.
         """
         return np.dtype(
             [
@@ -206,14 +206,14 @@ class LiveBoard:
 
 
 def expression_values(expression: Expression = NO_EXPRESSION) -> list[float]:
-    """In the order of a record, NaN where nothing is said."""
+    """In the order of a record, NaN where none is set."""
     values = (getattr(expression, name) for name in EXPRESSION_NAMES)
     return [float("nan") if value is None else value for value in values]
 
 
-def _layout(told: Mapping[str, Any]) -> BoardLayout:
-    lists = {name: tuple(told[name]) for name in ("servos", "states", "phonemes")}
-    return BoardLayout(**{**told, **lists})
+def _layout(record: Mapping[str, Any]) -> BoardLayout:
+    lists = {name: tuple(record[name]) for name in ("servos", "states", "phonemes")}
+    return BoardLayout(**{**record, **lists})
 
 
 def _number(found: tuple[int, Record]) -> int:
@@ -255,7 +255,7 @@ class ServoBoard:
 
 
 def _answered_deg(feedback: Feedback) -> Array:
-    """NaN for a servo that has said nothing for so long that its goals are withheld."""
+    """NaN for a servo that has been silent for so long that its goals are withheld."""
     if not any_set(feedback.age_s):  # all answered just now
         return feedback.positions_deg
     return np.where(feedback.age_s > SILENT_S, np.nan, feedback.positions_deg)

@@ -1,4 +1,4 @@
-"""The live board of a face that nobody speaks through: its servos move, its mouth is at rest.
+"""The live board of a face without speech: its servos move, its mouth is at rest.
 
 Written by commands that move servos for a person, so that a page draws them as it draws any face.
 """

@@ -3,7 +3,7 @@
 The bridge process answers people and writes down which settings they want; the speech process
 follows them, and writes down how it is. The supervisor writes down whether a person has stopped the
 face, so that speech falls silent. The memory is the supervisor's, so that what was set and
-what was said outlives either of them. Nobody waits: a note that is being written is read at the
+the results outlive either of them. No process waits: a note that is being written is read at the
 next look. Each note has one writer at a time.
 """
 
@@ -89,7 +89,7 @@ class StatusBoard:
         self._settings.write({**self.settings(), **changed})
 
     def settings(self) -> dict[str, float]:
-        """What was wanted last, by name; {} where nobody has set anything."""
+        """The settings requested last, by name; {} where none was changed."""
         return {name: float(str(value)) for name, value in self._settings.read().items()}
 
     def write_stopped(self, *, is_stopped: bool) -> None:
@@ -105,9 +105,9 @@ class StatusBoard:
         self._speech.write(asdict(status))
 
     def speech(self) -> SpeechStatus | None:
-        """How the speech side was last; None before it has said so."""
-        told = self._speech.read()
-        return SpeechStatus(**told) if told else None  # type: ignore[arg-type]  # as written
+        """The last status of the speech side; None before the first."""
+        record = self._speech.read()
+        return SpeechStatus(**record) if record else None  # type: ignore[arg-type]  # as written
 
     def describe_stopped(self, supervisor: Mapping[str, object]) -> dict[str, object]:
         """The status for JSON while no bridge runs: copied, so that nothing in it can fail."""

@@ -15,8 +15,8 @@ class StreetTick:
     """What one tick of the street showed. sound_s is negative before the first sound is shown.
 
     captured_s: when the sound was captured that the servos were moved by; None before there is one.
-    hears: what is believed about the sound that was settled last, which is not shown yet; None:
-    nobody listens. moved_by: what that was known from, sound that was heard, text, words,
+    hearing: the class of the sound that was settled last, which is not shown yet; None:
+    no recogniser listens. moved_by: the source of the phonemes, sound that was heard, text, words,
     phonemes or visemes.
     """
 
@@ -25,17 +25,23 @@ class StreetTick:
     frame: Frame
     report: TickReport
     captured_s: float | None = None
-    hears: Hearing | None = None
+    hearing: Hearing | None = None
     moved_by: MovedBy | None = None
 
     @property
     def coefficients(self) -> Array:
-        """The mouth (n_components,) that was shown."""
+        """The mouth that was shown.
+
+        Returns
+        -------
+        Array
+            (n_components,).
+        """
         return self.frame.coefficients
 
 
 class TickObserver(Protocol):
-    """Somebody who watches every tick; must return at once."""
+    """An observer of every tick; must return at once."""
 
     def observe(self, tick: StreetTick) -> None:
         """See one tick."""

@@ -62,7 +62,7 @@ def test_a_joint_that_stops_is_named_with_its_pose(joint, at_deg):
     found = fault_of(capture_of(joint, given=stuck(joint, at_deg)))
     assert (found.kind, found.joint) == ("stopped", joint)
     assert abs(found.pose - (MIDDLE + 1)) <= 2
-    assert f"servo {SERVOS[joint]!r} stopped moving at about pose" in found.told(SERVOS)
+    assert f"servo {SERVOS[joint]!r} stopped moving at about pose" in found.description(SERVOS)
 
 
 @pytest.mark.parametrize("joint", range(4))
@@ -71,7 +71,7 @@ def test_a_joint_that_slips_is_named_with_its_pose(joint, by_deg):
     found = fault_of(capture_of(joint, given=slipped(joint, by_deg)))
     assert (found.kind, found.joint) == ("slipped", joint)
     assert abs(found.pose - (MIDDLE + 1)) <= 2
-    assert f"servo {SERVOS[joint]!r} slipped on its shaft" in found.told(SERVOS)
+    assert f"servo {SERVOS[joint]!r} slipped on its shaft" in found.description(SERVOS)
 
 
 def test_a_tracker_that_was_knocked_is_no_joints_fault():
@@ -80,7 +80,7 @@ def test_a_tracker_that_was_knocked_is_no_joints_fault():
     moved_mm[MIDDLE:] += [5.0, -3.0, 2.0]
     found = fault_of(replace(capture, markers_mm=moved_mm))
     assert (found.kind, found.joint, found.pose) == ("shifted", -1, MIDDLE + 1)
-    said = found.told(SERVOS)
+    said = found.description(SERVOS)
     assert f"from pose {MIDDLE + 1} on" in said
     assert not any(name in said for name in SERVOS)
 

@@ -8,9 +8,9 @@ from calibration.capture.capture import Capture, plan_poses
 from calibration.capture.joint_health import (
     alive,
     doubtful_joints,
+    extra_poses,
     is_dead,
     moved_alone_mm,
-    second_look,
 )
 from calibration.capture.straight_lines import straight_lines
 from calibration.mouth_servos import JointRange
@@ -37,7 +37,7 @@ def first_look(effect, seed):
 
 
 def both_looks(effect, seed):
-    looks = (plan_poses(JOINTS, 12), second_look(JOINTS, [1]))
+    looks = (plan_poses(JOINTS, 12), extra_poses(JOINTS, [1]))
     goals_deg = np.concatenate([plan.goals_deg for plan in looks])
     return seen(goals_deg, np.concatenate([plan.from_below for plan in looks]), effect, seed)
 
@@ -65,7 +65,7 @@ def test_a_first_look_leaves_both_in_doubt_and_never_the_jaw():
 
 def test_a_second_look_moves_one_joint_at_a_time_between_its_ends_within_the_rules():
     rule = CouplingRule(np.array([1.0, 0.0]), 10.0)
-    plan = second_look(JOINTS, [1, 0], rules=(rule,))
+    plan = extra_poses(JOINTS, [1, 0], rules=(rule,))
     assert len(plan) == 24
     assert plan.servo_names == ("jaw", "left")
     assert plan.goals_deg[:12].tolist() == [[0.0, -27.0], [0.0, 27.0]] * 6

@@ -65,7 +65,7 @@ def test_a_horn_that_slips_is_named_with_its_degrees(joint, by_deg):
     assert (found.kind, found.joint) == ("slipped", joint)
     assert found.by == pytest.approx(by_deg, abs=6.0)
     assert found.first < MIDDLE < found.last
-    assert f"{NAMES[joint]!r} slipped on its shaft" in found.told(NAMES)
+    assert f"{NAMES[joint]!r} slipped on its shaft" in found.description(NAMES)
 
 
 @pytest.mark.parametrize("joint", range(4))
@@ -79,7 +79,7 @@ def test_a_rod_that_tears_is_named(joint):
 def test_a_face_that_is_another_than_before_accuses_no_joint():
     found = change_of(capture_of(shifted_mm=3.0))
     assert (found.kind, found.joint) == ("shifted", -1)
-    assert "the face is another one than before, by " in found.told(NAMES)
+    assert "the face is another one than before, by " in found.description(NAMES)
 
 
 def test_without_repeated_poses_nothing_can_be_said():

@@ -99,7 +99,7 @@ def test_a_jaw_at_its_limit_is_named_with_the_degrees_that_are_missing():
     own_mm = REST_MM[MARKERS_47.upper_lip, 1] - REST_MM[MARKERS_47.lower_lip, 1]
     assert closing.apart_mm == pytest.approx(2.5 + own_mm, abs=0.4)
     assert closing.missing_deg == pytest.approx(closing.apart_mm / 0.5, rel=0.2)
-    assert "jaw is at its limit" in closing.told
+    assert "jaw is at its limit" in closing.description
 
 
 def test_lips_that_stop_each_other_before_the_limit_are_contact():

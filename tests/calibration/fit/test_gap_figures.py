@@ -9,12 +9,12 @@ from calibration.grade import gap_figures
 def test_slope_closed_lips_and_small_openings_by_hand():
     """Two closed frames, two small openings of which one is lost, a wide one."""
     human_mm = np.array([0.0, 0.5, 2.5, 3.5, 10.0])
-    asked_mm = np.array([0.0, 0.0, 2.0, 3.0, 9.0])
+    wanted_mm = np.array([0.0, 0.0, 2.0, 3.0, 9.0])
     made_mm = np.array([-0.2, 0.4, 0.9, 3.0, 9.0])
-    found = gap_figures(asked_mm, made_mm, human_mm)
+    found = gap_figures(wanted_mm, made_mm, human_mm)
     assert found.small_kept == 0.5
     assert found.closed_mm == pytest.approx(0.37)  # 95 % of the way from -0.2 to 0.4
-    assert found.slope == pytest.approx(np.polyfit(asked_mm, made_mm, 1)[0])
+    assert found.slope == pytest.approx(np.polyfit(wanted_mm, made_mm, 1)[0])
 
 
 def test_frames_count_by_their_share():

@@ -83,7 +83,7 @@ def own_slope(poses):
     """Of the robot's own nearest shapes: two joints do not make every opening asked for."""
     heights_mm = (poses.targets_mm[:, UPPER, 1] - poses.targets_mm[:, LOWER, 1]).mean(axis=1)
     weights = np.sqrt(poses.shares)
-    return np.polyfit(poses.asked_open_mm, heights_mm, 1, w=weights)[0]
+    return np.polyfit(poses.wanted_open_mm, heights_mm, 1, w=weights)[0]
 
 
 def captured(seen_mm) -> Capture:
@@ -193,11 +193,11 @@ def test_the_trackers_noise_is_taken_off(fit, targets_mm):
 
 def test_openings_of_which_six_tenths_are_made_are_0_6_of_the_slope(fit, targets_mm, own_slope):
     seen_mm = targets_mm.copy()
-    asked_mm = targets_mm[:, UPPER, 1] - targets_mm[:, LOWER, 1]
-    seen_mm[:, LOWER, 1] += 0.4 * asked_mm
+    wanted_mm = targets_mm[:, UPPER, 1] - targets_mm[:, LOWER, 1]
+    seen_mm[:, LOWER, 1] += 0.4 * wanted_mm
     grade = grade_of(fit, seen_mm)
     assert grade.gap_slope == pytest.approx(0.6 * own_slope)
-    middle_mm = asked_mm.mean(axis=1)
+    middle_mm = wanted_mm.mean(axis=1)
     rms_mm = np.sqrt(np.average(middle_mm**2, weights=graded_poses(fit, SERVOS).shares))
     assert grade.gap_rms_mm == pytest.approx(0.4 * rms_mm)
 

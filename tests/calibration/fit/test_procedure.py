@@ -10,7 +10,7 @@ from lipservo_lab.bench.calibration.elastic_draws import draw_elastic_robot
 
 from calibration.calibration import CalibrationError
 from calibration.capture.capture import Robot, capture_poses, joined, usual_poses
-from calibration.capture.joint_health import MOST_LOOKS, unseen_alone
+from calibration.capture.joint_health import MOST_FRAMES, unseen_alone
 from calibration.capture.sanity import check_capture
 from calibration.fit.measured import fit_measured
 from calibration.fit.procedure import Procedure, take_grade
@@ -42,7 +42,7 @@ def test_weak_joints_are_looked_at_again_and_the_healthy_robot_is_accepted(seed,
     procedure, keep = shortest(servos, seed), tmp_path / "poses.jsonl"
 
     capture = procedure.capture(
-        MARKERS_47.names, robot.move, robot.measure, keep=keep, told=told.append
+        MARKERS_47.names, robot.move, robot.measure, keep=keep, report=told.append
     )
 
     assert len(told) == 1
@@ -86,8 +86,10 @@ def test_a_dead_joint_is_named_after_the_second_look():
         return goal_deg
 
     told = []
-    capture = shortest(servos, 104).capture(MARKERS_47.names, move, robot.measure, told=told.append)
-    assert ["'cheek_l'" in line for line in told] == [True] * MOST_LOOKS
+    capture = shortest(servos, 104).capture(
+        MARKERS_47.names, move, robot.measure, report=told.append
+    )
+    assert ["'cheek_l'" in line for line in told] == [True] * MOST_FRAMES
     with pytest.raises(CalibrationError, match="'cheek_l' moves no marker"):
         check_capture(capture, MODEL, servos.positive)
 
@@ -109,7 +111,9 @@ def test_two_names_that_change_places_are_looked_at_again_and_told(tmp_path):
         return looks[-1]
 
     keep = tmp_path / "poses.jsonl"
-    capture = procedure.capture(MARKERS_47.names, robot.move, measure, keep=keep, told=told.append)
+    capture = procedure.capture(
+        MARKERS_47.names, robot.move, measure, keep=keep, report=told.append
+    )
     assert told == ["pose 8: the tracker exchanged 'outer_lip_61' with 'outer_lip_0': taken again"]
     assert len(looks) == len(capture) + 1
     check_capture(capture, SMALL, SERVOS.positive)
@@ -133,7 +137,7 @@ def test_names_that_three_looks_agree_to_be_exchanged_are_exchanged():
             seen_mm[pair] = seen_mm[pair[::-1]]
         return seen_mm
 
-    capture = procedure.capture(MARKERS_47.names, move, measure, told=told.append)
+    capture = procedure.capture(MARKERS_47.names, move, measure, report=told.append)
     assert ["3 times: named anew" in line for line in told] == [True]
     check_capture(capture, SMALL, SERVOS.positive)
 

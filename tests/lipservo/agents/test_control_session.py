@@ -18,7 +18,7 @@ from lipservo.agents import control_session
 from lipservo.agents.control_session import Commands, ControlSession
 from lipservo.agents.listener import AgentSettings
 from lipservo.agents.messages import Outbox
-from lipservo.agents.turns import Turns
+from lipservo.agents.turns import OpenStreams
 from lipsync.audio.playout import Playout
 from lipsync.errors import UserError
 
@@ -266,7 +266,7 @@ class Ear:
 
 
 def session_at(path, outbox, pool=None):
-    turns = Turns(Playout(), AgentSettings())
+    turns = OpenStreams(Playout(), AgentSettings())
     return ControlSession(outbox, Commands(path, None, None, pool, pool, pool), turns)
 
 

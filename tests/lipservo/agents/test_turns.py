@@ -6,7 +6,7 @@ from voice_agents.served_face import KeptSound
 
 from lipservo.agents.listener import AgentSettings
 from lipservo.agents.messages import MessageError, Outbox, Start
-from lipservo.agents.turns import Turns
+from lipservo.agents.turns import OpenStreams
 from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
 
@@ -18,7 +18,7 @@ class Stepped:
 
     def __init__(self, when_busy="refuse"):
         self.playout = Playout(KeptSound())
-        self.turns = Turns(self.playout, AgentSettings(when_busy=when_busy))
+        self.turns = OpenStreams(self.playout, AgentSettings(when_busy=when_busy))
         self.now_s = 0.0
 
     def step(self, duration_s=0.1):

@@ -3,7 +3,7 @@
 import pytest
 
 from firmware_bridge.bus import HardwareError
-from lipservo.dashboard.servo_remedies import error_words, told_servos
+from lipservo.dashboard.servo_remedies import error_words, listed_servos
 
 
 @pytest.mark.parametrize("error", list(HardwareError))
@@ -25,19 +25,19 @@ def test_a_face_that_does_not_answer_has_servos_of_which_nothing_is_known():
         "servos": {"jaw": "driven"},
         "health": [{"name": "jaw", "servo_id": 11, "temperature_degc": 40.0, "load": 0.1}],
     }
-    (fresh,) = told_servos(status, is_fresh=True)
-    (old,) = told_servos(status, is_fresh=False)
+    (fresh,) = listed_servos(status, is_fresh=True)
+    (old,) = listed_servos(status, is_fresh=False)
 
     assert (fresh["state"], fresh["answers"], fresh["load"]) == ("driven", True, 0.1)
     assert (old["state"], old["answers"], old["load"]) == ("unknown", False, None)
-    assert told_servos(None, is_fresh=True) == []
+    assert listed_servos(None, is_fresh=True) == []
 
 
 def test_servos_of_a_stopped_face_are_as_they_confirmed():
     report = {"confirmed": ["lids"], "unconfirmed": {"jaw": "does not answer"}}
     status = {"state": "stopped", "stopped": "soft", "stop_report": report}
 
-    found = {each["name"]: each for each in told_servos(status, is_fresh=True)}
+    found = {each["name"]: each for each in listed_servos(status, is_fresh=True)}
 
     assert {name: each["state"] for name, each in found.items()} == {
         "lids": "limp",
@@ -47,5 +47,5 @@ def test_servos_of_a_stopped_face_are_as_they_confirmed():
     assert found["lids"]["trouble"] is None
     # A report of a stop that is over, and one of a face that does not answer, say nothing.
     driven = {**status, "state": "driven", "stopped": None, "servos": {"jaw": "driven"}}
-    assert [each["state"] for each in told_servos(driven, is_fresh=True)] == ["driven"]
-    assert told_servos(status, is_fresh=False) == []
+    assert [each["state"] for each in listed_servos(driven, is_fresh=True)] == ["driven"]
+    assert listed_servos(status, is_fresh=False) == []

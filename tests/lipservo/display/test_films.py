@@ -14,7 +14,7 @@ from written_performance import written_performance
 
 from lipservo.display import film as film_module
 from lipservo.display.film import FilmError, check_film, is_film, write_film
-from lipservo.display.filmed_faces import FilmAsked, make_film
+from lipservo.display.filmed_faces import FilmRequest, make_film
 from lipservo.display.photo_face import PhotoError
 from lipservo.display.photo_file import read_landmarks, read_photo, tracked
 from lipservo.display.robot_display import RobotDisplay
@@ -133,7 +133,7 @@ def test_a_name_that_says_no_kind_of_film_is_refused(tmp_path):
 def test_a_performance_is_filmed_with_its_sound(tmp_path, face):
     line = written_performance(tmp_path / "line.perf", duration_s=0.4)
     out = tmp_path / "film.mp4"
-    asked = FilmAsked(str(line), out, face, SIZE, 25, "face_sim", None)
+    asked = FilmRequest(str(line), out, face, SIZE, 25, "face_sim", None)
     done = make_film(asked, ChosenMotion(), quiet)
     assert done["pictures"] == 10
     seen = list(video_pictures(out))
@@ -258,7 +258,7 @@ def test_a_photograph_is_filmed_by_points_set_by_hand(tmp_path):
     points = {name: known[number][:2].tolist() for name, number in HAND_POINTS.items()}
     (tmp_path / "me.json").write_text(json.dumps({"points_px": points}))
     line = written_performance(tmp_path / "line.perf", duration_s=0.2)
-    asked = FilmAsked(
+    asked = FilmRequest(
         str(line), tmp_path / "film.mp4", str(tmp_path / "me.jpg"), SIZE, 25, "face_sim", None,
         landmarks=tmp_path / "me.json",
     )  # fmt: skip
@@ -266,6 +266,6 @@ def test_a_photograph_is_filmed_by_points_set_by_hand(tmp_path):
 
 
 def test_a_sound_that_is_not_there_is_no_text_to_be_spoken(tmp_path):
-    asked = FilmAsked("hello.wav", tmp_path / "film.mp4", "robot", SIZE, 25, "face_sim", None)
+    asked = FilmRequest("hello.wav", tmp_path / "film.mp4", "robot", SIZE, 25, "face_sim", None)
     with pytest.raises(UserError, match=r"hello\.wav: no such file"):
         make_film(asked, ChosenMotion(), quiet)

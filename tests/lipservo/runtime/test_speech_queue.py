@@ -202,7 +202,7 @@ def test_the_text_of_a_voice_that_tells_no_times_is_told_with_its_sound(face, qu
     spoken = spoken_text("Good morning.", "", face.playout, own)
 
     (stream,) = spoken.streams
-    assert [word.label for word in stream.told_words[0].words] == ["Good", "morning"]
+    assert [word.label for word in stream.started_words[0].words] == ["Good", "morning"]
     queue.add(spoken, "text")
     face.play(lambda: face.finished() == ["text"])
 
@@ -215,7 +215,7 @@ def test_words_of_a_file_are_told_where_it_is_taken_up(face, tmp_path):
         tmp_path / "line.wav", face.playout, start_s=1.0, phonemes=tmp_path / "line.json"
     )
 
-    ((told,),) = [[word for each in s.told_words for word in each.words] for s in spoken.streams]
+    ((told,),) = [[word for each in s.started_words for word in each.words] for s in spoken.streams]
     assert (told.label, told.start_s) == ("morning", 0.5)
 
 

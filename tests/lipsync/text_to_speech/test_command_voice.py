@@ -42,7 +42,7 @@ def test_a_program_without_times_has_its_text_told(tts):
     assert (len(spoken.samples), spoken.sample_rate_hz) == (8000, 16_000)
     assert 0.09 < np.abs(spoken.samples).max() < 0.11
     assert spoken.phonemes == ()
-    assert [unit.label for unit in spoken.told.units] == ["Thumbs up."]
+    assert [unit.label for unit in spoken.units.units] == ["Thumbs up."]
 
 
 def test_sound_may_come_from_the_standard_output(tts):
@@ -62,14 +62,14 @@ def test_phonemes_with_times_move_the_mouth_whoever_wrote_them(tts):
     spoken = speak(with_words(tts, rows))
 
     assert [(e.phoneme, e.start_s) for e in spoken.phonemes] == [("P", 0.0), ("AA", 0.1)]
-    assert spoken.told is None
+    assert spoken.units is None
 
 
 def test_words_with_times_are_told_with_them(tts):
     rows = {"words": ["Thumbs", "up"], "start": [0.0, 0.25], "end": [0.2, 0.5]}
     spoken = speak(with_words(tts, rows))
 
-    assert [(unit.label, unit.start_sample) for unit in spoken.told.units] == [
+    assert [(unit.label, unit.start_sample) for unit in spoken.units.units] == [
         ("Thumbs", 0),
         ("up", 4000),
     ]
@@ -193,7 +193,7 @@ def test_piper_tells_its_phonemes_to_be_followed_in_its_sound():
 
     assert (spoken.phonemes, spoken.sample_rate_hz) == ((), 22_050)
     assert 0.7 < spoken.duration_s < 2.5
-    assert [unit.label for unit in spoken.told.units] == [
+    assert [unit.label for unit in spoken.units.units] == [
         *("TH", "AH", "M", "Z", "AH", "P", "SIL", "B", "AA", "B", "SIL")
     ]
 

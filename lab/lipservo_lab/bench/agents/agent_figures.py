@@ -199,8 +199,8 @@ async def _errors_of(
             turn.cut_s is None and len(context.messages) == n_before
         ):
             await asyncio.sleep(0.001)
-    said = " ".join(str(each["content"]) for each in context.messages[n_before:])
-    return _n_errors(turn, set(said.split()), face.loudspeaker.heard)
+    context_text = " ".join(str(each["content"]) for each in context.messages[n_before:])
+    return _n_errors(turn, set(context_text.split()), face.loudspeaker.heard)
 
 
 async def _heard(face: VirtualFace, cut_s: float) -> None:
@@ -235,8 +235,8 @@ def _frames(turn: Turn) -> list[Frame]:
     return frames
 
 
-def _n_errors(turn: Turn, said: set[str], heard: Counter[int]) -> int:
-    """Sentences, or words where each is told by its time, that are in the context wrongly or not.
+def _n_errors(turn: Turn, spoken: set[str], heard: Counter[int]) -> int:
+    """Count sentences, or timed words, that are in the context wrongly or missing there.
 
     heard: samples by value.
     """
@@ -248,8 +248,8 @@ def _n_errors(turn: Turn, said: set[str], heard: Counter[int]) -> int:
         starts = range(len(units))
         for unit, start in zip(units, starts, strict=True):
             of_unit = [shares[start]] if turn.is_timed else shares
-            is_there = all(word in said for word in unit)
-            is_partly_there = any(word in said for word in unit)
+            is_there = all(word in spoken for word in unit)
+            is_partly_there = any(word in spoken for word in unit)
             was_heard = all(share == 1.0 for share in of_unit)
             was_begun = any(share > 0.0 for share in of_unit)
             if turn.is_timed and start:

@@ -247,11 +247,11 @@ class _Day:
         with process.stdout:
             for line in process.stdout:
                 with contextlib.suppress(ValueError):
-                    told = json.loads(line)
-                    if "error_s" in told:
-                        self._errors.append(told["error_s"])
+                    row = json.loads(line)
+                    if "error_s" in row:
+                        self._errors.append(row["error_s"])
                     else:
-                        self._turns.append(told)
+                        self._turns.append(row)
 
     def _watch(self) -> None:
         while not self._over.wait(_LOOK_S):

@@ -41,7 +41,13 @@ class CountingLoudspeaker:
         self._waiting: deque[NDArray[np.float32]] = deque()
 
     def write(self, samples: NDArray[np.float32]) -> None:
-        """More to play."""
+        """Append samples to play.
+
+        Parameters
+        ----------
+        samples : NDArray[np.float32]
+            (n,).
+        """
         self._waiting.append(samples)
 
     def position(self) -> tuple[float, float] | None:

@@ -208,12 +208,12 @@ def wire_figures(seconds: float = 4.0) -> dict[str, float]:
         goals, swing = GoalWrite(_IDS, 116), 100.0 * np.sin(0.3 * np.arange(N_SERVOS))
         for _ in range(100):
             line.sync_read(span)
-        took_s = []
+        elapsed_s = []
         for _ in range(200):
             time.sleep(0.002)
             start_s = time.monotonic()
             line.sync_read(span)
-            took_s.append(time.monotonic() - start_s)
+            elapsed_s.append(time.monotonic() - start_s)
         cycle_wire_s = read_wire_s + len(goals.request(swing)) * line.byte_s
         start_s, cpu_s, n = time.monotonic(), time.process_time(), 0
         while time.monotonic() - start_s < seconds:
@@ -222,7 +222,7 @@ def wire_figures(seconds: float = 4.0) -> dict[str, float]:
             n += 1
         wall_s = time.monotonic() - start_s
         return {
-            "read_to_wire_ratio": statistics.median(took_s) / read_wire_s,
+            "read_to_wire_ratio": statistics.median(elapsed_s) / read_wire_s,
             "rate_to_wire_ratio": n / wall_s * cycle_wire_s,
             "rate_cpu_percent": (time.process_time() - cpu_s) / wall_s * 100.0,
         }
@@ -243,10 +243,10 @@ def fault_figures(n_cycles: int = 1_000) -> dict[str, float]:
 
 
 def silent_cycle_figures(n_cycles: int = 1_200) -> dict[str, float]:
-    """Time beyond the wire of the cycles in which a silent servo is asked, in ms: median and most.
+    """Time beyond the wire of the cycles in which a silent servo is read, in ms: median and most.
 
     A cycle is what the bus asks in a tick: the places of all, and the health of one, in turns. The
-    silent one is asked now and then among all, and whenever it is its turn; the other cycles, 19 of
+    silent one is read now and then among all, and whenever it is its turn; the other cycles, 19 of
     20, would hide these in any percentile of all.
     """
     over_ms = []
@@ -259,11 +259,11 @@ def silent_cycle_figures(n_cycles: int = 1_200) -> dict[str, float]:
             start_s = time.monotonic()
             group.ask(line)
             line.read(servo_id, _HEALTH_ADDRESS, _HEALTH_SIZE)
-            took_s = time.monotonic() - start_s
-            if servo_id == _SILENT_ID or _SILENT_ID in group.asked.ids:
-                n_bytes = len(group.asked.request) + group.asked.reply_size + len(question)
+            elapsed_s = time.monotonic() - start_s
+            if servo_id == _SILENT_ID or _SILENT_ID in group.request.ids:
+                n_bytes = len(group.request.request) + group.request.reply_size + len(question)
                 n_bytes += codec.EMPTY_STATUS_SIZE + _HEALTH_SIZE
-                over_ms.append((took_s - n_bytes * line.byte_s) * 1e3)
+                over_ms.append((elapsed_s - n_bytes * line.byte_s) * 1e3)
     return {
         "silent_asked_cycle_median_ms": statistics.median(over_ms),
         "silent_asked_cycle_max_ms": max(over_ms),
@@ -298,7 +298,7 @@ def _heard(script: str, ids: list[int], n_cycles: int) -> tuple[float, float, fl
             start_s = time.monotonic()
             answers = group.ask(line)
             end_s = time.monotonic()
-            wire_s = (len(group.asked.request) + group.asked.reply_size) * line.byte_s
+            wire_s = (len(group.request.request) + group.request.reply_size) * line.byte_s
             n_heard = sum(status.servo_id in ids for status in answers)
             cycles.append((start_s, end_s, n_heard, end_s - start_s - wire_s))
         witness.settle()

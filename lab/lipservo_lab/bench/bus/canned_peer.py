@@ -2,7 +2,7 @@
 
 Run as `python -m lipservo_lab.bench.bus.canned_peer N SIZE [--on-time]`; prints its port, ends
 when its standard input closes. --on-time: real-time scheduling, where permitted, so that it answers
-at once on a busy computer, too. Servos 1..N are XL330-M288 at 1 Mbaud, seen at 64 moments of a
+at once on a busy computer, too. Servos 1..N are XL330-M288 at 1 Mbaud, at 64 instants of a
 motion of a few degrees about the middle of their turn; each question gets the next moment's answer.
 What is read beforehand is SIZE bytes from present_current on; any other span is made at its first
 question, then kept.
@@ -28,7 +28,7 @@ _BAUD_RATE: Final = 1_000_000
 _GOAL, _TORQUE = register("goal_position").address, register("torque_enable").address
 _PRESENT_CURRENT: Final = register("present_current").address
 #: 64 moments, 20 ms apart; goals change every 40 ms, by up to 45 pulses (4 degrees) about 2048.
-_MOMENTS, _MOMENT_S, _SWING_PULSES = 64, 0.020, 45
+_N_TIMES, _MOMENT_S, _SWING_PULSES = 64, 0.020, 45
 #: More different questions than any master asks; then the oldest are forgotten.
 _MOST_KEPT: Final = 4096
 _CHUNK: Final = 65_536
@@ -43,13 +43,13 @@ class CannedServos:
         self._turn = 0
 
     def answer(self, frame: Frame) -> bytes:
-        """What the servos say to one packet; empty where nobody speaks."""
+        """The servos' answers to one packet; empty where none answers."""
         answers = self._answers.get(frame.raw)
         if answers is None:
             if frame.instruction == Instruction.SYNC_WRITE and frame.parameters[0] == _GOAL:
                 return b""
             answers = self._make(frame)
-        self._turn = (self._turn + 1) % _MOMENTS
+        self._turn = (self._turn + 1) % _N_TIMES
         return answers[self._turn % len(answers)]
 
     def _make(self, frame: Frame) -> tuple[bytes, ...]:
@@ -66,7 +66,7 @@ class CannedServos:
         else:
             return (b"",)
         fast = instruction == Instruction.FAST_SYNC_READ
-        answers = tuple(self._cut(wanted, moment, fast=fast) for moment in range(_MOMENTS))
+        answers = tuple(self._cut(wanted, moment, fast=fast) for moment in range(_N_TIMES))
         if len(self._answers) >= _MOST_KEPT:
             self._answers.pop(next(iter(self._answers)))
         self._answers[frame.raw] = answers
@@ -102,8 +102,8 @@ class CannedServos:
                 self._answers.clear()
             for table in tables:
                 table[address:end] = block[2:]
-        told = frame.instruction == Instruction.WRITE and frame.packet_id in self._tables
-        return codec.status(frame.packet_id) if told else b""
+        is_write = frame.instruction == Instruction.WRITE and frame.packet_id in self._tables
+        return codec.status(frame.packet_id) if is_write else b""
 
 
 def _recorded_motion(n_servos: int) -> dict[int, list[bytearray]]:
@@ -114,7 +114,7 @@ def _recorded_motion(n_servos: int) -> dict[int, list[bytearray]]:
     for servo in chain.servos:
         servo.write(struct.pack("<HB", _TORQUE, 1))
     tables: dict[int, list[bytearray]] = {servo_id: [] for servo_id in ids}
-    for moment in range(-1, _MOMENTS):  # the first is only for the motion to begin
+    for moment in range(-1, _N_TIMES):  # the first is only for the motion to begin
         for servo in chain.servos:
             if moment % 2 == 0:
                 way = ((7 * moment + 5 * servo.servo_id) % 31) / 15 - 1.0

@@ -143,7 +143,7 @@ class _BridgeTicks:
 
 @contextmanager
 def client_process(kind: str, port: str, baud_rate: int) -> Iterator[MeasuredProcess]:
-    """A loop with dynamixel-sdk or rustypot, standing still; kind: of `client_loop`."""
+    """A loop with dynamixel-sdk or rustypot, its servos at rest; kind: of `client_loop`."""
     with ExitStack() as stack:
         writer, reader = (stack.enter_context(end) for end in channel_pair())
         count = os.memfd_create("rounds")
@@ -160,7 +160,7 @@ def client_process(kind: str, port: str, baud_rate: int) -> Iterator[MeasuredPro
 
 @contextmanager
 def bridge_process(folder: Path, port: str, baud_rate: int) -> Iterator[MeasuredProcess]:
-    """A `bridge-process` as a daemon starts it, its servos at full strength, standing still.
+    """A `bridge-process` as a daemon starts it, its servos at full strength and at rest.
 
     folder: empty; for its face, its socket, and what it writes.
     """

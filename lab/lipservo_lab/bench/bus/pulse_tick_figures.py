@@ -272,7 +272,7 @@ class CannedI2c(smbus2.SMBus):
 
 @contextmanager
 def _canned_maestro() -> Iterator[str]:
-    """The port of what takes all commands and sends what it was told last."""
+    """The port of a process that takes all commands and returns the last goals."""
     master, slave = os.openpty()
     tty.setraw(slave)
     pulses = bytearray(2 * N_SERVOS)

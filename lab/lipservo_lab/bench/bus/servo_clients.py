@@ -87,12 +87,12 @@ class SdkClient:
             self._write.changeParam(servo_id, list(goal.to_bytes(4, "little")))
         self._write.txPacket()
         try:
-            asked = [self._motion.fastSyncRead()]
+            requests = [self._motion.fastSyncRead()]
             if self._health != "in_turn":
-                asked.append(self._ask_warmth())
+                requests.append(self._ask_warmth())
         except IndexError as error:  # it took a late answer for that to another question
             raise AnswerLost from error
-        if asked != [self._success] * len(asked):
+        if requests != [self._success] * len(requests):
             raise AnswerLost
         found = [self._values(self._motion, _MOTION, 2), self._values(self._motion, _MOTION + 6, 4)]
         if self._health == "in_turn":

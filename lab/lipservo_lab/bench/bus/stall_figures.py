@@ -38,7 +38,7 @@ class _StallingBus(SimulatedBus):
 
 
 class _CountingBus(SimulatedBus):
-    """Counts the goals that reach it between two moments."""
+    """Counts the goals that reach it between two times."""
 
     n_goals = 0
     counts = threading.Event()

@@ -137,7 +137,7 @@ class _Unhurried:
 
 
 class OwnTick:
-    """A bridge as `run` makes it, on a clock that moves 10 ms a tick and waits for nobody."""
+    """A bridge as `run` makes it, on a clock that moves 10 ms a tick and never waits."""
 
     def __init__(self, port: str) -> None:
         model = servo_models()["XL330-M288"]

@@ -1,4 +1,4 @@
-"""Mouths that cannot close, and healthy ones whose dots lie beside the lips: who is told so.
+"""Mouths that cannot close, and healthy ones whose dots lie beside the lips: which are reported.
 
 A mouth that cannot close is an elastic robot of 1 to 8 servos whose jaw is mounted some degrees
 open, and whose lips have little room: with all joints at their limits the lips stay apart.
@@ -50,7 +50,20 @@ class OpenMouth:
 
 
 def open_mouth(rest_mm: Array, seed: int) -> OpenMouth:
-    """The robot of a seed, of 1 to 8 servos."""
+    """Return the robot of a seed, of 1 to 8 servos, whose mouth cannot close.
+
+    Parameters
+    ----------
+    rest_mm : Array
+        (47, 3), a closed mouth.
+    seed : int
+        Of the draw.
+
+    Returns
+    -------
+    OpenMouth
+        With the least gap in mm.
+    """
     rng = np.random.default_rng([seed, 53])
     kinds = _KINDS[seed % len(_KINDS)]
     draw, limits_deg = robot_of_kinds(rest_mm, kinds, kinds, rng)
@@ -95,7 +108,7 @@ def _nearest_mm(draw: ElasticDraw, limits_deg: Array) -> float:
 
 @dataclass(frozen=True, slots=True)
 class TriedMouth:
-    """A mouth that cannot close, and what was said of it: the evidence, or why it was refused."""
+    """A mouth that cannot close, and its result: the evidence, or why it was refused."""
 
     seed: int
     n_servos: int
@@ -126,7 +139,7 @@ def closing_figures(mouths: Sequence[TriedMouth]) -> dict[str, object]:
 
     cannot_close_reported: the share that is refused for it, or reported with the joint;
     gaps_below: how many of these were reported nearer by more than .3 mm than they come;
-    limits_called_contact: how many were said to close.
+    limits_called_contact: how many were reported to close.
     """
     limits = [m for m in mouths if m.closing is not None and m.closing.evidence == LIMITS]
     reported = len(limits) + sum("not close" in mouth.refused for mouth in mouths)

@@ -1,6 +1,6 @@
 """Elastic robots by seed alone: how many servos, what they are called, which are mirrored.
 
-Names, limits, kinds of joints and which way they are mounted are drawn; none is told to what fits
+Names, limits, kinds of joints and which way they are mounted are drawn; the fit knows
 but names, limits and the word for what a positive angle does, as a face's YAML tells them.
 """
 
@@ -65,9 +65,21 @@ _NAMES: Mapping[str, tuple[str, ...]] = {
 def draw_elastic_robot(
     rest_mm: Array, seed: int, n_servos: int | None = None
 ) -> tuple[ElasticDraw, MouthServos]:
-    """The robot of a seed, and what its face YAML says. rest_mm: (47, 3), a closed mouth.
+    """Return the robot of a seed, and what its face YAML says.
 
-    n_servos: one of N_SERVOS, where not the seed decides.
+    Parameters
+    ----------
+    rest_mm : Array
+        (47, 3), a closed mouth.
+    seed : int
+        Of the draw.
+    n_servos : int | None
+        One of N_SERVOS; None: drawn too.
+
+    Returns
+    -------
+    tuple[ElasticDraw, MouthServos]
+        Lengths in mm.
     """
     rng = np.random.default_rng([seed, 17])
     drawn = int(rng.choice(N_SERVOS, p=_SHARES))

@@ -5,7 +5,7 @@ reading in a hundred that is anywhere within three centimetres.
 
 What can be wrong with a capture, done to elastic robots on purpose, and whether it is named.
 
-Rightly: the first thing that is said names the fault, and the servo where one is to blame. Wrongly:
+Rightly: the first message names the fault, and the servo where one is to blame. Wrongly:
 another servo or another fault is named. The rest is silence.
 """
 
@@ -79,7 +79,7 @@ def count_faults(
             continue
         joint = jaws[0] if fault == "reversed jaw" else drawn
         seen = _captured(model, face, servos, fault, joint, seed)
-        counts[fault] = _told(model, servos, fault, joint, seen)
+        counts[fault] = _warnings_of(model, servos, fault, joint, seen)
     return counts
 
 
@@ -96,7 +96,7 @@ def count_measured_faults(
         except CalibrationError as error:  # refused before all of it was taken
             counts[fault] = _counted(servos, kind, joint, [str(error)])
             continue
-        counts[fault] = _told(model, servos, kind, joint, seen)
+        counts[fault] = _warnings_of(model, servos, kind, joint, seen)
     return counts
 
 
@@ -183,23 +183,25 @@ def _knocked(markers_mm: Array) -> Array:
     return other
 
 
-def _told(
+def _warnings_of(
     model: FaceWithAnimPhos, servos: MouthServos, fault: str, joint: int, capture: Capture
 ) -> FaultCount:
     try:
-        said = list(check_capture(capture, model, servos.positive).warnings)
+        warnings = list(check_capture(capture, model, servos.positive).warnings)
     except CalibrationError as error:
-        said = [str(error)]
-    return _counted(servos, fault, joint, said)
+        warnings = [str(error)]
+    return _counted(servos, fault, joint, warnings)
 
 
-def _counted(servos: MouthServos, fault: str, joint: int, said: list[str]) -> FaultCount:
-    said = [line for line in said if " is weak or dead" not in line and "far off" not in line]
-    blamed = [name for name in servos.names if any(f"servo {name!r}" in line for line in said)]
+def _counted(servos: MouthServos, fault: str, joint: int, warnings: list[str]) -> FaultCount:
+    warnings = [
+        line for line in warnings if " is weak or dead" not in line and "far off" not in line
+    ]
+    blamed = [name for name in servos.names if any(f"servo {name!r}" in line for line in warnings)]
     right = servos.names[joint]
-    named = any(word in line for line in said for word in _WORDS[fault])
+    named = any(word in line for line in warnings for word in _WORDS[fault])
     rightly = named and blamed == ([right] if fault in _OF_A_SERVO else [])
-    return FaultCount(1, int(rightly), int(bool(said) and not rightly))
+    return FaultCount(1, int(rightly), int(bool(warnings) and not rightly))
 
 
 _FEW = (

@@ -49,7 +49,19 @@ _BLUR_PX, _NOISE = 0.8, 6.0
 def write_dots_pictures(
     folder: Path, marker_names: Sequence[str], markers_mm: Array, seed: int
 ) -> None:
-    """`pose_1.png` and so on for (n, n_markers, 3), and `dots.csv` by the first of them."""
+    """Write `pose_1.png` and so on, and `dots.csv` by the first of them.
+
+    Parameters
+    ----------
+    folder : Path
+        Where.
+    marker_names : Sequence[str]
+        n_markers.
+    markers_mm : Array
+        (n, n_markers, 3).
+    seed : int
+        Of the pictures' noise.
+    """
     import cv2
 
     flat_mm = markers_mm[..., :2]

@@ -76,9 +76,25 @@ def converged_poses_deg(
     shape_features: ShapeFeatures,
     limits_deg: tuple[Array, Array],
 ) -> Array:
-    """Features (n, n_features) of shapes -> (n, n_servos), from neutral.
+    """Find the poses nearest to wanted shapes, from neutral.
 
-    What is minimised is what `nearest_poses_deg` minimises.
+    Minimises what `nearest_poses_deg` does.
+
+    Parameters
+    ----------
+    markers_of : MarkersOf
+        Poses (n, n_servos) to markers (n, n_markers, 3).
+    wanted : Array
+        (n, n_features).
+    shape_features : ShapeFeatures
+        Makes features.
+    limits_deg : tuple[Array, Array]
+        Least and most, (n_servos,) each.
+
+    Returns
+    -------
+    Array
+        (n, n_servos) degrees.
     """
 
     def tried(poses_deg: Array) -> _Tried:
@@ -130,7 +146,24 @@ class WantedShapes:
 def wanted_shapes(
     model: FaceWithAnimPhos, face: ElasticFace, servos: MouthServos, frames: Array
 ) -> WantedShapes:
-    """Of the robot as it truly is, warm."""
+    """Return the shapes that the robot should show, of the warm robot as it truly is.
+
+    Parameters
+    ----------
+    model : FaceWithAnimPhos
+        The speaker's face.
+    face : ElasticFace
+        The robot.
+    servos : MouthServos
+        Its mouth.
+    frames : Array
+        (n, n_components).
+
+    Returns
+    -------
+    WantedShapes
+        Shapes in mm.
+    """
     human_gap_mm = model.lip_gaps_mm(model.markers_mm(frames))
     speakers_mm = model.lip_gaps_mm(model.markers_mm(model.animphos.frames[::7]))
     opens_mm = float(np.quantile(speakers_mm, _RANGE_QUANTILE)) - model.lip_gap_mm(model.rest)
@@ -186,7 +219,22 @@ class Motion:
 
 
 def played(face: ElasticFace, calibration: Calibration, frames: Array) -> Array:
-    """(n, n_servos): where the horns stand, one frame after another, play made up for as live."""
+    """Return where the horns stand, one frame after another, with backlash made up for as live.
+
+    Parameters
+    ----------
+    face : ElasticFace
+        The robot.
+    calibration : Calibration
+        Its map.
+    frames : Array
+        (n, n_components).
+
+    Returns
+    -------
+    Array
+        (n, n_servos) degrees.
+    """
     following = calibration.following
     n_servos = len(calibration.servo_names)
     backlash = BacklashCompensation(
@@ -197,7 +245,20 @@ def played(face: ElasticFace, calibration: Calibration, frames: Array) -> Array:
 
 
 def behind_play(face: ElasticFace, goals_deg: Array) -> Array:
-    """(n, n_servos): where the horns stand at these goals, one after another."""
+    """Return where the horns stand at goals, one after another.
+
+    Parameters
+    ----------
+    face : ElasticFace
+        The robot.
+    goals_deg : Array
+        (n, n_servos).
+
+    Returns
+    -------
+    Array
+        (n, n_servos) degrees.
+    """
     robot = SimulatedRobot(face)
     stands = []
     for goal_deg in goals_deg:
@@ -207,7 +268,22 @@ def behind_play(face: ElasticFace, goals_deg: Array) -> Array:
 
 
 def shown(face: ElasticFace, output_deg: Array, wanted: WantedShapes) -> Motion:
-    """output_deg: (n, n_servos), of the wanted frames."""
+    """Return the figures of a motion.
+
+    Parameters
+    ----------
+    face : ElasticFace
+        The robot.
+    output_deg : Array
+        (n, n_servos), of the wanted frames.
+    wanted : WantedShapes
+        Their shapes.
+
+    Returns
+    -------
+    Motion
+        Distances in mm.
+    """
     state = face.state(output_deg)
     off_mm = (state.markers_mm - wanted.shapes_mm)[:, list(MARKERS_47.lips)]
     gap_mm = state.gaps_mm[:, N_PAIRS // 2]
@@ -229,7 +305,24 @@ _STRENGTHS = np.logspace(-3, 3, 13)
 
 
 def rival_poses_deg(capture: Capture, servos: MouthServos, features: Array, degree: int) -> Array:
-    """(n, n_features) -> (n, n_servos). degree: of the polynomial in the angles."""
+    """Return the poses of a rival: a polynomial ridge in the angles.
+
+    Parameters
+    ----------
+    capture : Capture
+        What it learns from.
+    servos : MouthServos
+        The mouth.
+    features : Array
+        (n, n_features).
+    degree : int
+        Of the polynomial.
+
+    Returns
+    -------
+    Array
+        (n, n_servos) degrees.
+    """
     ridge = make_pipeline(
         PolynomialFeatures(degree, include_bias=False), StandardScaler(), RidgeCV(_STRENGTHS)
     )

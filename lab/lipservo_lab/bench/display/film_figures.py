@@ -14,7 +14,7 @@ import numpy as np
 import soundfile
 
 from lipservo.display.film import Display, film, write_film
-from lipservo.display.filmed_faces import FilmAsked, make_film
+from lipservo.display.filmed_faces import FilmRequest, make_film
 from lipservo.runtime.motion_options import ChosenMotion
 from lipservo_lab.corpus.utterance import Utterance
 from lipservo_lab.evaluation.readability.readers import (
@@ -78,11 +78,11 @@ def film_times() -> dict[str, float]:
             samples, rate_hz = read_sound(clip)
         minute = np.resize(samples, round(_LONG_S * rate_hz))
         soundfile.write(sound, minute, rate_hz)
-        asked = FilmAsked(
+        request = FilmRequest(
             str(sound), Path(folder) / "film.mp4", "twin", (640, 480), _RATE_HZ, "face_sim", None
         )
         cpu_s, began_s = time.process_time(), time.perf_counter()
-        make_film(asked, ChosenMotion(), lambda *_: None)
+        make_film(request, ChosenMotion(), lambda *_: None)
         return {
             "film_60_s": round(time.perf_counter() - began_s, 1),
             "film_60_cpu_s": round(time.process_time() - cpu_s, 1),
@@ -96,7 +96,26 @@ def tracked_film(
     tracker: FaceTracker,
     advance: Advance,
 ) -> dict[str, Array]:
-    """Points (n, 478, 3) of every sentence, and of `rest`, tracked in one film of them all."""
+    """Return the points of every sentence, and of `rest`, tracked in one film of them all.
+
+    Parameters
+    ----------
+    display : Display
+        Draws frames.
+    face : FaceModel
+        The model.
+    motions : Mapping[str, Array]
+        (n, n_components) by sentence.
+    tracker : FaceTracker
+        Finds points.
+    advance : Advance
+        Called with the progress.
+
+    Returns
+    -------
+    dict[str, Array]
+        (n, 478, 3) by sentence.
+    """
     frames = [Frame(0.0, face.rest)] * _STILL
     frames += [Frame(0.0, each) for shown in motions.values() for each in shown]
     points: list[Array] = []
@@ -111,7 +130,20 @@ def tracked_film(
 
 
 def cut_track(points: Array, motions: Mapping[str, Array]) -> dict[str, Array]:
-    """The points of a film sentence by sentence, and of the still pictures before them."""
+    """Return the points of a film sentence by sentence, and of the still pictures before them.
+
+    Parameters
+    ----------
+    points : Array
+        (n_pictures, 478, 3).
+    motions : Mapping[str, Array]
+        (n, n_components) by sentence.
+
+    Returns
+    -------
+    dict[str, Array]
+        (n, 478, 3) by sentence.
+    """
     found, at = {"rest": points[:_STILL]}, _STILL
     for name, shown in motions.items():
         found[name] = points[at : at + len(shown)]
@@ -125,17 +157,37 @@ def seen_figures(
     motions: Mapping[str, Array],
     sentences: Sequence[Utterance],
 ) -> dict[str, object]:
-    """Lip gaps, closures and words of tracks against those of the frames that were asked for.
+    """Lip gaps, closures and words of tracks against those of the wanted frames.
 
     tracks: of `tracked_film`. sentences: of the corpus, those of `motions` held out; the reader
     learns from the others as they were recorded.
+
+    The reader of words learns from the other sentences as they were recorded.
+
+    Parameters
+    ----------
+    face : FaceModel
+        The model.
+    tracks : Mapping[str, Array]
+        (n, 478, 3) by sentence, of `tracked_film`.
+    motions : Mapping[str, Array]
+        (n, n_components) by sentence, held out.
+    sentences : Sequence[Utterance]
+        Of the corpus.
+
+    Returns
+    -------
+    dict[str, object]
+        Correlation of gaps, and shares 0 to 1.
     """
     markers = _markers_mm(face, tracks)
-    asked = {name: face.lip_gaps_mm(face.markers_mm(shown)) for name, shown in motions.items()}
+    wanted_gaps = {
+        name: face.lip_gaps_mm(face.markers_mm(shown)) for name, shown in motions.items()
+    }
     # Lips touch at rest: what a tracker says of them there is its zero.
     closed_mm = float(np.median(face.lip_gaps_mm(markers["rest"])))
     seen = {name: face.lip_gaps_mm(markers[name]) - closed_mm for name in motions}
-    n_shut, n_asked = 0, 0
+    n_shut, n_wanted = 0, 0
     for one in sentences:
         if one.name not in motions:
             continue
@@ -144,10 +196,15 @@ def seen_figures(
                 continue
             first, last = round(phone.start_s * _RATE_HZ), round((phone.end_s or 0.0) * _RATE_HZ)
             during = slice(max(0, first - 1), last + 2)
-            if len(asked[one.name][during]) and asked[one.name][during].min() < CLOSED_GAP_MM:
-                n_asked += 1
+            if (
+                len(wanted_gaps[one.name][during])
+                and wanted_gaps[one.name][during].min() < CLOSED_GAP_MM
+            ):
+                n_wanted += 1
                 n_shut += bool(seen[one.name][during].min() < CLOSED_GAP_MM)
-    wanted, shown = (np.concatenate([each[name] for name in motions]) for each in (asked, seen))
+    wanted, shown = (
+        np.concatenate([each[name] for name in motions]) for each in (wanted_gaps, seen)
+    )
     read = slotted(sentences)
     recorded = recorded_motions(face, read, LIP_READER)
     folds = known_fold(LIP_READER, read, frozenset(motions), recorded)
@@ -159,8 +216,8 @@ def seen_figures(
     of_film = score({name: LIP_READER.view(face, markers[name]) for name in motions})
     return {
         "gap_r": round(float(np.corrcoef(wanted, shown)[0, 1]), 4),
-        "pbm_shut": round(n_shut / max(1, n_asked), 4),
-        "pbm_asked": n_asked,
+        "pbm_shut": round(n_shut / max(1, n_wanted), 4),
+        "pbm_asked": n_wanted,
         "read_frames": round(of_frames, 4),
         "read_film": round(of_film, 4),
         "read_loss": round(of_film - of_frames, 4),

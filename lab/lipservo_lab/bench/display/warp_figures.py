@@ -47,9 +47,23 @@ def warp_figures(
     motions: Mapping[str, Array],
     advance: Callable[[str, int, int], None],
 ) -> dict[str, object]:
-    """rest_error_px, marker_error_px and folds, of each face and the worst.
+    """Return rest_error_px, marker_error_px and folds, of each face and the worst.
 
-    motions: coefficients (n, n_components) of each sentence.
+    Parameters
+    ----------
+    face : FaceModel
+        The model.
+    faces : Mapping[str, tuple[tuple[int, int], Landmarks]]
+        Size and landmarks by name.
+    motions : Mapping[str, Array]
+        (n, n_components) of each sentence.
+    advance : Callable[[str, int, int], None]
+        Called with the progress.
+
+    Returns
+    -------
+    dict[str, object]
+        Errors in pixels.
     """
     rows = []
     for name, (size, landmarks) in faces.items():

@@ -84,8 +84,8 @@ async def _measured(program: str, address: str, times: int, ready: str) -> float
 
 
 async def _is_true(ask: Any, expression: str) -> bool:
-    told = await ask("Runtime.evaluate", expression=expression, returnByValue=True)
-    return told.get("result", {}).get("value") is True
+    answer = await ask("Runtime.evaluate", expression=expression, returnByValue=True)
+    return answer.get("result", {}).get("value") is True
 
 
 @asynccontextmanager
@@ -105,7 +105,7 @@ async def _new_page(program: str) -> AsyncIterator[Any]:
 
 
 async def _page_url(file: Path) -> str:
-    """Where its first page is asked."""
+    """The debugger's URL of its first page."""
     import urllib.request
 
     while not file.exists() or len(file.read_text().splitlines()) < 2:
@@ -126,9 +126,9 @@ def _asking(socket: ClientConnection) -> Any:
         number = next(numbers)
         await socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
         while True:
-            told = json.loads(await socket.recv())
-            if told.get("id") == number:
-                return dict(told.get("result") or {})
+            answer = json.loads(await socket.recv())
+            if answer.get("id") == number:
+                return dict(answer.get("result") or {})
 
     return ask
 
@@ -268,12 +268,12 @@ def heard(voices: Sequence[Path]) -> tuple[list[VoiceFrame], float]:
     Without a file, of the bundled clip. Raises SoundError.
     """
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
-        frames, took_s = [], []
+        frames, elapsed_s = [], []
         tracker = VoiceTracker()
         for path in voices or [clip]:
             with FileSource(path) as source:
                 for block in source.blocks(float("inf")):
                     begun_s = time.perf_counter()
                     frames.append(tracker.feed(block.samples))
-                    took_s.append(time.perf_counter() - begun_s)
-    return frames, 1e3 * statistics.median(took_s)
+                    elapsed_s.append(time.perf_counter() - begun_s)
+    return frames, 1e3 * statistics.median(elapsed_s)

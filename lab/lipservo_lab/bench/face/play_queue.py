@@ -1,4 +1,4 @@
-"""What a face costs that is asked to play five hundred sounds at once: threads, and late ticks.
+"""What a face costs with five hundred sounds queued at once: threads, and late ticks.
 
 The face is a daemon in a process of its own, with servos in memory: sound, recogniser and ticks
 share one process there, so whatever plays disturbs as much as it can.
@@ -47,9 +47,11 @@ def play_figures(seconds: float) -> dict[str, float]:
             before = _n_threads(pid)
         quiet, _ = _window(pid, status, seconds)
         with ThreadPoolExecutor(_N_CLIENTS) as clients:
-            asked = [clients.submit(_play, url, _N_PLAYS // _N_CLIENTS) for _ in range(_N_CLIENTS)]
+            pending = [
+                clients.submit(_play, url, _N_PLAYS // _N_CLIENTS) for _ in range(_N_CLIENTS)
+            ]
             late, n_threads = _window(pid, status, seconds)
-            accepted = sum(each.result() for each in asked)
+            accepted = sum(each.result() for each in pending)
     return {
         "play_accepted": accepted,
         "play_threads_added": n_threads - before,

@@ -41,5 +41,5 @@ async def _read(socket: ClientConnection, over: asyncio.Event) -> int:
 
 
 if __name__ == "__main__":
-    told = asyncio.run(run(sys.argv[1], sys.argv[2], int(sys.argv[3])))
-    sys.stdout.write(json.dumps({"bytes_s": told}) + "\n")
+    counts = asyncio.run(run(sys.argv[1], sys.argv[2], int(sys.argv[3])))
+    sys.stdout.write(json.dumps({"bytes_s": counts}) + "\n")

@@ -53,7 +53,7 @@ _AT_REST, _MOST_SETTLING = 0.08, 60
 
 
 class BenchedFace:
-    """The loop of a face, run for as long as asked; lateness of each of its ticks."""
+    """The loop of a face, run for a given time; lateness of each of its ticks."""
 
     def __init__(
         self,
@@ -111,7 +111,7 @@ def stream_figures(seconds: float, progress: Callable[[int, int], None]) -> dict
 
     seconds: of each of the windows. `stream_kb_s` is of /api/twin, `state_kb_s` of /api/state.
     `bridge_lateness_ratio_20`: p99 of the lateness with twenty clients by that with a dashboard
-    that nobody watches, medians of windows by turns.
+    without a watcher, medians of windows by turns.
     """
     figures: dict[str, float] = {}
     with watched_face() as (face, address, dashboard):
@@ -213,8 +213,8 @@ def clients(address: str, n: int, path: str) -> Iterator[Callable[[], float]]:
             yield lambda: received[0]
         finally:
             process.stdin.close()
-            told = process.stdout.readline()
-            received[0] = float(json.loads(told)["bytes_s"]) if told else float("nan")
+            line = process.stdout.readline()
+            received[0] = float(json.loads(line)["bytes_s"]) if line else float("nan")
 
 
 def _settle(face: BenchedFace, pid: int) -> None:

@@ -1,9 +1,9 @@
-"""How a face hears while other programs take the computer: `lipservo bench ladder`.
+"""How a face recognises while other programs take the computer: `lipservo bench ladder`.
 
-A whole `lipservo run` process hears speech in real time, ten simulated servos at 100 Hz, and writes
-its trace. Beside it, every minute, other processes keep every core busy for 1, 2 and 5 s. What is
-measured is read from the trace: in a tick in which the network listens `hears` has a value, in one
-of a lesser recogniser it has none.
+A whole `lipservo run` process recognises speech in real time, ten simulated servos at 100 Hz, and
+writes its trace. Beside it, every minute, other processes keep every core busy for 1, 2 and 5 s.
+What is measured is read from the trace: in a tick in which the network listens `"hears"` has a
+value, in one of a lesser recogniser it has none.
 
 The ticks of a face under load, from its trace, and what they amount to.
 """
@@ -118,7 +118,22 @@ def read_ticks(trace: Path, first_s: float) -> Ticks:
 def figures_of(
     ticks: Ticks, loads: Sequence[Load], is_speech: NDArray[np.bool_]
 ) -> dict[str, object]:
-    """What the ticks amount to. is_speech: for each 10 ms of the sound, over and over."""
+    """Return the figures of a run's ticks.
+
+    Parameters
+    ----------
+    ticks : Ticks
+        Of the trace.
+    loads : Sequence[Load]
+        Times in s at which other programs ran.
+    is_speech : NDArray[np.bool_]
+        (n,), each 10 ms of the sound, which repeats.
+
+    Returns
+    -------
+    dict[str, object]
+        Shares 0 to 1 and times in s.
+    """
     weights = 1 + ticks.late
     frame = np.floor(np.maximum(ticks.heard_s, 0.0) / BLOCK_S).astype(np.int64)
     speaks = is_speech[frame % len(is_speech)] & (ticks.heard_s >= 0.0)
@@ -163,15 +178,17 @@ def _near_changes(ticks: Ticks) -> NDArray[np.bool_]:
     near = np.zeros(len(ticks.time_s), np.bool_)
     for index in np.flatnonzero(np.diff(ticks.is_network)) + 1:
         near |= np.abs(ticks.time_s - ticks.time_s[index]) <= _AROUND_S
-        met_s = ticks.heard_s[index]
-        near |= (ticks.shown_s >= met_s - 0.1 - _AROUND_S) & (ticks.shown_s <= met_s + _AROUND_S)
+        arrived_s = ticks.heard_s[index]
+        near |= (ticks.shown_s >= arrived_s - 0.1 - _AROUND_S) & (
+            ticks.shown_s <= arrived_s + _AROUND_S
+        )
     return near
 
 
 #: Between two repetitions of the clip.
 _PAUSE_S: Final = 0.6
 _STARTS_S, _ENDS_S, _ASK_S = 60.0, 30.0, 0.02
-_N_ASKED: Final = 50
+_N_TICKS: Final = 50
 #: Of the slowed process: how many times as long as its sound the network takes; how long it runs.
 _SLOWED: Final = 10.0
 _SLOWED_S: Final = 8.0
@@ -208,7 +225,7 @@ def ladder_figures(
 ) -> dict[str, object]:
     """The figures, by name. n_busy: processes for each core, scheduled as ours is.
 
-    folder: for the files; is_over: asked often, to end early.
+    folder: for the files; is_over: called often, to end early.
     Raises LadderError.
     """
     (folder / "session").mkdir(mode=0o700)
@@ -244,7 +261,7 @@ def crowd_figures(
             face = _face(_RUN, own, sound, own / "trace.jsonl")
             faces.append((own, own_stack.enter_context(face), own_stack))
         for own, process, _ in faces:
-            _first_tick_s(own, process, is_over, n_asked=1)
+            _first_tick_s(own, process, is_over, n_ticks=1)
         losers: set[int] = set()
         until_s = time.monotonic() + seconds
         while time.monotonic() < until_s:
@@ -297,7 +314,7 @@ def slow_the_network(times: float) -> None:
 
 
 def _speech(path: Path, seconds: float) -> tuple[Path, NDArray[np.bool_]]:
-    """The bundled clip again and again, and for each 10 ms of one turn whether somebody speaks."""
+    """The bundled clip repeated, and for each 10 ms of one turn whether there is speech."""
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         samples = read_speech(clip)
         events = list(settled_events(FileSource(clip), make_recognizer("network")))
@@ -358,7 +375,10 @@ def _slowed(folder: Path, sound: Path, is_over: Callable[[], bool]) -> float | N
 
 @contextmanager
 def _face(code: str, folder: Path, sound: Path, trace: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """A whole `lipservo run` that nobody else finds; it ends with this block, or with us."""
+    """A whole `lipservo run` in a runtime folder of its own.
+
+    It ends with this block, or with us.
+    """
     environment = {
         **os.environ,
         "XDG_RUNTIME_DIR": str(folder / "session"),
@@ -418,15 +438,17 @@ def _first_tick_s(
     folder: Path,
     process: subprocess.Popen[bytes],
     is_over: Callable[[], bool],
-    n_asked: int = _N_ASKED,
+    n_ticks: int = _N_TICKS,
 ) -> float:
     """The monotonic time of the face's first tick, of its counts: to some 10 ms."""
     give_up_s = time.monotonic() + _STARTS_S
     found_s: list[float] = []
-    while len(found_s) < n_asked:
+    while len(found_s) < n_ticks:
         if time.monotonic() > give_up_s or process.poll() is not None:
-            said = (folder / "log").read_text(errors="replace").strip().splitlines()
-            raise LadderError(f"the face did not start: {said[-1] if said else 'says nothing'}")
+            log_lines = (folder / "log").read_text(errors="replace").strip().splitlines()
+            raise LadderError(
+                f"the face did not start: {log_lines[-1] if log_lines else 'says nothing'}"
+            )
         if is_over():
             raise LadderError(_STOPPED)
         time.sleep(_ASK_S)

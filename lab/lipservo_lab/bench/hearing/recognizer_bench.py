@@ -1,6 +1,6 @@
 """In which groups the speakers of a corpus are counted.
 
-Which utterances of a corpus a bench was asked for, and their alignments.
+Which utterances of a corpus a bench is to score, and their alignments.
 
 Recognisers as they are measured: one alone, without the ladder, as a failure must be seen.
 """
@@ -21,7 +21,7 @@ from lipservo_lab.corpus.transcribed import (
     read_speakers,
     read_transcribed,
 )
-from lipservo_lab.evaluation.recognition.stream_observers import ToldText
+from lipservo_lab.evaluation.recognition.stream_observers import KnownText
 from lipsync.errors import UserError, check_extra
 from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition.energy_recognizer import EnergyRecognizer
@@ -81,37 +81,37 @@ def measured_recognizer(
     return lambda: NetworkRecognizer(learned, latency_s)
 
 
-def told_texts(
+def known_texts(
     utterances: Sequence[TranscribedUtterance],
     which: Literal["own", "another", "pieces"] | None,
     late_s: float,
-) -> dict[str, ToldText]:
-    """What the recogniser is told of each utterance, by name; None: nothing.
+) -> dict[str, KnownText]:
+    """The text that the recogniser gets for each utterance, by name; None: none.
 
     another: the text of the utterance half the list away. pieces: its own, in pieces of three
     words. late_s: so long after the sound began; what came before it is not scored.
     """
     if which is None:
-        return {u.name: ToldText("", late_s) for u in utterances}
+        return {u.name: KnownText("", late_s) for u in utterances}
     shift = max(1, len(utterances) // 2) if which == "another" else 0
     others = [*utterances[shift:], *utterances[:shift]]
     return {
-        u.name: ToldText(other.text.lower(), late_s, which == "pieces")
+        u.name: KnownText(other.text.lower(), late_s, which == "pieces")
         for u, other in zip(utterances, others, strict=True)
     }
 
 
 class SpeakerGroupError(UserError):
-    """Nobody says what kind of voice a speaker has; the message is one line."""
+    """The table does not give a speaker's kind of voice; the message is one line."""
 
 
 def speaker_groups(
     by: Literal["speaker", "group"] | None, corpus: Path, table: Path | None
 ) -> Callable[[str], Sequence[str]]:
-    """From a speaker's name to the names of the groups; none where nothing was asked for.
+    """From a speaker's name to the names of the groups; none where no grouping was requested.
 
     table: of the speakers; None: the one in the corpus's folder. Raises SpeakerGroupError where
-    there is none, and for a table nobody asked for; TranscriptError for one that cannot be read.
+    there is none, and for a table without a grouping; TranscriptError for one that cannot be read.
     """
     if by != "group" and table is not None:
         raise SpeakerGroupError(f"--groups {table} is for --by group; give both or neither")

@@ -1,4 +1,4 @@
-"""How well the recogniser hears languages: espeak-ng speaks them, the times are its own."""
+"""How well the recogniser recognises languages: espeak-ng speaks them, the times are its own."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
@@ -28,11 +28,13 @@ class LanguageError(UserError):
 
 @cache
 def language_sentences() -> Mapping[str, tuple[str, ...]]:
-    """What is said in each language, by its tag."""
+    """The sentences of each language, by its tag."""
     text = (
         files("lipservo_lab.bench.hearing").joinpath("language_sentences.yaml").read_text("utf-8")
     )
-    return MappingProxyType({tag: tuple(said) for tag, said in yaml.safe_load(text).items()})
+    return MappingProxyType(
+        {tag: tuple(sentences) for tag, sentences in yaml.safe_load(text).items()}
+    )
 
 
 def read_languages(listed: str) -> tuple[str, ...]:

@@ -1,9 +1,9 @@
-"""Voices whose text is told: how well it is followed in their sound, by their own phoneme times.
+"""Voices whose text is known: how well it is followed in their sound, by their own phoneme times.
 
-Nothing but the words is told, without times, before the sound; what the recogniser settles is held
-against what the voice says of itself. A language that no other program here speaks is espeak-ng's
+Nothing but the words is given, without times, before the sound; what the recogniser settles is
+compared with the voice's own times. A language that no other program here speaks is espeak-ng's
 own, at a rate and a pitch of its own for each sentence, and its phonemes as espeak-ng says them at
-the usual rate are told.
+the usual rate are given.
 """
 
 import difflib
@@ -95,7 +95,7 @@ def followed_voice(
     tells: bool = True,
     progress: Callable[[], None] = lambda: None,
 ) -> Followed:
-    """Each text spoken by a voice. tells: whether the recogniser is told it, or hears alone.
+    """Each text spoken by a voice. tells: whether the recogniser gets it, or the sound alone.
 
     Raises SynthesisError where the voice is not there or tells no times, PronunciationError.
     """
@@ -136,7 +136,7 @@ def followed_language(
 def _settled(
     recognizer: NetworkRecognizer, spoken: SynthesizedSpeech, words: Sequence[PronouncedWord]
 ) -> list[PhonemeEvent]:
-    """What is settled of a sound as it comes live, the words told before it."""
+    """The settled phonemes of a sound as it comes live, the words given before it."""
     samples = soxr.resample(spoken.samples, spoken.sample_rate_hz, SAMPLE_RATE_HZ)
     n_tail = round((recognizer.latency_s + _TAIL_S) * SAMPLE_RATE_HZ)
     whole = np.concatenate((samples, np.zeros(n_tail, np.float32))).astype(np.float32)

@@ -38,7 +38,7 @@ class Budget:
     budget
         The number that was decided.
     held
-        The count that must not grow while the budget is not met; None where it is.
+        The count that must not grow while the budget is exceeded; None where it is not.
 
     """
 

@@ -12,6 +12,8 @@ stop-path` follows them, then the loop's thread from the beginning of the tick i
 
 `loaded`: modules of ours, and their code lines, that `lipservo run --wav FILE` has loaded when it
 waits for its first tick. `processor_s`: user and system time of a whole process, least of some.
+
+`words`: as `word_figures` counts them.
 """
 
 import json
@@ -29,6 +31,7 @@ from firmware_bridge.stopping import StopLevel
 from lipservo_lab.bench.house import traced_ticks
 from lipservo_lab.bench.house.code_lines import budgets, code_lines, house_table, room_lines
 from lipservo_lab.bench.house.whole_objects import SourceTree, late_attributes, mixin_bases
+from lipservo_lab.bench.house.word_figures import word_figures
 from lipsync.errors import UserError
 
 ROOT: Final = Path(lipservo.__file__).parents[1]
@@ -66,6 +69,7 @@ def house_figures(progress: Callable[[str], None] = lambda _what: None) -> dict[
     figures["mixin_bases"] = mixin_bases(tree)
     figures["late_attributes"] = late_attributes(tree)
     figures["code_lines"] = room_lines(ROOT)
+    figures["words"] = word_figures(ROOT)
     return {**figures, "over": above_bars(figures)}
 
 

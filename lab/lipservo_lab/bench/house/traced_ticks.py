@@ -2,7 +2,7 @@
 
 `python traced_ticks.py ROOT OUTPUT ticks|loaded ARGUMENT...` runs `lipservo ARGUMENT...` in a
 process of its own. A tick is what its main thread does from the end of a clock's `sleep_until` to
-the next call of one: bridge and speech side in a `run` or `replay`. Whoever waits is left out.
+the next call of one: bridge and speech side in a `run` or `replay`. Waiting threads are left out.
 """
 
 import contextlib

@@ -191,7 +191,7 @@ class SourceTree:
 def mixin_bases(tree: SourceTree) -> list[str]:
     """List classes as `file:line` that have their other half in a neighbour file.
 
-    That is, a base of ours that no other class has and nobody constructs, and that is no contract.
+    That is, a base of ours that no other class has and no code constructs, and that is no contract.
     """
     heirs: defaultdict[str, list[ClassSource]] = defaultdict(list)
     for each in tree.classes.values():

@@ -57,7 +57,7 @@ def draw_lines(
     methods: Sequence[Method],
     rows: Sequence[Row],
 ) -> None:
-    """A sentence by each method that hears it whole, its way through the states, and all errors.
+    """Plot a sentence by each method that uses it whole, its path of states, and all errors.
 
     states: of the sentences `training`, in their order. methods: those that are drawn.
     """
@@ -80,7 +80,7 @@ def draw_trajectories(
     frames_s = np.arange(len(utterance.markers_mm)) / utterance.frame_rate_hz
     times_s = np.arange(0.0, frames_s[-1], 1.0 / _DRAWN_RATE_HZ)
     heard = Heard(utterance.phones, sound_path=utterance.sound_path)
-    said = speech_frames(utterance)
+    in_speech = speech_frames(utterance)
     recorded = motion_curves(model, model.coefficients(utterance.markers_mm))
     figure, axes = plt.subplots(
         len(_CURVES), len(methods), sharex=True, sharey="row", squeeze=False,
@@ -90,7 +90,7 @@ def draw_trajectories(
         made = motion_curves(model, method.faces(model, heard, times_s, 0.0))
         for number, (axis, was, is_now) in enumerate(zip(column, recorded, made, strict=False)):
             # A sentence is wider or narrower as a whole, which no phoneme tells.
-            off = np.interp(frames_s, times_s, is_now)[said].mean() - was[said].mean()
+            off = np.interp(frames_s, times_s, is_now)[in_speech].mean() - was[in_speech].mean()
             shift = 0.0 if number == 0 else off
             axis.plot(frames_s, was, color=COLOURS[RECORDED], linewidth=1.4)
             axis.plot(times_s, is_now - shift, color=COLOURS[method.name], linewidth=1.6)
@@ -112,9 +112,9 @@ def draw_states(
 
     places, states, recorded = laid_out(model, training, unseen)
     centres = {int(s): places[states == s].mean(axis=0) for s in np.unique(states)}
-    said = speech_frames(unseen)
+    in_speech = speech_frames(unseen)
     way = np.array(
-        [centres[s] for s, spoken in zip(_way(model, unseen), said, strict=True)
+        [centres[s] for s, spoken in zip(_way(model, unseen), in_speech, strict=True)
          if spoken and s in centres]
     )  # fmt: skip
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 4.2), layout="constrained")
@@ -123,14 +123,14 @@ def draw_states(
     left.scatter(*places.T, c=dealt[states], cmap="hsv", s=3, linewidths=0)
     left.set_title(f"{len(places)} recorded frames in {model.n_states} states", fontsize=10)
     right.scatter(*places.T, color="0.88", s=4, linewidths=0)
-    frames = np.flatnonzero(said)
+    frames = np.flatnonzero(in_speech)
     between = np.linspace(frames[0], frames[-1], 10 * len(frames))
     smooth = CubicSpline(np.arange(len(recorded)), recorded)(between)
     right.plot(*smooth.T, color=COLOURS[RECORDED], linewidth=1.2, label=RECORDED)
     right.plot(*way.T, color=COLOURS["model-based"], linewidth=0.5, alpha=0.5)
     right.scatter(*way.T, color=COLOURS["model-based"], s=16, zorder=3, label="states chosen")
     right.set_title(f"a sentence that was not learned, {unseen.name}", fontsize=10)
-    both = np.concatenate([recorded[said], way])
+    both = np.concatenate([recorded[in_speech], way])
     (low_x, low_y), (high_x, high_y) = both.min(axis=0), both.max(axis=0)
     right.set_xlim(low_x - _MARGIN, high_x + _MARGIN)
     right.set_ylim(low_y - _MARGIN, high_y + _MARGIN)
@@ -145,9 +145,22 @@ def draw_states(
 def laid_out(
     model: StateModel, training: Sequence[Utterance], unseen: Utterance
 ) -> tuple[Array, Indices, Array]:
-    """Manifold places (n, 2) and states (n,) of some training sentences, and places of another.
+    """Lay training frames out anew: a model keeps the state of each frame, not its place.
 
-    They are laid out anew: a model keeps the state of each frame, not its place.
+    Parameters
+    ----------
+    model : StateModel
+        Its states.
+    training : Sequence[Utterance]
+        Sentences.
+    unseen : Utterance
+        Another sentence.
+
+    Returns
+    -------
+    tuple[Array, Indices, Array]
+        Manifold places (n, 2) and states (n,) of some training sentences, and places of the other,
+        (m, 2).
     """
     step = -(-len(training) // _LAID_OUT)
     motion, states = [], []

@@ -69,17 +69,22 @@ def draw_mouths(path: Path, model: TrainedModel) -> None:
 
 
 def phoneme_face(model: TrainedModel, phoneme: str) -> Array:
-    """(n_components,): a consonant between two AH, a vowel between two T, silence alone.
+    """Return the face of a phoneme: consonants between two AH, vowels between two T, silence alone.
 
     In the middle of the phoneme; of those for which lips close, at the instant when they are
     nearest.
+
+    Returns
+    -------
+    Array
+        (n_components,).
     """
     neighbour = "T" if phoneme in _VOWELS else SILENCE if phoneme == SILENCE else "AH"
-    said = (SILENCE, SILENCE, neighbour, phoneme, neighbour, SILENCE)
+    phonemes = (SILENCE, SILENCE, neighbour, phoneme, neighbour, SILENCE)
     events = tuple(
-        PhonemeEvent(name, _PHONE_S * k, _PHONE_S * (k + 1)) for k, name in enumerate(said)
+        PhonemeEvent(name, _PHONE_S * k, _PHONE_S * (k + 1)) for k, name in enumerate(phonemes)
     )
-    times_s = np.arange(0.0, _PHONE_S * len(said), TICK_S)
+    times_s = np.arange(0.0, _PHONE_S * len(phonemes), TICK_S)
     faces = LiveMethod().faces(model, Heard(events), times_s, _LOOKAHEAD_S)
     inside = np.flatnonzero((times_s >= events[3].start_s) & (times_s < (events[3].end_s or 0.0)))
     shown = inside[len(inside) // 2]
@@ -279,7 +284,20 @@ def draw_errors(folder: Path, rows: Sequence[ErrorRow]) -> None:
 
 
 def motion_curves(model: TrainedModel, faces: Array) -> tuple[Array, ...]:
-    """Lip gap and width in mm, the first component, and one of the finer ones: (n,) each."""
+    """Return lip gap and width, the first component, and one of the finer ones.
+
+    Parameters
+    ----------
+    model : TrainedModel
+        The face.
+    faces : Array
+        (n, n_components).
+
+    Returns
+    -------
+    tuple[Array, ...]
+        (n,) each, the first two in mm.
+    """
     gap_mm, width_mm, _ = lip_shapes_mm(model, model.markers_mm(faces)).T
     first, fine = (min(number, model.n_components) - 1 for number in _DRAWN_COMPONENTS)
     return gap_mm, width_mm, faces[:, first], faces[:, fine]

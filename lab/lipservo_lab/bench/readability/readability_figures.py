@@ -84,22 +84,22 @@ def reading_question(
     kinds = tuple(dict.fromkeys(text.strip() for text in phonemes.split(",")))
     # Without a live one look-aheads and phonemes are checked all the same.
     live: list[str | None] = [name for name in named if name not in line_methods]
-    asked = [question(name, lookaheads, kind, None) for name in live or [None] for kind in kinds]
-    methods = {each.methods[0].name: each.methods[0] for each in asked} if live else {}
+    reading = [question(name, lookaheads, kind, None) for name in live or [None] for kind in kinds]
+    methods = {each.methods[0].name: each.methods[0] for each in reading} if live else {}
     return ReadingQuestion(
-        tuple(methods.values()), asked[0].lookaheads_ms, kinds, robot, line_methods
+        tuple(methods.values()), reading[0].lookaheads_ms, kinds, robot, line_methods
     )
 
 
 def with_line_methods(
-    asked: ReadingQuestion, models_of: Callable[[], OfflineModels]
+    reading: ReadingQuestion, models_of: Callable[[], OfflineModels]
 ) -> ReadingQuestion:
     """The same with its line methods made ready; models_of: called only where there are any."""
-    if not asked.line_methods:
-        return asked
+    if not reading.line_methods:
+        return reading
     models = models_of()
-    methods = tuple(OfflineMethod(name, models) for name in asked.line_methods)
-    return replace(asked, methods=(*asked.methods, *methods), line_methods=())
+    methods = tuple(OfflineMethod(name, models) for name in reading.line_methods)
+    return replace(reading, methods=(*reading.methods, *methods), line_methods=())
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +124,7 @@ def reading_rows(
     corpus: Corpus,
     parts: Iterable[Part],
     model_of: Callable[[Part], TrainedModel],
-    asked: ReadingQuestion,
+    reading: ReadingQuestion,
     track: Track,
     advance: Advance,
 ) -> list[Row]:
@@ -138,10 +138,10 @@ def reading_rows(
     for part in parts:
         split = _split(part, model_of(part), corpus)
         rows += [_row(split, kind, split.recorded[kind.name]) for kind in READERS]
-        for phonemes in asked.phonemes:
-            rows += _made_rows(split, asked, phonemes, listeners[phonemes], track)
-        if asked.robot and part.split == KNOWN:
-            rows += _robot_rows(split, asked, listeners, track, advance)
+        for phonemes in reading.phonemes:
+            rows += _made_rows(split, reading, phonemes, listeners[phonemes], track)
+        if reading.robot and part.split == KNOWN:
+            rows += _robot_rows(split, reading, listeners, track, advance)
     return rows
 
 
@@ -183,12 +183,12 @@ def _split(part: Part, model: TrainedModel, corpus: Corpus) -> _Split:
 
 
 def _made_rows(
-    split: _Split, asked: ReadingQuestion, phonemes: str, listen: Listen, track: Track
+    split: _Split, reading: ReadingQuestion, phonemes: str, listen: Listen, track: Track
 ) -> Iterator[Row]:
     what = f"{split.part.split}, {phonemes}"
-    for method in asked.methods:
+    for method in reading.methods:
         faces: Motions | None = None
-        for lookahead_ms in asked.lookaheads_ms:
+        for lookahead_ms in reading.lookaheads_ms:
             if faces is None or method.looks_ahead:
                 sentences = track(f"{what}, {method.name}", list(split.read))
                 faces = made_faces(split.model, sentences, method, lookahead_ms / 1e3, listen)
@@ -216,22 +216,22 @@ def _gap_r(split: _Split, faces: Motions) -> float:
 
 def _robot_rows(
     split: _Split,
-    asked: ReadingQuestion,
+    reading: ReadingQuestion,
     listeners: Mapping[str, Listen],
     track: Track,
     advance: Advance,
 ) -> Iterator[Row]:
-    """The default strategy, if it is asked for, and recorded motion, played by the robot."""
+    """Default strategy, if it is among the methods, and recorded motion, played by the robot."""
     robot = calibrated_robot(split.model)
     play = partial(_robot_seen, split, robot, advance)
     rate_hz = split.read[0].frame_rate_hz
     recorded = {u.name: split.model.coefficients(u.markers_mm) for u in split.read}
     for kind, seen in play(recorded, rate_hz).items():
         yield _row(split, kind, seen, face=ROBOT)
-    ours = next((m for m in asked.methods if m.name == DEFAULT_STRATEGY), None)
+    ours = next((m for m in reading.methods if m.name == DEFAULT_STRATEGY), None)
     if ours is None:
         return
-    for phonemes in asked.phonemes:
+    for phonemes in reading.phonemes:
         sentences = track(f"{ROBOT}, {phonemes}", list(split.read))
         faces = made_faces(
             split.model, sentences, ours, DEFAULT_LOOKAHEAD_S, listeners[phonemes], 1.0 / TICK_S
@@ -285,7 +285,7 @@ def _row(
 
 @dataclass(slots=True)
 class OnceListener:
-    """A listener who hears every sentence once."""
+    """A listener that recognises every sentence once, and keeps the result."""
 
     listen: Listen
     heard: dict[str, Heard] = field(default_factory=dict)

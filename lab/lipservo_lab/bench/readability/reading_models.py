@@ -16,7 +16,7 @@ ModelOf = Callable[[Part], TrainedModel]
 _NEW = "new_"
 
 
-def asked_parts(folder: Path, corpus: Corpus, words: str | None) -> list[Part]:
+def requested_parts(folder: Path, corpus: Corpus, words: str | None) -> list[Part]:
     """Known words and the sets of the folder's splits.json; or `words`, with commas, alone.
 
     corpus: labelled. Raises BenchError or CorpusError for what cannot be held out.
@@ -61,7 +61,7 @@ def given_models(folder: Path, parts: Sequence[Part]) -> ModelOf:
 
 
 def trained_models(corpus: Corpus, track: Track, tell: Callable[[str], None]) -> ModelOf:
-    """Models trained on each part's training sentences, when they are asked for.
+    """Models trained on each part's training sentences, at their first use.
 
     track: of what is heard, once for all trainings. tell: what training is doing.
     """

@@ -74,7 +74,7 @@ class PlayedMotion:
         return FaceWindow(_AHEAD_S, faces, closed, self._gap.shut(frame.coefficients))
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:  # noqa: ARG002 - knows no phonemes
-        """Nobody knows."""
+        """None: phonemes are not known."""
         return None
 
 
@@ -123,10 +123,23 @@ class _Programme:
 def shown_markers_mm(
     robot: Face, faces: Motions, rate_hz: float, seen_at_hz: float, progress: Progress
 ) -> dict[str, Array]:
-    """Markers (n_frames, 47, 3), seen_at_hz, that the robot shows of each sentence's motion.
+    """Return the markers that the robot shows of each sentence's motion; all are played in one go.
 
-    faces: (n, n_components) at rate_hz, two at least. All are played in one go. progress: seconds
-    played, of how many.
+    Parameters
+    ----------
+    robot : Face
+        With its map.
+    faces : Motions
+        (n, n_components) at rate_hz, two at least, by sentence.
+    rate_hz,seen_at_hz : float
+        Of the faces, and of the markers.
+    progress : Progress
+        Called with seconds played, of how many.
+
+    Returns
+    -------
+    dict[str, Array]
+        (n_frames, 47, 3) by sentence.
     """
     programme = _programme(robot, faces, rate_hz)
     sound_s, encoders_deg = _played(robot, programme, progress)
@@ -157,7 +170,7 @@ def _programme(robot: Face, faces: Motions, rate_hz: float) -> _Programme:
 
 
 def _played(robot: Face, programme: _Programme, progress: Progress) -> tuple[Array, Array]:
-    """Sound times (n,), ascending, and what the mouth's encoders said then, (n, n_servos)."""
+    """Sound times (n,), ascending, and the mouth's encoders then, (n, n_servos)."""
     bus, clock = simulated_wire(robot.settings)
     motion = PlayedMotion(programme.times_s, programme.faces, robot.model)
     names, channel = list(robot.settings.servos), MemoryTargetChannel()

@@ -34,7 +34,7 @@ _HANGS_IN = "bridge-process"
 
 
 class Troubles:
-    """Which troubles are on, told by files."""
+    """Which troubles are on, switched by files."""
 
     def __init__(self, folder: str, sleep: Callable[[float], None] = time.sleep) -> None:
         self._folder = folder

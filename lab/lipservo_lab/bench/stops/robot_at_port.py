@@ -77,18 +77,24 @@ class RobotAtPort:
         return self.folder / "log"
 
     @property
-    def said(self) -> str:
+    def output(self) -> str:
         """The same as text."""
         return self.log.read_text(errors="replace")
 
     @property
-    def last_said(self) -> str:
+    def last_output(self) -> str:
         """Its end, for a message."""
-        return self.said[-_TAIL:]
+        return self.output[-_TAIL:]
 
     @property
     def torque(self) -> NDArray[np.bool_]:
-        """Who holds now, (n,)."""
+        """Which servos hold now.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n_servos,).
+        """
         return self.chain.motors.torque_on.copy()
 
     @property
@@ -132,7 +138,18 @@ class RobotAtPort:
         )
 
     def moved_deg(self, since_s: float) -> NDArray[np.float64]:
-        """How far each shaft travelled between its extremes since then, (n,)."""
+        """Return how far each shaft travelled between its extremes.
+
+        Parameters
+        ----------
+        since_s : float
+            Monotonic seconds.
+
+        Returns
+        -------
+        NDArray[np.float64]
+            (n_servos,) degrees.
+        """
         places = np.array([each.position for each in self.seen if each.time_s >= since_s])
         return np.asarray(np.ptp(places, axis=0) / PULSES_PER_TURN * 360.0)
 
@@ -234,7 +251,7 @@ def _serve(host: PtyHost, over: threading.Event) -> None:
 def _on_time() -> Iterator[None]:
     """Let a thread run before all others, where permitted, but not the processes it starts.
 
-    Servos do not wait for a busy computer; and whoever looks at them holds Python's lock meanwhile.
+    Servos do not wait for a busy computer; and reading their state holds Python's lock meanwhile.
     """
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     with contextlib.suppress(OSError):

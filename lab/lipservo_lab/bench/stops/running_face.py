@@ -79,7 +79,7 @@ class RunningFace:
             return bool(found)
 
         if not self.robot.look_until(is_there, _REPLACED_S):
-            raise RuntimeError(f"no {name} process: {self.robot.last_said}")
+            raise RuntimeError(f"no {name} process: {self.robot.last_output}")
         return found[0]
 
     def request(self, word: str) -> dict[str, Any]:
@@ -177,7 +177,7 @@ def _started(robot: RobotAtPort, *options: str, module: ModuleType = injected) -
     came = robot.look_until(lambda: bool(robot.torque.all()) or daemon.poll() is not None, START_S)
     control = next((each for each in robot.controls if f"-{daemon.pid}." in each.name), None)
     if not came or control is None or daemon.poll() is not None:
-        raise RuntimeError(f"the servos were not enabled: {robot.last_said}")
+        raise RuntimeError(f"the servos were not enabled: {robot.last_output}")
     return RunningFace(robot, daemon, Addresses(control))
 
 
@@ -189,18 +189,18 @@ def _addresses(face: RunningFace, *, page: bool, agents: bool) -> Addresses:
     for name, pattern in wanted.items():
         match = _awaited(face, pattern)
         if match is None:
-            raise RuntimeError(f"no address of its {name}: {face.robot.last_said}")
+            raise RuntimeError(f"no address of its {name}: {face.robot.last_output}")
         found[name] = match[1]
     at = Addresses(face.at.control, **found)
     if page and not face.robot.look_until(lambda: _answers(at.page), START_S):
-        raise RuntimeError(f"its page does not answer: {face.robot.last_said}")
+        raise RuntimeError(f"its page does not answer: {face.robot.last_output}")
     return at
 
 
 def _awaited(face: RunningFace, pattern: re.Pattern[str]) -> re.Match[str] | None:
     """What its log says, once it does."""
-    face.robot.look_until(lambda: pattern.search(face.robot.said) is not None, START_S)
-    return pattern.search(face.robot.said)
+    face.robot.look_until(lambda: pattern.search(face.robot.output) is not None, START_S)
+    return pattern.search(face.robot.output)
 
 
 def _answers(page: str) -> bool:

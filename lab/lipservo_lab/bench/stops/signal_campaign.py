@@ -60,7 +60,7 @@ class Command:
     """A command at simulated servos.
 
     arguments: of a robot. prepare: what its servos are like before. answers: on standard input.
-    own_servos: it simulates servos of its own, so that only what it says can be judged.
+    own_servos: it simulates servos of its own, so that only its output can be checked.
     """
 
     name: str
@@ -258,7 +258,7 @@ def play_signal(case: SignalCase) -> SignalOutcome:
 
 @contextlib.contextmanager
 def _signals_heard() -> Iterator[None]:
-    """What we start hears all signals, also where a shell that runs us ignores some for us."""
+    """Start children with all stop signals enabled, also where our own shell ignores some."""
     ignored = [each for each in STOP_SIGNALS if signal.getsignal(each) is signal.SIG_IGN]
     for number in ignored:
         signal.signal(number, signal.SIG_DFL)
@@ -332,7 +332,7 @@ def _wait_for_moment(
             lambda: _works(command, robot) or process.poll() is not None, _WORKS_S
         )
     if not come or process.poll() is not None:
-        raise RuntimeError(f"the moment did not come: {robot.last_said}")
+        raise RuntimeError(f"the moment did not come: {robot.last_output}")
     if case.moment is Moment.OPENING_SOUND:
         return
     if not command.arms:
@@ -390,12 +390,12 @@ def _judge_words(
     outcome: SignalOutcome,
 ) -> None:
     """Exit status, and what it says of the servos."""
-    said, status = robot.said, process.poll()
-    if "Traceback" in said or "Fatal Python error" in said:
-        outcome.broken.append(f"traceback: {robot.last_said}")
+    output, status = robot.output, process.poll()
+    if "Traceback" in output or "Fatal Python error" in output:
+        outcome.broken.append(f"traceback: {robot.last_output}")
     allowed = _allowed_statuses(case, command)
     if status is not None and status not in allowed:
-        outcome.broken.append(f"exit status {status}, not {allowed}: {robot.last_said[-300:]}")
+        outcome.broken.append(f"exit status {status}, not {allowed}: {robot.last_output[-300:]}")
     if not command.arms or case.moment in (Moment.STARTING, Moment.OPENING_SOUND):
         return
     if case.moment in (Moment.UNPLUGGED, Moment.DEAF):
@@ -404,8 +404,8 @@ def _judge_words(
         wanted = "confirmed by all 4 servos"
     else:
         wanted = "confirmed by 1 servo" if command.name == "new-face" else "confirmed by 4 servos"
-    if wanted not in said:
-        outcome.broken.append(f"does not say {wanted!r}: {robot.last_said[-300:]}")
+    if wanted not in output:
+        outcome.broken.append(f"does not say {wanted!r}: {robot.last_output[-300:]}")
 
 
 def _allowed_statuses(case: SignalCase, command: Command) -> tuple[int, ...]:
@@ -433,7 +433,7 @@ def _judge_killed(
     process: subprocess.Popen[bytes],
     outcome: SignalOutcome,
 ) -> None:
-    """Nobody is left who could do anything: the servos stop by themselves, then a person comes."""
+    """No process is left that could act: the servos stop by themselves, then a person comes."""
     kill_all(process)
     robot.look(_WATCHDOG_S)
     watched_s = time.monotonic()
@@ -447,7 +447,9 @@ def _judge_killed(
         after = robot.start("calibrate", "neutral", "--config", FACE, "--port", str(robot.port))
     robot.look_until(lambda: after.poll() is not None, _WORKS_S)
     if after.poll() != 0:
-        outcome.broken.append(f"`{case.then}` ended with {after.poll()}: {robot.last_said[-300:]}")
+        outcome.broken.append(
+            f"`{case.then}` ended with {after.poll()}: {robot.last_output[-300:]}"
+        )
     outcome.limp_after_kill = not robot.torque.any()
     if not outcome.limp_after_kill:
         outcome.broken.append(f"{robot.torque.sum()} servos hold after `{case.then}`")

@@ -134,7 +134,7 @@ def judge_start(face: RunningFace, outcome: StopOutcome) -> None:
     if not outcome.came_back:
         status = face.status()
         outcome.answers += [f"start: {answer}", f"{status.get('state')}: {status.get('servos')}"]
-        outcome.answers.append(f"log: ... {face.robot.last_said[-_LOG_END:]}")
+        outcome.answers.append(f"log: ... {face.robot.last_output[-_LOG_END:]}")
 
 
 def _watch(face: RunningFace, case: StopCase, requested: Requested, outcome: StopOutcome) -> None:
@@ -235,7 +235,7 @@ def _face_for(case: StopCase) -> Iterator[RunningFace]:
         daemon = start_daemon(robot, "--listen", "none")
         launched_s = time.monotonic()
         if not robot.look_until(lambda: bool(robot.controls), START_S):
-            raise RuntimeError(f"no control socket: {robot.last_said}")
+            raise RuntimeError(f"no control socket: {robot.last_output}")
         robot.look(max(0.0, launched_s + case.moment_s - time.monotonic()))
         yield RunningFace(robot, daemon, Addresses(robot.controls[0]))
 

@@ -22,7 +22,7 @@ from lipservo_lab.bench.stops.troubles import (
 )
 
 #: After what has gone wrong, the stop comes so much later, seconds.
-MOMENTS_S: Final = (0.0, 0.15, 0.6)
+TIMES_S: Final = (0.0, 0.15, 0.6)
 #: A daemon that has been launched so long ago is opening its port, or arms its servos.
 _STARTING_S: Final = (0.8, 1.6, 2.4, 3.2)
 #: A start and a stop that meet: the second comes so much after the first.
@@ -72,7 +72,7 @@ class StopCase:
 def stop_cases() -> Iterator[StopCase]:
     """Every stop of the campaign; no signal freezes a face."""
     for level, trouble, moment_s, client in product(
-        StopLevel, FIRST_TROUBLES, MOMENTS_S, (StopClient.SOCKET, StopClient.SIGNAL)
+        StopLevel, FIRST_TROUBLES, TIMES_S, (StopClient.SOCKET, StopClient.SIGNAL)
     ):
         if _exists(level, client):
             yield StopCase(level, trouble, moment_s, client)
@@ -102,10 +102,8 @@ def _meetings() -> Iterator[StopCase]:
         yield StopCase(StopLevel.LIMP, Trouble.EASING, 0.0, client)
     for level, moment_s in zip((StopLevel.LIMP, StopLevel.SOFT) * 2, _STARTING_S, strict=True):
         yield StopCase(level, Trouble.STARTING, moment_s)
-    for level, (trouble, moments_s) in product(
-        (StopLevel.SOFT, StopLevel.LIMP), _MEETINGS_S.items()
-    ):
-        for moment_s in moments_s:
+    for level, (trouble, times_s) in product((StopLevel.SOFT, StopLevel.LIMP), _MEETINGS_S.items()):
+        for moment_s in times_s:
             yield StopCase(level, trouble, moment_s)
 
 

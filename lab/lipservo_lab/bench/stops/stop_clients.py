@@ -142,7 +142,9 @@ def post_stop(
 
 
 def press_stop(page: str, level: str, post: Callable[..., tuple[int, object]] = post_stop) -> int:
-    """What stop.js does when its button is pressed; how many requests it took to be accepted.
+    """Do what stop.js does when its button is pressed.
+
+    Return how many requests it needed to be accepted.
 
     Two requests at once: one that is answered when the stop is accepted, repeated until it is, and
     one that is answered when the servos have confirmed the end. 0: never accepted, or refused.

@@ -72,7 +72,7 @@ _COMES_S: Final = 5.0
 
 
 def n_others(trouble: Trouble) -> int:
-    """How many faces stand beside the one that is judged."""
+    """How many other faces run beside the one under test."""
     return int(trouble in _OTHERS)
 
 

@@ -39,7 +39,7 @@ _BILABIALS: Final = ("P", "B", "M")
 #: A closure counts from so long before its phoneme until so long after it.
 _AROUND_S: Final = 0.06
 #: Lips that come so near to where the angles of closed lips would bring them are closed.
-_MET_MM: Final = 0.5
+_REACHED_MM: Final = 0.5
 _AFTER_S: Final = 0.5
 #: Until the last of staggered servos has come on and has caught up.
 _COMES_ON_S: Final = 0.5
@@ -65,20 +65,20 @@ class Shown:
 def closures_at_shaft(name: str) -> dict[str, float]:
     """Closures of the clip that the shafts of a face meet, and the same face on Dynamixels.
 
-    A closure is met where the lips come within half a millimetre of the gap that the angles leave
-    for the face whose lips are nearest, during the phoneme or 60 ms beside it.
+    A closure is reached where the lips come within half a millimetre of the gap that the angles
+    leave for the face whose lips are nearest, during the phoneme or 60 ms beside it.
     """
     face = assemble_face(name, None)
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         events = recognize_file(make_recognizer(), clip).events
         closures = [each for each in events if each.phoneme in _BILABIALS]
-        met = _n_met(face, _shown(face, _own_servos(face.settings), clip), closures)
-        on_dynamixel = _n_met(face, _shown(face, _dynamixels(face), clip), closures)
+        n_reached = _n_reached(face, _shown(face, _own_servos(face.settings), clip), closures)
+        on_dynamixel = _n_reached(face, _shown(face, _dynamixels(face), clip), closures)
     return {
         "closures": len(closures),
-        "closures_at_shaft": met,
+        "closures_at_shaft": n_reached,
         "closures_at_shaft_on_dynamixel": on_dynamixel,
-        "closures_at_shaft_share": met / max(1, on_dynamixel),
+        "closures_at_shaft_share": n_reached / max(1, on_dynamixel),
     }
 
 
@@ -166,12 +166,12 @@ def _gap_mm(markers_mm: Array) -> Array:
     return np.asarray(upper[:, 1] - lower[:, 1])
 
 
-def _n_met(face: Face, shown: Shown, closures: list[PhonemeEvent]) -> int:
+def _n_reached(face: Face, shown: Shown, closures: list[PhonemeEvent]) -> int:
     servos = CalibrationSetup(face.settings, load_face_with_animphos(), quiet=True).servos
     markers_of = markers_of_face(face.model.markers_mm(face.model.rest[None])[0], servos)
     gap_mm = _gap_mm(face.model.markers_mm(shown.faces))
     shown_mm = _gap_mm(markers_of(shown.shafts_deg))
-    n_met = 0
+    n_reached = 0
     for event in closures:
         end_s = np.inf if event.end_s is None else event.end_s + _AROUND_S
         around = (event.start_s - _AROUND_S <= shown.sound_s) & (shown.sound_s <= end_s)
@@ -179,5 +179,5 @@ def _n_met(face: Face, shown: Shown, closures: list[PhonemeEvent]) -> int:
             nearest = int(np.argmin(np.where(around, gap_mm, np.inf)))
             closed_deg = face.calibration.positions_deg(shown.faces[nearest])
             closed_mm = _gap_mm(markers_of(closed_deg[None]))[0]
-            n_met += bool(shown_mm[around].min() <= closed_mm + _MET_MM)
-    return n_met
+            n_reached += bool(shown_mm[around].min() <= closed_mm + _REACHED_MM)
+    return n_reached

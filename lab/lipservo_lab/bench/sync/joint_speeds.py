@@ -77,7 +77,7 @@ Advance = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class Sentence:
-    """What is said, and the recorded faces (n, n_components) at 100 Hz from sound time 0."""
+    """A spoken sentence, and the recorded faces (n, n_components) at 100 Hz from sound time 0."""
 
     phones: tuple[PhonemeEvent, ...]
     faces: Array
@@ -92,11 +92,11 @@ class Sentence:
 class Shafts:
     """What joints of a mouth did, (n, n_servos) degrees, at sound times k / 100 s from 0.
 
-    asked_deg: what the plan asked for; horn_deg: where it brought the horns, behind the play of
+    goals_deg: the plan's goals; horn_deg: where it brought the horns, behind the play of
     the gears. n_rate_hits: goals that the last gate slowed down.
     """
 
-    asked_deg: Array
+    goals_deg: Array
     horn_deg: Array
     n_rate_hits: int
 
@@ -124,10 +124,27 @@ def shafts_of(
     speeds_deg_s: Array,
     play_deg: Array,
 ) -> Shafts:
-    """What the joints of a mouth do while a synthesiser follows a sentence's phonemes.
+    """Return the motion of a mouth's joints while a synthesiser follows a sentence's phonemes.
 
-    speeds_deg_s: of the shafts, (n_servos,), infinite for those without limits; play_deg: of their
-    gears, (n_servos,).
+    Parameters
+    ----------
+    face : Face
+        The robot.
+    sentence : Sentence
+        Its phonemes.
+    synthesizer : Synthesizer
+        The motion.
+    plan : JointPlan | None
+        Of the joints; None: the gate alone.
+    speeds_deg_s : Array
+        (n_servos,), of the shafts, infinite for those without limits.
+    play_deg : Array
+        (n_servos,), of their gears.
+
+    Returns
+    -------
+    Shafts
+        Goals and horns, (n, n_servos) degrees.
     """
     names = face.calibration.servo_names
     channel = MemoryTargetChannel(4096)
@@ -135,16 +152,16 @@ def shafts_of(
     options = SpeechOptions(plan=plan)
     speech = Speech(phonemes, SteadyClock(), synthesizer, face.calibration, names, channel, options)
     speech.begin(0.0)
-    asked: list[Array] = []
+    goals: list[Array] = []
     n_ticks = round((sentence.end_s + _AFTER_S + speech.delay.total_s) / PUBLISH_PERIOD_S)
     for n in range(n_ticks):
         speech.advance(n * PUBLISH_PERIOD_S)
         for targets in channel.drain():
             if targets.time_s - speech.delay.total_s > -PUBLISH_PERIOD_S / 2:
-                asked.append(targets.positions_deg)
-    asked_deg = np.array(asked)
+                goals.append(targets.positions_deg)
+    goals_deg = np.array(goals)
     if np.isinf(speeds_deg_s).all():
-        return Shafts(asked_deg, asked_deg, 0)
+        return Shafts(goals_deg, goals_deg, 0)
     servos = [face.settings.servos[name] for name in names]
     joints = [
         Joint(name, n, servo.min_deg, servo.max_deg, float(speed_deg_s))
@@ -153,10 +170,10 @@ def shafts_of(
         )
     ]
     gate = Limiter(joints, PUBLISH_PERIOD_S)
-    gate.start_from(asked_deg[0], -PUBLISH_PERIOD_S)
-    sent = [gate.apply(goal_deg, n * PUBLISH_PERIOD_S) for n, goal_deg in enumerate(asked_deg)]
+    gate.start_from(goals_deg[0], -PUBLISH_PERIOD_S)
+    sent = [gate.apply(goal_deg, n * PUBLISH_PERIOD_S) for n, goal_deg in enumerate(goals_deg)]
     n_hits = int(gate.counts.rate_hits.sum())
-    return Shafts(asked_deg, _behind(play_deg, [each.positions_deg for each in sent]), n_hits)
+    return Shafts(goals_deg, _behind(play_deg, [each.positions_deg for each in sent]), n_hits)
 
 
 def _behind(play_deg: Array, shafts_deg: Sequence[Array]) -> Array:
@@ -183,7 +200,18 @@ def in_time(face: Face) -> Face:
 
 
 def plan_at(speeds_deg_s: Array) -> JointPlan:
-    """The plan of joints whose acceleration is not limited."""
+    """Return the plan of joints whose acceleration is not limited.
+
+    Parameters
+    ----------
+    speeds_deg_s : Array
+        (n_joints,) degrees per second.
+
+    Returns
+    -------
+    JointPlan
+        The plan.
+    """
     return JointPlan(speeds_deg_s, np.full(len(speeds_deg_s), math.inf), PUBLISH_PERIOD_S)
 
 
@@ -192,7 +220,18 @@ def _grid_s(n: int) -> Array:
 
 
 def no_plan(_: Array) -> None:
-    """The gate alone."""
+    """Return no plan: the gate alone limits speeds.
+
+    Parameters
+    ----------
+    _ : Array
+        (n_joints,), not used.
+
+    Returns
+    -------
+    None
+        None.
+    """
 
 
 def recorded_motion(sentence: Sentence, model: FaceWithAnimPhos) -> PlayedMotion:
@@ -221,9 +260,22 @@ METHODS: Final[dict[str, Motion]] = {"live": live_motion, "scripted": scripted_m
 
 
 def over_speed_share(shafts: Sequence[Shafts], speeds_deg_s: Array) -> float:
-    """Share of ticks at which a joint is asked for more than its speed."""
+    """Share of ticks at which a joint should go faster than its speed.
+
+    Parameters
+    ----------
+    shafts : Sequence[Shafts]
+        Of sentences.
+    speeds_deg_s : Array
+        (n_servos,) per second.
+
+    Returns
+    -------
+    float
+        0 to 1.
+    """
     over = [
-        (np.abs(np.diff(each.asked_deg, axis=0)) > speeds_deg_s * PUBLISH_PERIOD_S + _SAME_DEG)
+        (np.abs(np.diff(each.goals_deg, axis=0)) > speeds_deg_s * PUBLISH_PERIOD_S + _SAME_DEG)
         for each in shafts
     ]
     return float(np.concatenate(over).any(axis=1).mean())
@@ -245,21 +297,56 @@ class RobotLips:
         self._markers_mm = markers_of_face(neutral_mm, self.servos)
 
     def touch(self, shafts: Shafts) -> NDArray[np.bool_]:
-        """Whether the lips touch in their middle, (n,)."""
+        """Return whether the lips touch in their middle.
+
+        Parameters
+        ----------
+        shafts : Shafts
+            n ticks.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n,).
+        """
         if self._elastic is None:
             return self.gap_mm(shafts) <= CLOSED_GAP_MM
         return self.gap_mm(shafts) <= _TOUCH_MM
 
     def gap_mm(self, shafts: Shafts) -> Array:
-        """Between the edges of the lips in their middle, (n,)."""
+        """Return the gap between the edges of the lips in their middle.
+
+        Parameters
+        ----------
+        shafts : Shafts
+            n ticks.
+
+        Returns
+        -------
+        Array
+            (n,) mm.
+        """
         if self._elastic is None:
             return self._model.lip_gaps_mm(self._markers_mm(shafts.horn_deg))
         return self._elastic.state(shafts.horn_deg).gaps_mm[:, N_PAIRS // 2]
 
     def wanted_mm(self, sentence: Sentence) -> Array:
-        """Shapes (n, 47, 3) of the nearest poses to every `_SPARSE`th recorded face.
+        """Return the shapes of the nearest poses to every `_SPARSE`th recorded face.
 
-        Raises ValueError for a robot that is not elastic.
+        Parameters
+        ----------
+        sentence : Sentence
+            Its faces.
+
+        Returns
+        -------
+        Array
+            (n, 47, 3) mm.
+
+        Raises
+        ------
+        ValueError
+            The robot is not elastic.
         """
         if self._elastic is None:
             raise ValueError("what an elastic robot should show is defined, and of no other")
@@ -267,14 +354,40 @@ class RobotLips:
         return wanted_shapes(self._model, self._elastic, self.servos, frames).shapes_mm
 
     def error_mm(self, wanted_mm: Array, shafts: Shafts) -> Array:
-        """Distance of the lips' markers from shapes that are wanted, (n, n_lips)."""
+        """Return the distance of the lips' markers from wanted shapes.
+
+        Parameters
+        ----------
+        wanted_mm : Array
+            (n, 47, 3).
+        shafts : Shafts
+            Of the same sentence.
+
+        Returns
+        -------
+        Array
+            (n, n_lips) mm.
+        """
         shown_mm = self._markers_mm(shafts.horn_deg[::_SPARSE][: len(wanted_mm)])
         off_mm = (shown_mm - wanted_mm)[:, list(MARKERS_47.lips)]
         return np.asarray(np.linalg.norm(off_mm, axis=2))
 
 
-def closures_met(sentence: Sentence, touch: NDArray[np.bool_]) -> list[bool]:
-    """For each P B M whether lips touch around it."""
+def reached_closures(sentence: Sentence, touch: NDArray[np.bool_]) -> list[bool]:
+    """Return for each P B M whether lips touch around it.
+
+    Parameters
+    ----------
+    sentence : Sentence
+        Its phones.
+    touch : NDArray[np.bool_]
+        (n,), one a tick.
+
+    Returns
+    -------
+    list[bool]
+        One a closure.
+    """
     times_s = np.arange(len(touch)) * PUBLISH_PERIOD_S
     found = []
     for phone in sentence.phones:
@@ -285,7 +398,18 @@ def closures_met(sentence: Sentence, touch: NDArray[np.bool_]) -> list[bool]:
 
 
 def shift_s(gap_mm: Array, free_mm: Array) -> float:
-    """How much later one motion of the lips is than another, by their correlation."""
+    """Return how much later one motion of the lips is than another, by their correlation.
+
+    Parameters
+    ----------
+    gap_mm,free_mm : Array
+        (n,), one a tick.
+
+    Returns
+    -------
+    float
+        Seconds.
+    """
     n_most = round(_MOST_SHIFT_S / _FINEST_S)
     times_s = np.arange(len(gap_mm)) * PUBLISH_PERIOD_S
     fine_s = np.arange(_MOST_SHIFT_S, times_s[-1] - _MOST_SHIFT_S, _FINEST_S)
@@ -305,7 +429,7 @@ def speed_figures(corpus: Path, n_sentences: int, advance: Advance) -> dict[str,
     figures["faces"] = by_face
     for n, name in enumerate(FACES):
         advance(name, n, n_steps)
-        by_face[name] = _asked_of(assemble_face(name, None), sentences, model)
+        by_face[name] = _goals_of(assemble_face(name, None), sentences, model)
     figures["rate_limits_per_s_run"] = {name: _limits_per_s(name) for name in RUN}
     robots = [assemble_face(name, None) for name in ROBOTS]
     lips = [RobotLips(face, model) for face in robots]
@@ -339,7 +463,7 @@ def _at_speeds(
     play_deg = lips.play_deg
     free = [shafts_of(ideal, s, make(s, model), None, unlimited, play_deg) for s in sentences]
     free_gaps_mm = [lips.gap_mm(each) for each in free]
-    n_free = _n_met(sentences, [lips.touch(each) for each in free])
+    n_free = _n_reached(sentences, [lips.touch(each) for each in free])
     rows: dict[str, list[float]] = {}
     for speed_deg_s in SPEEDS_DEG_S:
         speeds = np.full(n_servos, speed_deg_s)
@@ -348,17 +472,17 @@ def _at_speeds(
             for s in sentences:
                 plan = None if way else plan_at(speeds)
                 shafts.append(shafts_of(loose, s, make(s, model), plan, speeds, play_deg))
-            n_met = _n_met(sentences, [lips.touch(each) for each in shafts])
+            n_reached = _n_reached(sentences, [lips.touch(each) for each in shafts])
             gaps_mm = zip(shafts, free_gaps_mm, strict=True)
             late_s = float(np.median([shift_s(lips.gap_mm(a), b) for a, b in gaps_mm]))
-            rows.setdefault(f"closures_at_shaft{way}", []).append(n_met / n_free)
+            rows.setdefault(f"closures_at_shaft{way}", []).append(n_reached / n_free)
             rows.setdefault(f"lips_late_ms{way}", []).append(1e3 * late_s)
     return {name: np.array(values) for name, values in rows.items()}
 
 
-def _n_met(sentences: Sequence[Sentence], touch: Sequence[NDArray[np.bool_]]) -> int:
+def _n_reached(sentences: Sequence[Sentence], touch: Sequence[NDArray[np.bool_]]) -> int:
     pairs = zip(sentences, touch, strict=True)
-    return sum(sum(closures_met(sentence, each)) for sentence, each in pairs)
+    return sum(sum(reached_closures(sentence, each)) for sentence, each in pairs)
 
 
 def _error_ratios(
@@ -387,7 +511,7 @@ def _error_ratios(
     return found
 
 
-def _asked_of(
+def _goals_of(
     face: Face, sentences: Sequence[Sentence], model: FaceWithAnimPhos
 ) -> dict[str, float]:
     """What a face's plan asks of joints that have the speeds of its YAML."""
@@ -403,7 +527,7 @@ def _asked_of(
                 plan = None if way else mouth_plan(face)
                 motion = make(sentence, model)
                 shafts.append(shafts_of(face, sentence, motion, plan, speeds, tight_deg))
-            seconds = sum(len(each.asked_deg) for each in shafts) * PUBLISH_PERIOD_S
+            seconds = sum(len(each.goals_deg) for each in shafts) * PUBLISH_PERIOD_S
             hits = sum(each.n_rate_hits for each in shafts)
             figures[f"over_speed_share_{method}{way}"] = round(over_speed_share(shafts, speeds), 4)
             figures[f"rate_limits_per_s_{method}{way}"] = round(hits / seconds, 3)
@@ -428,7 +552,7 @@ def _plan_times(face: Face, sentence: Sentence, model: FaceWithAnimPhos) -> dict
     backlash = BacklashCompensation(
         np.zeros(n_servos) if following is None else following.backlash_deg
     )
-    took_ms = []
+    elapsed_ms = []
     for n in range(round(sentence.end_s / PUBLISH_PERIOD_S)):
         for update in phonemes.updates(n * PUBLISH_PERIOD_S + synthesizer.lookahead_s):
             synthesizer.push(update)
@@ -440,6 +564,6 @@ def _plan_times(face: Face, sentence: Sentence, model: FaceWithAnimPhos) -> dict
         )
         goals_deg = backlash.feed(np.array(poses_deg))
         plan.step(TargetWindow(window.times_s, goals_deg, window.closed, shut_deg))
-        took_ms.append(1e3 * (time.perf_counter() - began_s))
-    p50, p99 = np.percentile(took_ms, [50, 99])
+        elapsed_ms.append(1e3 * (time.perf_counter() - began_s))
+    p50, p99 = np.percentile(elapsed_ms, [50, 99])
     return {"plan_ms_p50": round(float(p50), 3), "plan_ms_p99": round(float(p99), 3)}

@@ -72,7 +72,20 @@ class SimulatedMicrophone:
 
 
 def clip_to_bus_s(motion: MotionOptions, n_times: int) -> Array:
-    """`microphone_to_bus_s` of the bundled clip, at instants drawn by chance, always the same."""
+    """Return `microphone_to_bus_s` of the bundled clip, at the same random instants each time.
+
+    Parameters
+    ----------
+    motion : MotionOptions
+        Options.
+    n_times : int
+        Instants.
+
+    Returns
+    -------
+    Array
+        (n,) s.
+    """
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         blocks = FileSource(clip).blocks(_CLIP_S)
     samples = np.concatenate([block.samples for block in blocks])
@@ -84,10 +97,24 @@ def clip_to_bus_s(motion: MotionOptions, n_times: int) -> Array:
 def microphone_to_bus_s(
     samples: NDArray[np.float32], changed_s: Sequence[float], motion: MotionOptions
 ) -> Array:
-    """For each time, how long after it the first goal goes out that depends on the sound there.
+    """Return how long after a time the first goal goes out that depends on the sound there.
 
     The sound is played twice, the second time silent from then on: the first tick whose goals
     differ is the one. Times after which nothing differs within a second are left out.
+
+    Parameters
+    ----------
+    samples : NDArray[np.float32]
+        (m,) at 16 kHz.
+    changed_s : Sequence[float]
+        Times.
+    motion : MotionOptions
+        Options.
+
+    Returns
+    -------
+    Array
+        (n,) s.
     """
     whole_deg = _goals_deg(samples, motion)
     found = []
@@ -158,14 +185,14 @@ def microphone_table(
                 weights=weights, style=Style(lookahead_s), recognizer_latency_s=latency_s
             )
             bus_s = clip_to_bus_s(motion, n_times)
-            met = _closures(recordings, face, motion)
+            closures = _closures(recordings, face, motion)
             rows.append(
                 {
                     "lookahead_ms": _ms(lookahead_s),
                     "latency_ms": _ms(latency_s),
                     "declared_delay_ms": _ms(declared_delay_s(motion)),
                     "microphone_to_bus_p95_ms": _ms(float(np.percentile(bus_s, 95))),
-                    **closure_figures(met),
+                    **closure_figures(closures),
                     **accurate,
                 }
             )

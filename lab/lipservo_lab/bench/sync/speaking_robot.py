@@ -43,7 +43,7 @@ class SimulatedLoudspeaker:
     """A `lipsync.audio.playout.Loudspeaker`; `advance` lets time pass.
 
     rate_hz: samples a second, a multiple of 100, by its own clock. latency_s: from its taking a
-    sample to the sample's leaving it. skew: how much faster than said its clock runs, 200e-6 for
+    sample to the sample's leaving it. skew: how much faster than nominal its clock runs, 200e-6 for
     200 parts in a million. jitter_s: its reports are up to so much early or late, evenly spread,
     and its callbacks come up to so much late, by `rng`.
     """
@@ -86,7 +86,7 @@ class SimulatedLoudspeaker:
 
     @property
     def n_underruns(self) -> int:
-        """How often nothing was written in time while it asked for more."""
+        """How often nothing was written in time while it needed more."""
         return self._ring.n_underruns
 
     def write(self, samples: Samples) -> None:
@@ -135,15 +135,15 @@ class SimulatedLoudspeaker:
                 due_s = until_s
         return due_s
 
-    def _take(self, asked_s: float) -> None:
+    def _take(self, requested_s: float) -> None:
         position_s = self._ring.n_taken / self.rate_hz
         n = self._ring.take_into(self._frames)
-        leaves_s = asked_s + self._latency_s
+        leaves_s = requested_s + self._latency_s
         error_s = self._jitter_s * (2.0 * float(self._rng.random()) - 1.0)
-        told_s = leaves_s + error_s
+        reported_s = leaves_s + error_s
         end_position_s = position_s + n / self.rate_hz
         self._report = PositionReport(
-            told_s, position_s, told_s + self._period_s + self._jitter_s, end_position_s
+            reported_s, position_s, reported_s + self._period_s + self._jitter_s, end_position_s
         )
         if n:
             self._played.append((leaves_s, self._frames[:n, 0].copy()))
@@ -168,7 +168,7 @@ class Watched:
 
 
 class Deaf:
-    """A recogniser that hears silence, and says so as late as the network would."""
+    """A recogniser that reports silence, as late as the network would."""
 
     latency_s = LATENCY_S
 
@@ -197,14 +197,14 @@ class SpeakingRobot:
         self,
         loudspeaker: SimulatedLoudspeaker | None = None,
         *,
-        hears: bool = False,
+        is_listening: bool = False,
         rate_hz: float = RATE_HZ,
         performance: Performance | None = None,
     ) -> None:
         """rate_hz: ticks a second.
 
-        hears: whether there is a recogniser; else only known phonemes move the mouth, or what was
-        rendered, where there is a performance.
+        is_listening: whether there is a recogniser; else only known phonemes move the mouth, or
+        what was rendered, where there is a performance.
         """
         face = assemble_face(FACE, None)
         self.loudspeaker = loudspeaker or SimulatedLoudspeaker()
@@ -212,7 +212,7 @@ class SpeakingRobot:
         self._bus, self.clock = simulated_wire(face.settings)
         self._neutral_mm = face.model.markers_mm(face.model.rest[None])[0]
         self._names = [joint.name for joint in face.joints]
-        recognizer: LiveRecognizer = make_recognizer() if hears else Deaf()
+        recognizer: LiveRecognizer = make_recognizer() if is_listening else Deaf()
         synthesizer = make_synthesizer(face.model, MotionOptions())
         if performance is not None:
             recognizer = no_recognizer()
@@ -252,27 +252,27 @@ class SpeakingRobot:
 
 
 def spoken_stream(
-    text: SynthesizedSpeech, playout: Playout, *, knows: bool, told: UnitKind | None = None
+    text: SynthesizedSpeech, playout: Playout, *, knows: bool, kind: UnitKind | None = None
 ) -> PlayoutStream:
     """A whole text as a stream that has ended. knows: with its phonemes.
 
-    told: what its sender tells beside it, before it sounds, as a voice agent does.
+    kind: of the units that its sender gives before it sounds, as a voice agent does.
     """
     known = text.phonemes if knows else ()
     stream = PlayoutStream("text", text.sample_rate_hz, playout.output_rate_hz, known)
-    if told is not None:
-        spoken = _told(text, told)
+    if kind is not None:
+        spoken = _spoken_text(text, kind)
         stream.tell(spoken, () if spoken.moves_mouth else pronounced_units(spoken))
     stream.push(text.samples)
     stream.end()
     return stream
 
 
-def _told(text: SynthesizedSpeech, kind: UnitKind) -> SpokenText:
+def _spoken_text(text: SynthesizedSpeech, kind: UnitKind) -> SpokenText:
     rate_hz = text.sample_rate_hz
     if kind == "text":
-        said = " ".join(word.text for word in text.words)
-        return SpokenText(kind, (SpokenUnit(said),), rate_hz)
+        joined = " ".join(word.text for word in text.words)
+        return SpokenText(kind, (SpokenUnit(joined),), rate_hz)
     if kind == "word":
         units = [SpokenUnit(word.text, round(word.start_s * rate_hz)) for word in text.words]
     else:

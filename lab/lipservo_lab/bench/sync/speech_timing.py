@@ -2,7 +2,7 @@
 
 When lips close and part, against when the sound says that they do.
 
-What a synthesiser says, rendered as `render` does, and said as `perform` does.
+A synthesiser's speech, rendered as `render` does, and played as `perform` does.
 """
 
 from collections.abc import Mapping, Sequence
@@ -52,7 +52,7 @@ def sounding_closures(text: SynthesizedSpeech) -> Crossings:
 
     The release is where the closure's silence ends, at the burst; without silence the end of the
     phoneme. Neighbours among them are one closure. Beside a silence lips may rest closed: there
-    nothing is asked for.
+    there is no wanted closure.
     """
     phonemes = text.phonemes
     closing_s: list[float] = []
@@ -81,9 +81,19 @@ def _release_s(text: SynthesizedSpeech, start_s: float, end_s: float) -> float:
 
 
 def seen_closures(times_s: Array, gap_mm: Array, closed_mm: float = CLOSED_GAP_MM) -> Crossings:
-    """What lips did: crossings of closed_mm, between samples by a straight line.
+    """Return when the lips crossed closed_mm, between samples by a straight line.
 
-    times_s, gap_mm: (n,).
+    Parameters
+    ----------
+    times_s,gap_mm : Array
+        (n,).
+    closed_mm : float
+        The limit.
+
+    Returns
+    -------
+    Crossings
+        Closings and partings in s.
     """
     closed = gap_mm < closed_mm
     changed = np.flatnonzero(closed[1:] != closed[:-1])
@@ -92,12 +102,25 @@ def seen_closures(times_s: Array, gap_mm: Array, closed_mm: float = CLOSED_GAP_M
     return Crossings(at_s[closed[changed + 1]], at_s[~closed[changed + 1]])
 
 
-def matched_errors_s(asked_s: Array, seen_s: Array) -> tuple[Array, int]:
-    """How much later each asked-for event was seen, (n_matched,), and how many were not at all."""
-    if len(seen_s) == 0 or len(asked_s) == 0:
-        return np.zeros(0), len(asked_s)
-    late_s = seen_s[None] - asked_s[:, None]
-    nearest_s = late_s[np.arange(len(asked_s)), np.abs(late_s).argmin(axis=1)]
+def matched_errors_s(wanted_s: Array, seen_s: Array) -> tuple[Array, int]:
+    """Return how much later each wanted event was seen, and how many were not.
+
+    Parameters
+    ----------
+    wanted_s : Array
+        (n,).
+    seen_s : Array
+        (m,).
+
+    Returns
+    -------
+    tuple[Array, int]
+        (n_matched,) s, and the number of the others.
+    """
+    if len(seen_s) == 0 or len(wanted_s) == 0:
+        return np.zeros(0), len(wanted_s)
+    late_s = seen_s[None] - wanted_s[:, None]
+    nearest_s = late_s[np.arange(len(wanted_s)), np.abs(late_s).argmin(axis=1)]
     matched = np.abs(nearest_s) <= MATCHED_S
     return nearest_s[matched], int(np.sum(~matched))
 
@@ -146,12 +169,12 @@ _AROUND_S: Final = 2.5
 class SpeechTiming:
     """Of all sentences: how much later lips close and part than the sound says, seconds.
 
-    n_asked, n_unmatched: closings and partings together. n_closures, n_hits: of P B M.
+    n_wanted, n_unmatched: closings and partings together. n_closures, n_hits: of P B M.
     errors_by_closed_mm_s: the same errors where lips count as closed at another gap.
     """
 
     errors_s: Array
-    n_asked: int
+    n_wanted: int
     n_unmatched: int
     n_closures: int
     n_hits: int
@@ -162,14 +185,14 @@ def speech_timing(
     texts: Sequence[SynthesizedSpeech],
     *,
     knows: bool,
-    told: UnitKind | None = None,
+    kind: UnitKind | None = None,
     performances: Sequence[Performance] | None = None,
     loudspeaker_seed: int = 0,
 ) -> SpeechTiming:
     """Say each by a robot of its own. knows: the phonemes come with the sound; else it listens.
 
-    told: of a voice that listens, what is told beside the stream. performances: of the texts, which
-    are performed then.
+    kind: of a voice that listens, the units given beside the stream. performances: of the texts,
+    which are performed then.
 
     Every loudspeaker is another: its latency 20 to 120 ms, its clock up to 200 parts in a million
     off, its reports up to 5 ms.
@@ -178,29 +201,29 @@ def speech_timing(
     rng = np.random.default_rng(loudspeaker_seed)
     errors_s: list[Array] = []
     others_s: dict[float, list[Array]] = {closed_mm: [] for closed_mm in _OTHER_GAPS_MM}
-    n_asked = n_unmatched = n_closures = n_hits = 0
+    n_wanted = n_unmatched = n_closures = n_hits = 0
     for text, performance in zip(texts, rendered, strict=True):
-        watched, sound_s = _said(text, _loudspeaker(rng), performance, knows=knows, told=told)
+        watched, sound_s = _spoken(text, _loudspeaker(rng), performance, knows=knows, kind=kind)
         times_s = watched.times_s - sound_s
-        asked, seen = sounding_closures(text), seen_closures(times_s, watched.gap_mm)
-        for asked_s, seen_s in (
-            (asked.closing_s, seen.closing_s),
-            (asked.parting_s, seen.parting_s),
+        wanted, seen = sounding_closures(text), seen_closures(times_s, watched.gap_mm)
+        for wanted_s, seen_s in (
+            (wanted.closing_s, seen.closing_s),
+            (wanted.parting_s, seen.parting_s),
         ):
-            late_s, n_missing = matched_errors_s(asked_s, seen_s)
+            late_s, n_missing = matched_errors_s(wanted_s, seen_s)
             errors_s.append(late_s)
-            n_asked += len(asked_s)
+            n_wanted += len(wanted_s)
             n_unmatched += n_missing
         for closed_mm, found_s in others_s.items():
             other = seen_closures(times_s, watched.gap_mm, closed_mm)
-            found_s.append(matched_errors_s(asked.closing_s, other.closing_s)[0])
-            found_s.append(matched_errors_s(asked.parting_s, other.parting_s)[0])
+            found_s.append(matched_errors_s(wanted.closing_s, other.closing_s)[0])
+            found_s.append(matched_errors_s(wanted.parting_s, other.parting_s)[0])
         hits = _closure_hits(text.phonemes, times_s, watched.gap_mm)
         n_closures += len(hits)
         n_hits += sum(hits)
     by_gap_s = {closed_mm: np.concatenate(found_s) for closed_mm, found_s in others_s.items()}
     return SpeechTiming(
-        np.concatenate(errors_s), n_asked, n_unmatched, n_closures, n_hits, by_gap_s
+        np.concatenate(errors_s), n_wanted, n_unmatched, n_closures, n_hits, by_gap_s
     )
 
 
@@ -213,18 +236,18 @@ def _loudspeaker(rng: np.random.Generator) -> SimulatedLoudspeaker:
     )
 
 
-def _said(
+def _spoken(
     text: SynthesizedSpeech,
     loudspeaker: SimulatedLoudspeaker,
     performance: Performance | None,
     *,
     knows: bool,
-    told: UnitKind | None,
+    kind: UnitKind | None,
 ) -> tuple[Watched, float]:
     """What was seen, and when the first sample of the text left the loudspeaker."""
-    robot = SpeakingRobot(loudspeaker, hears=not knows, performance=performance)
+    robot = SpeakingRobot(loudspeaker, is_listening=not knows, performance=performance)
     if performance is None:
-        stream = spoken_stream(text, robot.playout, knows=knows, told=told)
+        stream = spoken_stream(text, robot.playout, knows=knows, kind=kind)
     else:
         stream = performed_stream(text, performance, robot.playout)
     robot.playout.requests.append(PlayoutRequest("say", stream))

@@ -48,7 +48,7 @@ class BargeIn:
 def first_seen(text: SynthesizedSpeech) -> FirstSeen:
     """A stream that begins with sound at its first byte, sent at the pace of speech."""
     voiced = _from_first_sound(text)
-    robot = SpeakingRobot(hears=True)
+    robot = SpeakingRobot(is_listening=True)
     feed = _Feed(robot, voiced, text.sample_rate_hz, _even(len(voiced), text.sample_rate_hz))
     watched = robot.run(_READY_S + 1.0, feed.advance)
     samples, left_s = robot.loudspeaker.played()
@@ -62,20 +62,20 @@ def first_seen(text: SynthesizedSpeech) -> FirstSeen:
 
 def barge_in(text: SynthesizedSpeech, after_s: float, rate_hz: float) -> BargeIn:
     """Interrupted so long after its first sound was heard, with the lips open."""
-    robot = SpeakingRobot(hears=True, rate_hz=rate_hz)
+    robot = SpeakingRobot(is_listening=True, rate_hz=rate_hz)
     samples = text.samples
     feed = _Feed(robot, samples, text.sample_rate_hz, _even(len(samples), text.sample_rate_hz))
-    asked_s: list[float] = []
+    requested_s: list[float] = []
     at_s = _READY_S + robot.street.speech.delay.total_s + after_s
 
     def act(now_s: float) -> None:
         feed.advance(now_s)
-        if now_s >= at_s and not asked_s:
-            asked_s.append(now_s)
+        if now_s >= at_s and not requested_s:
+            requested_s.append(now_s)
             robot.playout.requests.append(PlayoutRequest("interrupt"))
 
     watched = robot.run(at_s + 1.0, act)
-    cut_s = watched.zero_s + asked_s[0]
+    cut_s = watched.zero_s + requested_s[0]
     later = watched.times_s >= cut_s
     closed_s = watched.times_s[later & (watched.gap_mm <= CLOSED_GAP_MM)][0] - cut_s
     (event,) = (each for each in robot.playout.events if each.kind == "interrupted")
@@ -95,7 +95,7 @@ def stuck_open_s(
     """
     stuck_s, opening_s, n_underruns = 0.0, 0.0, 0
     for text in texts:
-        robot = SpeakingRobot(hears=True)
+        robot = SpeakingRobot(is_listening=True)
         schedule = _jittery(len(text.samples), text.sample_rate_hz, rng)
         feed = _Feed(robot, text.samples, text.sample_rate_hz, schedule)
         watched = robot.run(_READY_S + schedule[-1][0] + _TAIL_S, feed.advance)
@@ -181,5 +181,18 @@ def _from_first_sound(text: SynthesizedSpeech) -> NDArray[np.float32]:
 
 
 def percentile_ms(values_s: Array, percent: float) -> float:
-    """In milliseconds, to a tenth."""
+    """Return a percentile in milliseconds, to a tenth.
+
+    Parameters
+    ----------
+    values_s : Array
+        (n,).
+    percent : float
+        0 to 100.
+
+    Returns
+    -------
+    float
+        ms.
+    """
     return round(float(np.percentile(values_s, percent)) * 1e3, 1)

@@ -101,7 +101,7 @@ def sync_figures(advance: Advance, *, quick: bool = False) -> dict[str, object]:
     heard = speech_timing(texts, knows=False)
     advance("what is told", 2, steps)
     kinds: tuple[UnitKind, ...] = ("phoneme", "word", "text")
-    told = {kind: speech_timing(texts, knows=False, told=kind) for kind in kinds}
+    by_kind = {kind: speech_timing(texts, knows=False, kind=kind) for kind in kinds}
     advance("performances", 3, steps)
     performed = speech_timing(texts, knows=True, performances=performances_of(texts))
     advance("drift", 4, steps)
@@ -124,9 +124,9 @@ def sync_figures(advance: Advance, *, quick: bool = False) -> dict[str, object]:
     return {
         **_timing("playback", known),
         **_timing("recognized", heard),
-        **_timing("stream_phonemes", told["phoneme"]),
-        **_timing("stream_words", told["word"]),
-        **_timing("stream_text", told["text"]),
+        **_timing("stream_phonemes", by_kind["phoneme"]),
+        **_timing("stream_words", by_kind["word"]),
+        **_timing("stream_text", by_kind["text"]),
         **_timing("performed", performed),
         "drift_10min_ms": _ms(max(drifts_s)),
         "mic_to_bus_p95_ms": _ms(np.percentile(microphone_s, 95)),
@@ -153,8 +153,8 @@ def _timing(name: str, timing: SpeechTiming) -> dict[str, object]:
             for closed_mm, errors_s in timing.errors_by_closed_mm_s.items()
         },
         f"{name}_late_ms": _ms(np.median(timing.errors_s)),
-        f"{name}_unmatched": round(timing.n_unmatched / timing.n_asked, 4),
-        f"{name}_events": timing.n_asked,
+        f"{name}_unmatched": round(timing.n_unmatched / timing.n_wanted, 4),
+        f"{name}_events": timing.n_wanted,
         f"{name}_closure_hits": round(timing.n_hits / timing.n_closures, 4),
     }
 

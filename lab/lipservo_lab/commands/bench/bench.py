@@ -222,7 +222,7 @@ def stop_path(as_json: Json = False, quiet: Quiet = False) -> None:
 
 
 def house(as_json: Json = False, quiet: Quiet = False) -> None:
-    """Count what a tick, a stop and a command pass of the source, and the lines of each room.
+    """Count what a tick, a stop and a command pass of the source, lines of rooms, and words.
 
     Needs a checkout. Figures above a bar are named at the end; exit status 1 where there are any.
     """
@@ -232,7 +232,11 @@ def house(as_json: Json = False, quiet: Quiet = False) -> None:
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
         steps = progress.add_task("house", total=None)
         figures = house_figures(lambda what: progress.update(steps, description=what))
-    over = figures["over"]
+    over, words = figures["over"], figures["words"]
+    if not as_json:
+        words |= words.pop("pages")
+        counts = {name: len(it) if isinstance(it, list) else it for name, it in words.items()}
+        figures["words"] = counts
     _print(figures, time.perf_counter() - began_s, as_json=as_json)
     for line in over:
         MESSAGES.print(line, highlight=False)

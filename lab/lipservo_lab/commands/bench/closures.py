@@ -4,7 +4,7 @@
 
 `lipservo bench nonspeech`: how long the mouth opens for sounds that are no speech.
 
-`lipservo bench ladder`: how a face hears while other programs take the computer.
+`lipservo bench ladder`: how a face recognises while other programs take the computer.
 """
 
 import tempfile
@@ -54,9 +54,9 @@ def closures(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure at how many closures the mouth closes, by what the recogniser hears, and how fast.
+    """Measure at how many closures the mouth closes, by the recognised phonemes, and how fast.
 
-    Where they are is told by forced alignment of what is said. Lips are watched at 100 Hz.
+    Forced alignment of the text gives where they are. Lips are watched at 100 Hz.
     """
     from lipservo_lab.evaluation.motion.measures import lip_speed, lip_speed_figures
     from lipservo_lab.evaluation.recognition.heard_motion import (
@@ -96,7 +96,7 @@ def closures(
         "latency_ms": latency_ms,
         "machine": machine_class(),
     }
-    missed = [f"{c.phone.phoneme} at {c.phone.start_s:.2f} s" for c in found if not c.was_met]
+    missed = [f"{c.phone.phoneme} at {c.phone.start_s:.2f} s" for c in found if not c.is_reached]
     if corpus is None:
         figures["missed"] = missed
     if as_json:
@@ -203,7 +203,7 @@ def nonspeech(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure how often, how long and how wide the mouth opens while nobody speaks.
+    """Measure how often, how long and how wide the mouth opens while there is no speech.
 
     Through recogniser and default motion as they run live. A folder below FOLDER is a kind of
     sound, and has its own line. Files that are no sound are named and left out.

@@ -1,4 +1,4 @@
-"""`lipservo bench display`: a photograph that is warped, and its film, against what was asked."""
+"""`lipservo bench display`: a warped photograph, and its film, against the wanted shapes."""
 
 import time
 from pathlib import Path

@@ -79,8 +79,8 @@ def line(
         print_json({**figures, "machine": machine, "seconds": seconds})
     else:
         for name, counts in figures.items():
-            told = ", ".join(f"{what.replace('_', ' ')} {n}" for what, n in counts.items())
-            RESULTS.print(f"{name}: {told}", highlight=False)
+            counted = ", ".join(f"{what.replace('_', ' ')} {n}" for what, n in counts.items())
+            RESULTS.print(f"{name}: {counted}", highlight=False)
         RESULTS.print(f"machine: {machine}\nseconds: {seconds:.4g}", highlight=False)
     if any(counts["wrong_values"] for counts in figures.values()):
         raise typer.Exit(1)
@@ -137,11 +137,11 @@ def shapes(
 
     if picture is not None:
         check_picture(picture, [sound, phonemes])
-    told, heard = (
+    from_text, heard = (
         spoken_sound(sound, script, ChosenMotion(), DEFAULT_FACE, model)
         for script in (phonemes, None)
     )
-    compared = compared_shapes(told, heard)
+    compared = compared_shapes(from_text, heard)
     rows = {name: closing_figures(compared.phones, each) for name, each in compared.closed.items()}
     if picture is not None:
         from lipservo_lab.bench.shape_figures import draw_shapes
@@ -177,7 +177,7 @@ def sync(
 ) -> None:
     """Measure lips against sound at the encoders of simulated servos, on a virtual clock.
 
-    What is said when is told by the synthesiser, never by our recogniser; with --face by the
+    Phones and their times are the synthesiser's, never our recogniser's; with --face the
     recogniser, on either side.
     """
     from lipservo_lab.bench.sync.closures_at_shaft import closures_at_shaft

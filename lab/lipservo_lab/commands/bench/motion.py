@@ -175,7 +175,7 @@ def motion(
     began_s = time.perf_counter()
     if plots is not None:
         check_folder(plots, (*PICTURES, *LINE_PICTURES) if offline else PICTURES)
-    asked = measure.question(
+    question = measure.question(
         strategy,
         lookahead_ms,
         phonemes,
@@ -190,8 +190,8 @@ def motion(
                 "--offline and --plots"
             )
         _measure_left_out(
-            corpus, asked, strategy or DEFAULT_STRATEGY, limit, skip_bad=skip_bad, as_json=as_json,
-            quiet=quiet,
+            corpus, question, strategy or DEFAULT_STRATEGY, limit,
+            skip_bad=skip_bad, as_json=as_json, quiet=quiet,
         )  # fmt: skip
         return
     given = None
@@ -199,7 +199,7 @@ def motion(
         given = load_trained_model(shipped)
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
         answer = _answer(
-            corpus, given, asked, plots, progress, skip_bad=skip_bad, with_offline=offline
+            corpus, given, question, plots, progress, skip_bad=skip_bad, with_offline=offline
         )
     seconds = time.perf_counter() - began_s
     answer["published_derivatives"] = published_derivatives
@@ -215,7 +215,7 @@ def motion(
 def _answer(
     folder: Path,
     given: "TrainedModel | None",
-    asked: "Question",
+    question: "Question",
     plots: Path | None,
     progress: Progress,
     *,
@@ -244,8 +244,8 @@ def _answer(
 
         rendering = models_of(sentences, "bench motion --offline")
         known = given is None or bool(seen_in_training(given, sentences.utterances))
-        asked = measure.with_offline_methods(
-            asked, rendering, visemes_of(sentences) if known else None
+        question = measure.with_offline_methods(
+            question, rendering, visemes_of(sentences) if known else None
         )
 
     def track(what: str, items: "Sequence[Utterance]") -> "Iterable[Utterance]":
@@ -259,18 +259,22 @@ def _answer(
             track,
             lambda text: progress.update(step, description=text),
         )
-        validated = measure.cross_validate(folder, sentences, asked, teacher, track)
+        validated = measure.cross_validate(folder, sentences, question, teacher, track)
         rows, model, unseen = validated.rows, validated.model, validated.unseen
     else:
-        rows, model, unseen = measure.score_model(given, sentences, asked, track), given, sentences
+        rows, model, unseen = (
+            measure.score_model(given, sentences, question, track),
+            given,
+            sentences,
+        )
         seen = seen_in_training(given, sentences.utterances)
         if seen:
             MESSAGES.print(f"{len(seen)} sentences trained this model: figures flatter it")
     progress.update(step, description="the paper's tables", visible=True)
     # One method alone is a quick question, and the tables are a comparison.
-    paper = measure.paper_rows(model, unseen) if asked.compares else None
+    paper = measure.paper_rows(model, unseen) if question.compares else None
     progress.update(step, description="self-correction")
-    recovery = measure.recovery(model, unseen, sentences, asked)
+    recovery = measure.recovery(model, unseen, sentences, question)
     errors = None
     if plots is not None:
         from lipservo_lab.bench.pictures.motion_plots import draw
@@ -283,7 +287,7 @@ def _answer(
 
             training = sentences.labelled().keep(set(model.training_sentences)).utterances
             states = rendering.of(model).states
-            draw_lines(plots, model, states, training, shown[0], asked.methods, rows)
+            draw_lines(plots, model, states, training, shown[0], question.methods, rows)
     return {
         "results": rows,
         "paper": paper,
@@ -296,7 +300,7 @@ def _answer(
 
 def _measure_left_out(
     folder: Path,
-    asked: "Question",
+    question: "Question",
     strategy: str,
     limit: int,
     *,
@@ -304,7 +308,7 @@ def _measure_left_out(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Print the figures of words that no model has met."""
+    """Print the figures of words that no model was trained on."""
     from lipservo_lab.bench import motion_figures as measure
     from lipservo_lab.bench.left_out_words import (
         KeptModels,
@@ -341,13 +345,13 @@ def _measure_left_out(
         )
         models = KeptModels(cache_folder(), sentences, teacher.heard, teacher)
         listen = true_phonemes
-        if asked.phonemes != measure.PHONEMES_TRUE:
-            with_text = asked.phonemes == measure.PHONEMES_TEXT
+        if question.phonemes != measure.PHONEMES_TRUE:
+            with_text = question.phonemes == measure.PHONEMES_TEXT
             listen = OnceListener(measure.live_listener(with_text=with_text))
-        method = next(each for each in asked.methods if each.name == strategy)
+        method = next(each for each in question.methods if each.name == strategy)
         answer: dict[str, Any] = dict(
             left_out_figures(
-                sentences, models.of, method, asked.lookaheads_ms, listen, limit, track
+                sentences, models.of, method, question.lookaheads_ms, listen, limit, track
             )
         )
     if not as_json:
@@ -355,7 +359,7 @@ def _measure_left_out(
             _print_table(f"Words left out: {name}", rows)
     answer |= {
         "strategy": strategy,
-        "phonemes": asked.phonemes,
+        "phonemes": question.phonemes,
         "limit": limit,
         "machine": machine_class(),
         "seconds": round(time.perf_counter() - began_s, 1),
@@ -477,7 +481,7 @@ def speeds(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure motion whose joints are slow: what is asked of them, and whether lips still close.
+    """Measure motion whose joints are slow: speeds that it needs, and whether lips still close.
 
     With the plan of joint motion, and with the gate at the bus alone, at joints of 400, 300, 200
     and 150 degrees a second. The lips are those of simulated robots, at their shafts.

@@ -84,9 +84,9 @@ def readability(
     began_s = time.perf_counter()
     if plots is not None:
         check_folder(plots, PICTURES)
-    asked = reading_question(strategy, lookahead_ms, phonemes, robot=robot)
+    reading = reading_question(strategy, lookahead_ms, phonemes, robot=robot)
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-        rows, skipped = _measured(corpus, words, models, asked, progress, skip_bad=skip_bad)
+        rows, skipped = _measured(corpus, words, models, reading, progress, skip_bad=skip_bad)
     if plots is not None:
         draw_readability(plots, rows)
     seconds = time.perf_counter() - began_s
@@ -102,7 +102,7 @@ def _measured(
     folder: Path,
     words: str | None,
     models: Path | None,
-    asked: "ReadingQuestion",
+    reading: "ReadingQuestion",
     progress: Progress,
     *,
     skip_bad: bool,
@@ -110,8 +110,8 @@ def _measured(
     """The rows, and what of the corpus was left out."""
     from lipservo_lab.bench.readability.readability_figures import reading_rows, with_line_methods
     from lipservo_lab.bench.readability.reading_models import (
-        asked_parts,
         given_models,
+        requested_parts,
         trained_models,
     )
     from lipservo_lab.corpus.grid import read_grid
@@ -131,7 +131,7 @@ def _measured(
         progress=lambda names: progress.track(names, description="reading"),
     )
     labelled = sentences.labelled()
-    parts = asked_parts(folder, labelled, words)
+    parts = requested_parts(folder, labelled, words)
     step = progress.add_task("models", total=None)
     if models is not None:
         model_of = given_models(models, parts)
@@ -150,8 +150,8 @@ def _measured(
 
         return models_of(labelled, "bench readability of a method of `render`")
 
-    asked = with_line_methods(asked, models_of_lines)
-    rows = reading_rows(labelled, parts, model_of, asked, track, advance)
+    reading = with_line_methods(reading, models_of_lines)
+    rows = reading_rows(labelled, parts, model_of, reading, track, advance)
     return rows, list(sentences.skipped)
 
 

@@ -1,6 +1,6 @@
 """`lipservo bench recognition` and `bench listening`: accuracy of a recogniser and its cost.
 
-`lipservo bench texts`: how well `align` tells what was said from what was not.
+`lipservo bench texts`: how well `align` distinguishes spoken texts from others.
 
 `lipservo bench languages`: closures and openings heard in other languages than English.
 
@@ -103,10 +103,10 @@ def recognition(
     """Measure a recogniser, live, against forced alignment of the transcripts."""
     from lipservo_lab.bench.hearing.recognizer_bench import (
         aligned,
+        known_texts,
         measured_recognizer,
         selected,
         speaker_groups,
-        told_texts,
     )
     from lipservo_lab.corpus.scored_alignments import fix_alignments
     from lipservo_lab.evaluation.recognition.benchmark import leaving_figures, measure
@@ -126,7 +126,7 @@ def recognition(
             heard.append(name)
             advance("listening", len(heard), len(utterances))
 
-        texts = told_texts(utterances, text, late_s)
+        texts = known_texts(utterances, text, late_s)
         figures = measure(
             utterances, alignments, make, condition, count, groups_of, lambda u: texts[u.name]
         ).as_dict()
@@ -186,7 +186,7 @@ def listening(
         own_servo_figures,
         quiet_sounds,
     )
-    from lipservo_lab.evaluation.recognition.stream_observers import ToldText
+    from lipservo_lab.evaluation.recognition.stream_observers import KnownText
     from lipsync.audio.file import read_speech
 
     utterances = None
@@ -202,10 +202,10 @@ def listening(
     figures |= own_servo_figures(measured_recognizer(engine, latency_ms / 1e3, weights))
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         speech = read_speech(clip)
-    said = (resources.files("lipservo.clips") / "welcome.txt").read_text(encoding="utf-8")
+    text = (resources.files("lipservo.clips") / "welcome.txt").read_text(encoding="utf-8")
     costs_s = {
         "": block_costs_s(recognizer, speech),
-        "_with_text": block_costs_s(recognizer, speech, ToldText(said)),
+        "_with_text": block_costs_s(recognizer, speech, KnownText(text)),
     }
     for name, percent in itertools.product(costs_s, (50, 99)):
         value_s = float(np.percentile(costs_s[name], percent))
@@ -353,7 +353,7 @@ def voices(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure how a text that is told is followed in a synthesiser's voice, by its own times.
+    """Measure how a known text is followed in a synthesiser's voice, by its own times.
 
     A voice of espeak is a language. Closures are of P B M; boundaries are
     where phones begin, of those that were found.

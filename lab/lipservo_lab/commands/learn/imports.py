@@ -30,8 +30,8 @@ def import_video(
 ) -> None:
     """Make a corpus for `train` from video of a face that talks to the camera.
 
-    NAME.txt beside NAME.mp4, or a line NAME ... in transcripts.txt, says what is said; without, it
-    is recognised. docs/own-face.md says how to film.
+    NAME.txt beside NAME.mp4, or a line NAME ... in transcripts.txt, gives the words; without, they
+    are recognised. docs/own-face.md says how to film.
     """
     from lipservo_lab.bench.pictures.import_sheets import draw_sheet
     from lipservo_lab.video.video_clips import find_clips
@@ -123,8 +123,8 @@ def import_scans(
 ) -> None:
     """Make a corpus for `train` from scans that are not registered: each a mesh of its own.
 
-    NAME.wav beside the folder NAME is its sound; NAME.TextGrid or NAME.txt says what is said, else
-    it is recognised; NAME.markers.csv tells named points. docs/own-face.md says more.
+    NAME.wav beside the folder NAME is its sound; NAME.TextGrid or NAME.txt gives the words, else
+    they are recognised; NAME.markers.csv gives named points. docs/own-face.md says more.
     """
     check_extra("trimesh", "learn import-scans")
     check_extra("matplotlib", "the picture sheet of import-scans")
@@ -247,8 +247,8 @@ def _about(
                 {"take": take.name, "scans": len(take.scans), "left_out": sound, "notes": ()}
             )
         else:
-            said = None if sound is None else sound.source
-            of_takes.append({**done[take.name].as_json(), "phonemes": said})
+            text_source = None if sound is None else sound.source
+            of_takes.append({**done[take.name].as_json(), "phonemes": text_source})
     used = [report for report in imported.scans if report.left_out is None]
     return {
         "template": str(imported.neutral),

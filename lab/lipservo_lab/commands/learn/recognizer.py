@@ -277,7 +277,7 @@ def adapt(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Adapt the recogniser to one voice: a synthetic one, or whoever speaks for the robot.
+    """Adapt the recogniser to one voice: a synthetic one, or a person's who speaks for the robot.
 
     Every fifth sentence is not learned from but graded on; weights that do not hear the voice
     better are refused. Needs the extra `train` (torch). Use them with
@@ -345,8 +345,8 @@ def _print(voice: "Voice", before: dict[str, float], after: dict[str, float]) ->
         f"graded on {len(voice.held_out)} others, {voice.held_out_s:.0f} s:"
     )
     table = Table("", "before", "after", box=None, pad_edge=False)
-    for key, told in _GRADED.items():
-        table.add_row(told, f"{before[key]:.3f}", f"{after[key]:.3f}")
+    for key, label in _GRADED.items():
+        table.add_row(label, f"{before[key]:.3f}", f"{after[key]:.3f}")
     RESULTS.print(table)
 
 

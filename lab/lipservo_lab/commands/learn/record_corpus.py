@@ -1,4 +1,4 @@
-"""`record-corpus`: somebody is recorded while reading sentences, for `import-video`."""
+"""`record-corpus`: a person is recorded while reading sentences, for `import-video`."""
 
 import signal
 import time
@@ -65,23 +65,24 @@ def record_corpus(
         shipped_sentences,
     )
 
-    asked = shipped_sentences() if sentences is None else read_sentences(sentences)
+    sentence_list = shipped_sentences() if sentences is None else read_sentences(sentences)
     if list_:
         if as_json:
-            print_json({"sentences": {s.name: s.text for s in asked}})
+            print_json({"sentences": {s.name: s.text for s in sentence_list}})
             return
-        for sentence in asked:
+        for sentence in sentence_list:
             RESULTS.print(f"{sentence.name}  {sentence.text}", soft_wrap=True)
         return
     if output is None:
         raise typer.BadParameter("name a folder to record into", param_hint="--output")
     mode = _mode(size, rate_hz)
     _check_folder(output)
-    recorded = recorded_names(output, asked)
+    recorded = recorded_names(output, sentence_list)
     n_before = len(recorded)
     if n_before:
         MESSAGES.print(
-            f"{output}: {n_before} of {len(asked)} sentences are there already", soft_wrap=True
+            f"{output}: {n_before} of {len(sentence_list)} sentences are there already",
+            soft_wrap=True,
         )
     from firmware_bridge.stop_signals import SignalCounter
     from lipservo.calibrating.camera import AvCamera, CameraFeed
@@ -103,10 +104,10 @@ def record_corpus(
             time.sleep,
         )
         try:
-            outcome = Session(devices, screen, output).run(asked, recorded)
+            outcome = Session(devices, screen, output).run(sentence_list, recorded)
         finally:
             screen.end()
-    there = recorded_names(output, asked)
+    there = recorded_names(output, sentence_list)
     if as_json:
         print_json(
             {
@@ -115,15 +116,15 @@ def record_corpus(
                 "skipped": outcome.skipped,
                 "warnings": outcome.warnings,
                 "there": len(there),
-                "missing": [s.name for s in asked if s.name not in there],
+                "missing": [s.name for s in sentence_list if s.name not in there],
             }
         )
     else:
         RESULTS.print(
-            f"{output}: {len(there)} of {len(asked)} sentences recorded; "
+            f"{output}: {len(there)} of {len(sentence_list)} sentences recorded; "
             + (
                 f"`lipservo learn import-video {output} -o CORPUS` goes on"
-                if len(there) == len(asked)
+                if len(there) == len(sentence_list)
                 else "the same command goes on with the rest"
             ),
             soft_wrap=True,

@@ -1,6 +1,6 @@
 """`train`: a face model is learned from recordings.
 
-`train-expression`: head, gaze and lids are learned from somebody's tracks.
+`train-expression`: head, gaze and lids are learned from a person's tracks.
 
 `train-offline`: the model that scripted lines are rendered with.
 """
@@ -162,7 +162,7 @@ def train(
         "mean_successors": model.animphos.mean_successors,
         "skipped": len(sentences.skipped),
         **model.provenance,
-        **_told_speakers(read_corpora, weights, maps),
+        **_speaker_rows(read_corpora, weights, maps),
     }
     if as_json:
         print_json(figures)
@@ -211,25 +211,27 @@ def _weights(given: list[str]) -> dict[str, float]:
     return weights
 
 
-def _told_speakers(
+def _speaker_rows(
     corpora: "list[Corpus]", weights: Mapping[str, float], maps: "Mapping[str, FaceMap]"
 ) -> dict[str, object]:
     """Of several speakers, for the answer: how much of each there is, and how it was brought."""
     if len(corpora) == 1:
         return {}
-    told: dict[str, dict[str, object]] = {}
+    speakers: dict[str, dict[str, object]] = {}
     for corpus in corpora:
-        said = corpus.labelled().utterances
-        told[corpus.name] = {
-            "sentences": len(said),
-            "minutes": round(sum(len(u.markers_mm) / u.frame_rate_hz for u in said) / 60.0, 2),
+        utterances = corpus.labelled().utterances
+        speakers[corpus.name] = {
+            "sentences": len(utterances),
+            "minutes": round(
+                sum(len(u.markers_mm) / u.frame_rate_hz for u in utterances) / 60.0, 2
+            ),
             "weight": weights.get(corpus.name, 1.0),
         }
         if corpus.name in maps:
             face_map = maps[corpus.name]
-            told[corpus.name]["turned_deg"] = round(face_map.angle_deg, 2)
-            told[corpus.name]["scale_xyz"] = [round(float(s), 3) for s in face_map.scale]
-    return {"speakers": told}
+            speakers[corpus.name]["turned_deg"] = round(face_map.angle_deg, 2)
+            speakers[corpus.name]["scale_xyz"] = [round(float(s), 3) for s in face_map.scale]
+    return {"speakers": speakers}
 
 
 @contextmanager
@@ -248,7 +250,7 @@ def train_soft(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Fit a face model to what a recogniser believes, frame by frame, beside what it decides.
+    """Fit a face model to a recogniser's posteriors, frame by frame, beside its decisions.
 
     Every sentence is heard as it is and in four other voices and rooms. A model without this part
     is moved by decided phonemes alone, and one that was fitted to other weights goes on with them.

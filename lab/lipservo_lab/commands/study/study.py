@@ -275,7 +275,7 @@ def report(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """What the raters said: one page with intervals, pictures, and who was left out."""
+    """Print the raters' results: one page with intervals, pictures, and who was left out."""
     from lipservo_lab.study.answers import now, read_answers
     from lipservo_lab.study.counted import counted
     from lipservo_lab.study.mixed_model import mixed_model

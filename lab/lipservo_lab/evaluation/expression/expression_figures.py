@@ -28,13 +28,35 @@ _SHUT = 0.66
 
 
 def blink_cues(lid: Array) -> Indices:
-    """The cues at which a lid (n,) passes two thirds on its way to shut."""
+    """Return the cues at which a lid passes two thirds on its way to shut.
+
+    Parameters
+    ----------
+    lid : Array
+        (n,).
+
+    Returns
+    -------
+    Indices
+        (n_blinks,) numbers.
+    """
     is_shut = lid > _SHUT
     return np.flatnonzero(is_shut[1:] & ~is_shut[:-1]) + 1
 
 
 def blinks_per_min(lid: Array, counts: NDArray[np.bool_]) -> float:
-    """Blinks a minute among the cues that count (n,); NaN where none does."""
+    """Return blinks a minute among the cues that count.
+
+    Parameters
+    ----------
+    lid,counts : Array
+        (n,).
+
+    Returns
+    -------
+    float
+        NaN where no cue counts.
+    """
     if not counts.any():
         return float("nan")
     minutes = float(counts.sum()) * CUE_PERIOD_S / 60.0
@@ -42,7 +64,18 @@ def blinks_per_min(lid: Array, counts: NDArray[np.bool_]) -> float:
 
 
 def blink_intervals_s(lid: Array) -> Array:
-    """From the beginning of each blink to that of the next, seconds."""
+    """Return the times from the beginning of each blink to that of the next.
+
+    Parameters
+    ----------
+    lid : Array
+        (n,).
+
+    Returns
+    -------
+    Array
+        (n_blinks - 1,) s.
+    """
     return np.diff(blink_cues(lid)) * CUE_PERIOD_S
 
 
@@ -65,7 +98,18 @@ class GazeShifts:
 
 
 def gaze_shifts(gaze_deg: Array) -> GazeShifts:
-    """gaze_deg: (n, 2), in the robot's frame, of a source whose gaze holds between saccades."""
+    """Find the saccades of a source whose gaze holds between them.
+
+    Parameters
+    ----------
+    gaze_deg : Array
+        (n, 2), in the robot's frame.
+
+    Returns
+    -------
+    GazeShifts
+        Starts and durations in s, sizes in degrees.
+    """
     moves = np.hypot(*np.diff(gaze_deg, axis=0).T) > _HOLDS_DEG
     edges = np.diff(np.concatenate([[False], moves, [False]]).astype(int))
     starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
@@ -86,7 +130,7 @@ class ShownExpression:
     """A track of n cues, CUE_PERIOD_S apart.
 
     values: (n, 9), columns by NAMES, NaN where absent. is_speaking: (n,). loudness_z, pitch_z:
-    (n,), of the voice. step_ms: (n,), how long each step took.
+    (n,), of the voice. step_ms: (n,), the cost of each step.
     """
 
     values: Array
@@ -96,12 +140,29 @@ class ShownExpression:
     step_ms: Array
 
     def column(self, name: str) -> Array:
-        """One degree of freedom by its name in `Expression`."""
+        """Return one degree of freedom by its name in `Expression`.
+
+        Parameters
+        ----------
+        name : str
+            Of it.
+
+        Returns
+        -------
+        Array
+            (n,).
+        """
         return self.values[:, NAMES.index(name)]
 
     @property
     def gaze_deg(self) -> Array:
-        """(n, 2): yaw and pitch in the robot's frame, head and eyes together."""
+        """Yaw and pitch in the robot's frame, head and eyes together.
+
+        Returns
+        -------
+        Array
+            (n, 2) degrees.
+        """
         yaw_deg = self.column("neck_yaw_deg") + self.column("eye_yaw_deg")
         return np.column_stack(
             [yaw_deg, self.column("neck_pitch_deg") + self.column("eye_pitch_deg")]
@@ -109,7 +170,7 @@ class ShownExpression:
 
 
 def cues_of(voice: Iterable[VoiceFrame]) -> Iterator[ExpressionCue]:
-    """The cues of a face that speaks with this voice and looks at nobody in particular."""
+    """The cues of a face that speaks with this voice and has no person to look at."""
     silent_s, has_spoken = 0.0, False
     for n, frame in enumerate(voice, start=1):
         silent_s = 0.0 if frame.is_speech else silent_s + CUE_PERIOD_S
@@ -120,17 +181,17 @@ def cues_of(voice: Iterable[VoiceFrame]) -> Iterator[ExpressionCue]:
 
 def shown(source: ExpressionSource, cues: Iterable[ExpressionCue]) -> ShownExpression:
     """Steps a source through cues, each step timed."""
-    values, speaking, loudness, pitch, took = [], [], [], [], []
+    values, speaking, loudness, pitch, costs_s = [], [], [], [], []
     for cue in cues:
         began_ns = time.perf_counter_ns()
         expression = source.step(cue)
-        took.append((time.perf_counter_ns() - began_ns) * 1e-6)
+        costs_s.append((time.perf_counter_ns() - began_ns) * 1e-6)
         values.append([_number(getattr(expression, name)) for name in NAMES])
         speaking.append(cue.is_speaking)
         loudness.append(cue.voice.loudness_z if cue.voice.is_speech else 0.0)
         pitch.append(cue.voice.pitch_z if cue.voice.is_speech else 0.0)
     return ShownExpression(
-        np.array(values), np.array(speaking), np.array(loudness), np.array(pitch), np.array(took)
+        np.array(values), np.array(speaking), np.array(loudness), np.array(pitch), np.array(costs_s)
     )
 
 
@@ -282,7 +343,7 @@ def _pauses(frames: Sequence[VoiceFrame]) -> Iterator[VoiceFrame]:
 
 
 def _first(whole: ShownExpression, n: int) -> ShownExpression:
-    """The first n cues: a voice repeated would be told from shuffled ones too easily."""
+    """The first n cues: a repeated voice would differ from shuffled ones too clearly."""
     return ShownExpression(
         whole.values[:n],
         whole.is_speaking[:n],

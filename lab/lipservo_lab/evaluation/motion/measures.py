@@ -28,11 +28,23 @@ LIP_SHAPE = ("gap", "width", "protrusion")
 
 
 def lip_shapes_mm(face: FaceModel, markers_mm: NDArray[np.floating]) -> Array:
-    """(n_frames, n_points, 3) -> (n_frames, 3), in the order of LIP_SHAPE.
+    """Return gap, width and protrusion of the lips, in the order of LIP_SHAPE.
 
     gap: as `FaceModel.lip_gaps_mm`. width: from the outermost point of the lips on the one side to
     that on the other, sideways; NaN for a layout without points of the lips. protrusion: how far
     forward, in the head's pose, the middle of the two points of the lip gap stands.
+
+    Parameters
+    ----------
+    face : FaceModel
+        The model.
+    markers_mm : NDArray[np.floating]
+        (n_frames, n_points, 3).
+
+    Returns
+    -------
+    Array
+        (n_frames, 3) mm.
     """
     layout = face.layout
     gap_mm = face.lip_gaps_mm(markers_mm)
@@ -94,7 +106,24 @@ def sentence_sums(
     made: Motion,
     reference: Motion,
 ) -> Array:
-    """The sums named in SUMS; face: whose motion it is; scored: (n,), the frames that count."""
+    """Return the sums named in SUMS for one sentence.
+
+    Parameters
+    ----------
+    face : FaceModel
+        Whose motion it is.
+    utterance : Utterance
+        The sentence.
+    scored : Mask
+        (n,), the frames that count.
+    recorded,made,reference : Motion
+        Motions of n frames.
+
+    Returns
+    -------
+    Array
+        (len(SUMS),).
+    """
     lips = list(face.layout.lips)
     n_points, n_lips = face.layout.n_points, len(lips)
     away_mm = (made.markers_mm - recorded.markers_mm)[scored].astype(np.float64)
@@ -134,7 +163,7 @@ def sentence_sums(
 def _closure_hits(
     utterance: Utterance, times_s: Array, scored: Mask, gap_mm: Array
 ) -> tuple[int, int, int, int]:
-    """P B M asked for and met, F V asked for and met; only phones with a scored frame count."""
+    """P B M wanted and closed, F V wanted and closed; only phones with a scored frame count."""
     found = [0, 0, 0, 0]
     for phone in utterance.phones:
         labial = is_bilabial(phone.phoneme)
@@ -153,7 +182,20 @@ def is_bilabial(phoneme: str) -> bool:
 
 
 def closes(phone: PhonemeEvent, times_s: Array, gap_mm: Array) -> bool:
-    """Whether the lip gap (n,) at times (n,) is small enough around a phone of `CLOSING`."""
+    """Return whether the lip gap is small enough around a phone of `CLOSING`.
+
+    Parameters
+    ----------
+    phone : PhonemeEvent
+        The phone.
+    times_s,gap_mm : Array
+        (n,).
+
+    Returns
+    -------
+    bool
+        True within 40 ms of it.
+    """
     end_s = phone.start_s if phone.end_s is None else phone.end_s
     window = times_s >= phone.start_s - _CLOSURE_WINDOW_S - _ROUNDING_S
     window &= times_s <= end_s + _CLOSURE_WINDOW_S + _ROUNDING_S
@@ -195,7 +237,18 @@ def _fine_sums(coefficients: Array) -> Array:
 
 
 def figures(sums: Array) -> dict[str, float]:
-    """The figures of many sentences from the total (len(SUMS),) of their sums; NaN where empty."""
+    """Return the figures of many sentences from the total of their sums; NaN where empty.
+
+    Parameters
+    ----------
+    sums : Array
+        (len(SUMS),).
+
+    Returns
+    -------
+    dict[str, float]
+        By name; errors in mm.
+    """
     s = dict(zip(SUMS, (float(x) for x in sums), strict=True))
     n = s["frames"]
     covariance = n * s["gap_product"] - s["gap"] * s["gap_recorded"]
@@ -238,7 +291,24 @@ def _fine_variance(s: dict[str, float], whose: str) -> float:
 def confidence_intervals(
     sums: Array, names: Sequence[str], *, seed: int = 0, n_samples: int = 1000
 ) -> dict[str, tuple[float, float]]:
-    """95 % percentile bootstrap over sentences (Efron 1979); sums: (n_sentences, len(SUMS))."""
+    """Return 95 % intervals by percentile bootstrap over sentences (Efron 1979).
+
+    Parameters
+    ----------
+    sums : Array
+        (n_sentences, len(SUMS)).
+    names : Sequence[str]
+        Of figures.
+    seed : int
+        Of the draws.
+    n_samples : int
+        Draws.
+
+    Returns
+    -------
+    dict[str, tuple[float, float]]
+        Low and high by name.
+    """
     rng = np.random.default_rng(seed)
     draws = rng.multinomial(len(sums), np.full(len(sums), 1.0 / len(sums)), size=n_samples)
     samples = [figures(total) for total in draws @ sums]
@@ -279,9 +349,21 @@ class LipSpeed:
 
 
 def lip_speed(model: FaceModel, faces: Array, spoken_s: float) -> LipSpeed:
-    """The speed of the fastest point of the lips in faces (n, n_components), one a tick.
+    """Return the speed of the fastest point of the lips.
 
-    spoken_s: how much of the time somebody speaks, which the steps are counted by.
+    Parameters
+    ----------
+    model : FaceModel
+        The face.
+    faces : Array
+        (n, n_components), one a tick.
+    spoken_s : float
+        Seconds of speech, which the steps are counted by.
+
+    Returns
+    -------
+    LipSpeed
+        mm/s, and steps in mm.
     """
     markers_mm = model.markers_mm(faces)
     lips_mm = markers_mm[:, list(model.layout.lips)]
@@ -297,7 +379,7 @@ def lip_speed(model: FaceModel, faces: Array, spoken_s: float) -> LipSpeed:
 
 
 def lip_speed_figures(speeds: Iterable[LipSpeed]) -> dict[str, float | None]:
-    """Of many pieces together; steps are None where nobody speaks."""
+    """Of many pieces together; steps are None without speech."""
     found = list(speeds)
     spoken_s = sum(one.spoken_s for one in found)
     n_steps, n_gap_steps = sum(one.n_steps for one in found), sum(one.n_gap_steps for one in found)

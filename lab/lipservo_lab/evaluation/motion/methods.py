@@ -36,7 +36,7 @@ class Heard:
 
     events: in the end. updates: as they came, for recognised phonemes, in order of
     `heard_until_s`, and `latency_s`, how much later than its sound a phoneme is settled; without
-    updates the events are told one by one by a perfect listener. sound_path: for methods that hear
+    updates a perfect listener yields the events one by one. sound_path: for methods that use
     the sound itself.
     """
 
@@ -58,7 +58,22 @@ class Method(Protocol):
         """Whether the look-ahead makes a difference; if not, the method sees the whole sentence."""
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
-        """(n, n_components) at the times asked for, which ascend."""
+        """Return the faces at given times.
+
+        Parameters
+        ----------
+        model,heard : TrainedModel
+            Trained model, and the phonemes of the sentence.
+        times_s : Array
+            (n,), ascending.
+        lookahead_s : float
+            How much of the sound beyond each time is known.
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +85,18 @@ class DominanceMethod:
     looks_ahead: bool = False
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees all
-        """Faces from the whole sentence."""
+        """Return faces from the whole sentence; see `Method`.
+
+        Parameters
+        ----------
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         dominance: Dominance = model.baselines.dominance if self.tuned else fixed_reference()
         return dominance.face_at(heard.events, model.baselines.centres, times_s)
 
@@ -83,7 +109,18 @@ class SplineMethod:
     looks_ahead: bool = False
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees all
-        """Faces from the whole sentence."""
+        """Return faces from the whole sentence; see `Method`.
+
+        Parameters
+        ----------
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         baselines = model.baselines
         targets = viseme_centres(baselines.centres, baselines.counts)
         return spline_faces(heard.events, targets, times_s)
@@ -97,7 +134,18 @@ class MeanFaceMethod:
     looks_ahead: bool = False
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees nothing
-        """The phones' centres, weighted by how often they were heard in training."""
+        """Return the phones' centres, weighted by how often they were heard in training.
+
+        Parameters
+        ----------
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         spoken = model.baselines.counts.copy()
         spoken[PHONEMES.index(SILENCE)] = 0.0
         mean = np.average(model.baselines.centres, axis=0, weights=spoken if spoken.any() else None)
@@ -121,7 +169,18 @@ class PublishedMethod:
         return self.strategy.name
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees phones whole
-        """Faces with every phone known when it begins."""
+        """Return faces with every phone known when it begins; see `Method`.
+
+        Parameters
+        ----------
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         synthesizer = self.synthesizer(model)
         synthesizer.push(PhonemeUpdate(0.0, np.inf, np.inf, heard.events))
         return np.array([synthesizer.frame_at(float(t)).coefficients for t in times_s])
@@ -141,7 +200,18 @@ class RegressionMethod:
     looks_ahead: bool = True
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
-        """Faces from the contexts known at t + L."""
+        """Return faces from the contexts known at t + L; see `Method`.
+
+        Parameters
+        ----------
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         phonemes, since_s = contexts(track_of(heard.events), times_s, lookahead_s)
         known_s = np.full(len(times_s), lookahead_s)
         return model.baselines.regression.faces(phonemes, since_s, known_s)
@@ -161,7 +231,18 @@ class LiveMethod:
     unit_share: float | None = None
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
-        """Faces decided at t from what is known of the sound up to t + L."""
+        """Return faces decided at t by the sound up to t + L; see `Method`.
+
+        Parameters
+        ----------
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         synthesizer = self.synthesizer(model, lookahead_s)
         source = script_of(heard, lookahead_s)
         faces, n_ticks = [], 0
@@ -199,26 +280,26 @@ def all_methods() -> dict[str, Method]:
 
 
 class _Replayed:
-    """Updates that were recorded, told again when their sound has been heard."""
+    """Updates that were recorded, returned again when their sound has been heard."""
 
     def __init__(self, updates: Sequence[PhonemeUpdate], ahead_s: float) -> None:
         self._updates = updates
         self._ahead_s = ahead_s
-        self._n_told = 0
+        self._n_passed = 0
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
-        told = []
-        while self._n_told < len(self._updates):
-            update = self._updates[self._n_told]
+        due = []
+        while self._n_passed < len(self._updates):
+            update = self._updates[self._n_passed]
             if update.heard_until_s > until_s + self._ahead_s:
                 break
-            told.append(update)
-            self._n_told += 1
-        return told
+            due.append(update)
+            self._n_passed += 1
+        return due
 
 
 def script_of(heard: Heard, lookahead_s: float) -> PhonemeScript:
-    """The sentence told as time goes on, as far as a look-ahead allows."""
+    """The sentence's phonemes as time goes on, as far as a look-ahead allows."""
     if heard.updates:
         return _Replayed(heard.updates, lookahead_s + heard.latency_s)
     return ScriptedPhonemes(heard.events, lookahead_s)

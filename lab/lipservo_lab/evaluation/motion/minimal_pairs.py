@@ -47,7 +47,7 @@ class Pairs:
     sentences: (n, 2), their sentences; phones: (n, 2), the numbers of their first phones there;
     differ: (n,), whether the first phoneme differs (a minimal pair) or is the same (a repetition).
     weights: (n,). Two phonemes in one place count as much as any other two in any other place,
-    however often they were said, and the repetitions of that place as much as they.
+    however often they were spoken, and the repetitions of that place as much as they.
     """
 
     sentences: Indices
@@ -73,16 +73,19 @@ def find_pairs(utterances: Sequence[Utterance]) -> Pairs:
     weights: list[float] = []
     for alike in places.values():
         pairs = [(a, b) for n, b in enumerate(alike) for a in alike[:n] if a[0] != b[0]]
-        said = [frozenset(utterances[s].phones[i].phoneme for s, i in pair) for pair in pairs]
-        counts = Counter(said)
+        phonemes_of = [
+            frozenset(utterances[s].phones[i].phoneme for s, i in pair) for pair in pairs
+        ]
+        counts = Counter(phonemes_of)
         kinds = [kind for kind in counts if len(kind) == 2]
         n_repetitions = len(pairs) - sum(counts[kind] for kind in kinds)
         if not kinds or not n_repetitions:
             continue
         ends += pairs
-        differ += [len(kind) == 2 for kind in said]
+        differ += [len(kind) == 2 for kind in phonemes_of]
         weights += [
-            1.0 / counts[kind] if len(kind) == 2 else len(kinds) / n_repetitions for kind in said
+            1.0 / counts[kind] if len(kind) == 2 else len(kinds) / n_repetitions
+            for kind in phonemes_of
         ]
     both = np.array(ends, dtype=np.int64).reshape(-1, 2, 2)
     return Pairs(
@@ -149,7 +152,22 @@ def _persistence(motions: Sequence[Array], pairs: Pairs, seed: int) -> Persisten
 
 
 def persistence_of(shares: Array, samples: Sequence[Array], counted: int) -> Persistence | None:
-    """With the intervals of bootstrap samples; None where nothing was seen to move (NaN)."""
+    """Return shares with the intervals of bootstrap samples.
+
+    Parameters
+    ----------
+    shares : Array
+        (k,).
+    samples : Sequence[Array]
+        (k,) each.
+    counted : int
+        Pairs.
+
+    Returns
+    -------
+    Persistence | None
+        None where nothing was seen to move (NaN).
+    """
     finite = np.array([sample for sample in samples if np.isfinite(sample).all()])
     if not len(finite) or not np.isfinite(shares).all():
         return None

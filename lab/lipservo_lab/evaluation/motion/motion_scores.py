@@ -66,12 +66,12 @@ def read_parts(folder: Path, corpus: Corpus) -> list[Part]:
 
 def words_part(split: str, corpus: Corpus, words: frozenset[str]) -> Part:
     """Trained without every sentence that holds any of the words, scored on those words alone."""
-    said = {u.name: {w.text for w in u.words} for u in corpus.utterances}
-    test = frozenset(name for name, texts in said.items() if texts & words)
-    missing = sorted(words - set().union(*said.values()))
+    words_of = {u.name: {w.text for w in u.words} for u in corpus.utterances}
+    test = frozenset(name for name, texts in words_of.items() if texts & words)
+    missing = sorted(words - set().union(*words_of.values()))
     if missing:
         raise CorpusError(f"{corpus.name}: no sentence holds {', '.join(map(repr, missing))}")
-    return Part(split, frozenset(said) - test, test, words)
+    return Part(split, frozenset(words_of) - test, test, words)
 
 
 Listen = Callable[[Utterance], Heard]
@@ -82,7 +82,7 @@ _WITH_INTERVAL = ("ratio", "gap_r", "closure_hits")
 
 
 def true_phonemes(utterance: Utterance) -> Heard:
-    """A perfect listener: the labels, told one by one."""
+    """A perfect listener: the labels, one by one."""
     return Heard(utterance.phones, sound_path=utterance.sound_path)
 
 

@@ -36,7 +36,7 @@ _Key = tuple[str, tuple[str, ...]]
 
 @dataclass(slots=True)
 class OfflineModels:
-    """The offline model of each face model that is scored, made when it is first asked for."""
+    """The offline model of each face model that is scored, made at the first use."""
 
     train: Train
     _made: dict[_Key, OfflineModel] = field(default_factory=dict)
@@ -50,7 +50,7 @@ class OfflineModels:
         return self._made[key]
 
     def count(self, name: str, seconds: float) -> None:
-        """A sentence took so long."""
+        """Note the seconds that a sentence cost."""
         self._line_s.setdefault(name, []).append(seconds)
 
     def seconds_per_sentence(self) -> dict[str, float]:
@@ -60,7 +60,7 @@ class OfflineModels:
 
 @dataclass(slots=True)
 class RecordedVisemes:
-    """The recorded phones of each face model's training, gathered when they are first asked for."""
+    """The recorded phones of each face model's training, gathered at the first use."""
 
     gather: Callable[[TrainedModel], ContextVisemes]
     _gathered: dict[_Key, ContextVisemes] = field(default_factory=dict)
@@ -82,7 +82,18 @@ class ContextVisemeMethod:
     looks_ahead: bool = False
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees all
-        """Faces from the whole sentence."""
+        """Return faces from the whole sentence; see `Method`.
+
+        Parameters
+        ----------
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         targets = self.visemes.of(model).targets(heard.events)
         return joined_faces(heard.events, targets, times_s)
 
@@ -99,7 +110,20 @@ class OfflineMethod:
     looks_ahead: bool = False
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - hears all
-        """Faces from the whole line; of `model-based` they are linear between recorded frames."""
+        """Return faces from the whole line.
+
+        Of `model-based` they are linear between recorded frames.
+
+        Parameters
+        ----------
+        times_s : Array
+            (n,).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         if heard.sound_path is None:
             raise ValueError(f"{self.name} needs the sound of a sentence")
         offline = self.models.of(model)

@@ -1,6 +1,6 @@
 """Tables 2 and 3, Figures 1 and 6 of Wei and Deng in their own form, beside the printed numbers.
 
-Figure 1: how much of ten sentences a live recogniser hears as the labels have it. Table 2: RMSE of
+Figure 1: how much of ten sentences a live recogniser labels as the labels have it. Table 2: RMSE of
 three clips, drawn at random, with true phonemes (case 1) and live recognised ones (case 2, once for
 each recogniser), over the baseline's. Table 3: what a phoneme costs in processor time. Figure 6:
 miss rates of eight phrases. Only ratios compare: the paper's RMSE has no unit.
@@ -224,10 +224,10 @@ def paper_tables(
     """
     rng = np.random.default_rng(seed)
     n_drawn = min(len(utterances), N_HEARD)
-    said = [utterances[i] for i in rng.choice(len(utterances), n_drawn, replace=False)]
-    drawn, clips = said[:N_PHRASES], said[:N_CLIPS]
+    picked = [utterances[i] for i in rng.choice(len(utterances), n_drawn, replace=False)]
+    drawn, clips = picked[:N_PHRASES], picked[:N_CLIPS]
     return {
-        "figure_1": [_agreement(sentence, recognizers) for sentence in said],
+        "figure_1": [_agreement(sentence, recognizers) for sentence in picked],
         "table_2": [_ratios(model, clip, i, recognizers) for i, clip in enumerate(clips)],
         "table_3": [
             row
@@ -239,13 +239,13 @@ def paper_tables(
 
 
 def _agreement(sentence: Utterance, recognizers: Mapping[str, Listen]) -> Row:
-    """The share of a sentence's speech that each recogniser hears as its labels have it."""
+    """The share of a sentence's speech that each recogniser labels as its labels have it."""
     row: Row = {"sentence": sentence.name, "printed": list(PRINTED_AGREEMENT)}
     times_s = np.arange(0.0, sentence.phones[-1].start_s, _COMPARED_S)
-    said = _phonemes_at(sentence.phones, times_s)
+    spoken = _phonemes_at(sentence.phones, times_s)
     for name, listen in recognizers.items():
         heard = _phonemes_at(listen(sentence).events, times_s)
-        pairs = [(a, b) for a, b in zip(said, heard, strict=True) if a != SILENCE]
+        pairs = [(a, b) for a, b in zip(spoken, heard, strict=True) if a != SILENCE]
         row[name] = sum(a == b for a, b in pairs) / max(1, len(pairs))
     return row
 

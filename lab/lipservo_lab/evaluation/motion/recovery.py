@@ -195,7 +195,7 @@ def wrong_phoneme_persistence(
 
 
 def _misheard_at(phones: Sequence[PhonemeEvent], hit: int, wrong: str, until_s: float) -> Heard:
-    """A listener that believes `wrong` in place of one phone for `until_s` from its beginning on.
+    """A listener with `wrong` in place of one phone for `until_s` from its beginning on.
 
     It learns of beginnings and ends in time, and calls nothing final that it may still put right.
     """

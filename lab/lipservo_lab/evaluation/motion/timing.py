@@ -71,8 +71,8 @@ class _Known:
         self._updates = [PhonemeUpdate(0.0, math.inf, math.inf, heard.events)]
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:  # noqa: ARG002 - all at once
-        told, self._updates = self._updates, []
-        return told
+        due, self._updates = self._updates, []
+        return due
 
 
 def _add_times(
@@ -89,8 +89,8 @@ def _add_times(
         for update in updates:
             synthesizer.push(update)
         synthesizer.frame_at(time_s)
-        took_ms = (time.perf_counter() - began) * 1e3
-        (phoneme_ms if synthesizer.phonemes_planned > n_planned else frame_ms).append(took_ms)
+        elapsed_ms = (time.perf_counter() - began) * 1e3
+        (phoneme_ms if synthesizer.phonemes_planned > n_planned else frame_ms).append(elapsed_ms)
 
 
 def _p95(values: Sequence[float]) -> float:

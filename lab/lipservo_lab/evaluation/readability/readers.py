@@ -55,7 +55,22 @@ def slotted(utterances: Sequence[Utterance]) -> list[Utterance]:
 
 
 def word_motion(values: Array, frame_rate_hz: float, word: Word) -> Array:
-    """(n_frames, k) of a sentence -> (N_POINTS * k,): the word and a margin, resampled linearly."""
+    """Return the motion of a word and a margin, resampled linearly.
+
+    Parameters
+    ----------
+    values : Array
+        (n_frames, k) of a sentence.
+    frame_rate_hz : float
+        Of it.
+    word : Word
+        With its times.
+
+    Returns
+    -------
+    Array
+        (N_POINTS * k,).
+    """
     frames_s = np.arange(len(values)) / frame_rate_hz
     points_s = np.linspace(word.start_s - MARGIN_S, word.end_s + MARGIN_S, N_POINTS)
     columns = [np.interp(points_s, frames_s, column) for column in values.T]
@@ -70,10 +85,34 @@ class Classifier(Protocol):
     """As scikit-learn has it."""
 
     def fit(self, x: Array, y: Sequence[str]) -> object:
-        """Learn words y (n,) from features x (n, d)."""
+        """Learn words from features.
+
+        Parameters
+        ----------
+        x : Array
+            (n, d).
+        y : Sequence[str]
+            n words.
+
+        Returns
+        -------
+        object
+            The classifier.
+        """
 
     def predict(self, x: Array) -> NDArray[np.str_]:
-        """(n, d) -> (n,)."""
+        """Predict words.
+
+        Parameters
+        ----------
+        x : Array
+            (n, d).
+
+        Returns
+        -------
+        NDArray[np.str_]
+            (n,).
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +188,22 @@ def fit_reader(
 
 
 def words_of_slot(sentences: Sequence[Utterance], motions: Motions, slot: int) -> Array:
-    """(n_sentences, d): the motion of the word that each has in the slot."""
+    """Return the motion of the word that each sentence has in a slot.
+
+    Parameters
+    ----------
+    sentences : Sequence[Utterance]
+        n_sentences.
+    motions : Motions
+        (n_frames, k) by name.
+    slot : int
+        Its number.
+
+    Returns
+    -------
+    Array
+        (n_sentences, d).
+    """
     return np.array(
         [word_motion(motions[u.name], u.frame_rate_hz, spoken_words(u)[slot]) for u in sentences]
     )
@@ -168,7 +222,7 @@ class Reading:
 
     sentence: str
     slot: int
-    said: str
+    spoken: str
     read: str
     projection: float
     recorded_square: float
@@ -200,7 +254,7 @@ def known_fold(
 def new_word_folds(
     kind: ReaderKind, sentences: Sequence[Utterance], words: frozenset[str], recorded: Motions
 ) -> tuple[Fold, ...]:
-    """The folds of new words, over the slots in which they are said.
+    """The folds of new words, over the slots in which they are spoken.
 
     Raises CorpusError where no sentence holds one of the words.
     """
@@ -225,7 +279,7 @@ def sentences_with(words: frozenset[str], sentences: Iterable[Utterance]) -> lis
 
 
 def slots_of(words: frozenset[str], sentences: Iterable[Utterance]) -> list[int]:
-    """The slots in which any of the words is said."""
+    """The slots in which any of the words is spoken."""
     return sorted({s for u in sentences for s, w in enumerate(spoken_words(u)) if w.text in words})
 
 

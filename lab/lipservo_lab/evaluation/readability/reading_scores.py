@@ -100,7 +100,7 @@ def known_score(readings: Sequence[Reading], *, seed: int = 0) -> ReadingScore:
     right = np.zeros((len(names), len(slots)))
     for reading in readings:
         place = names.index(reading.sentence), slots.index(reading.slot)
-        right[place] = reading.read == reading.said
+        right[place] = reading.read == reading.spoken
     samples = _draws(len(names), seed) @ right.mean(axis=1) / len(names)
     return ReadingScore(
         float(right.mean()),
@@ -123,11 +123,11 @@ def new_word_score(
     ordered = sorted(words)
     # Of each sentence and word: said, and read; not said in the word's slot, and read.
     counts = np.zeros((len(names), len(ordered), 4))
-    slots = {word: {r.slot for r in readings if r.said == word} for word in ordered}
+    slots = {word: {r.slot for r in readings if r.spoken == word} for word in ordered}
     for reading in readings:
         for column, word in enumerate(ordered):
             if reading.slot in slots[word]:
-                kind = 0 if reading.said == word else 2
+                kind = 0 if reading.spoken == word else 2
                 counts[names[reading.sentence], column, kind] += 1
                 counts[names[reading.sentence], column, kind + 1] += reading.read == word
     totals = counts.sum(axis=0)
@@ -139,7 +139,7 @@ def new_word_score(
         _interval(np.nanmean(samples, axis=1)),
         dict(zip(ordered, map(float, _recall_less_false_alarms(totals)), strict=True)),
         None,
-        gain([r for r in readings if r.said in words]),
+        gain([r for r in readings if r.spoken in words]),
         len(names),
     )
 
@@ -151,8 +151,8 @@ def gain(readings: Sequence[Reading]) -> float:
 
 def _recall_less_false_alarms(counts: Array) -> Array:
     """(..., 4) -> (...); NaN where a drawn sample does not hold the word."""
-    said, hits, others, alarms = np.moveaxis(counts, -1, 0)
-    recall = np.divide(hits, said, out=np.full_like(hits, np.nan), where=said > 0)
+    n_spoken, hits, others, alarms = np.moveaxis(counts, -1, 0)
+    recall = np.divide(hits, n_spoken, out=np.full_like(hits, np.nan), where=n_spoken > 0)
     return np.asarray(recall - alarms / np.maximum(others, 1.0))
 
 
@@ -238,7 +238,7 @@ def made_faces(
 ) -> Motions:
     """(n_frames, n_components) of each sentence; rate_hz: None for the recording's frames.
 
-    What comes after the last word is not played: nobody reads it.
+    What comes after the last word is not played and not read.
     """
     made = {}
     for utterance in sentences:

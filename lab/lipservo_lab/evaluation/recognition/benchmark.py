@@ -1,6 +1,6 @@
 """A recogniser measured on a corpus of transcribed speech.
 
-How often a text that was not said is taken for one that was, and the other way round.
+How often a text that was not spoken is taken for one that was, and the reverse.
 """
 
 from collections import Counter, defaultdict
@@ -19,8 +19,8 @@ from lipservo_lab.evaluation.recognition.conditions import (
 )
 from lipservo_lab.evaluation.recognition.recognition_scores import Score, phone_sequence
 from lipservo_lab.evaluation.recognition.stream_observers import (
-    NOTHING_TOLD,
-    ToldText,
+    NO_TEXT,
+    KnownText,
     label_frames,
     time_to_leave,
 )
@@ -58,7 +58,7 @@ class Figures:
     n_utterances: int
     duration_s: float
     n_revisions: int
-    n_phones_said: int
+    n_phones: int
     cost_s: float
     block_cost_p50_s: float
     block_cost_p99_s: float
@@ -84,7 +84,7 @@ class Figures:
             "visible_error_table": visible_error_table(self.score.confusion),
             "revisions_per_s": self.n_revisions / self.duration_s if self.duration_s else 0.0,
             "rtf": self.cost_s / self.duration_s if self.duration_s else 0.0,
-            "ms_per_phoneme": 1e3 * self.cost_s / max(1, self.n_phones_said),
+            "ms_per_phoneme": 1e3 * self.cost_s / max(1, self.n_phones),
             "utterances": self.n_utterances,
             "seconds": self.duration_s,
             "alignment": {
@@ -107,20 +107,20 @@ def measure(
     condition: Condition | None = None,
     progress: Callable[[str], None] = lambda _name: None,
     groups_of: Callable[[str], Sequence[str]] = lambda _speaker: (),
-    told_of: Callable[[TranscribedUtterance], ToldText] = lambda _utterance: NOTHING_TOLD,
+    known_text_of: Callable[[TranscribedUtterance], KnownText] = lambda _utterance: NO_TEXT,
 ) -> Figures:
     """Recognise every utterance aligned at the default beams or labelled, each as a new stream.
 
     Alignments that needed the second try are no reference: they are counted, not scored. groups_of:
-    names of the groups that a speaker is counted in. told_of: what the recogniser is told; where
-    that comes late, the frames after it are scored.
+    names of the groups that a speaker is counted in. known_text_of: the text that the recogniser
+    gets; where that comes late, the frames after it are scored.
     """
     counts = Counter(alignments[u.name].beams for u in utterances if not alignments[u.name].error)
     scored = [u for u in utterances if alignments[u.name].beams in ("default", LABELLED)]
     is_babble = condition is not None and condition.kind == "babble"
     step = max(1, len(utterances) // _N_VOICES)
     voices = [read_speech(u.sound) for u in utterances[::step]] if is_babble else []
-    score, duration_s, n_revisions, n_said = Score(), 0.0, 0, 0
+    score, duration_s, n_revisions, n_reported = Score(), 0.0, 0, 0
     costs: list[np.ndarray] = []
     groups: dict[str, Score] = defaultdict(Score)
     recognizer = make_recognizer()
@@ -130,15 +130,15 @@ def measure(
         if condition is not None:
             samples = condition.apply(samples, utterance.name, voices)
             servos_deg = condition.servo_positions_deg(utterance.name, len(samples))
-        told = told_of(utterance)
-        heard, block_costs = label_frames(recognizer, samples, servos_deg, told)
+        text = known_text_of(utterance)
+        heard, block_costs = label_frames(recognizer, samples, servos_deg, text)
         reference = alignments[utterance.name].labels(len(heard.labels))
-        first = round(told.late_s * FRAMES_PER_S)
+        first = round(text.late_s * FRAMES_PER_S)
         for each in (score, *(groups[name] for name in groups_of(utterance.speaker))):
             each.add(heard.labels[first:], reference[first:])
         duration_s += len(samples) / SAMPLE_RATE_HZ
         n_revisions += heard.n_revisions
-        n_said += len(phone_sequence(heard.labels))
+        n_reported += len(phone_sequence(heard.labels))
         costs.append(np.array(block_costs.costs_s))
         progress(utterance.name)
     all_costs = np.concatenate(costs) if costs else np.zeros(1)
@@ -147,7 +147,7 @@ def measure(
         n_utterances=len(scored),
         duration_s=duration_s,
         n_revisions=n_revisions,
-        n_phones_said=n_said,
+        n_phones=n_reported,
         cost_s=float(all_costs.sum()),
         block_cost_p50_s=float(np.median(all_costs)),
         block_cost_p99_s=float(np.percentile(all_costs, 99)),
@@ -168,22 +168,22 @@ def leaving_figures(
     """How soon a text is left where the sound stops saying it.
 
     Each utterance is followed by that half the list away, while the words of the one after it are
-    told: what moves the mouth from the first phone of the second sound on.
+    given: what moves the mouth from the first phone of the second sound on.
     """
     recognizer, half = make_recognizer(), len(utterances) // 2
     times_s: list[float | None] = []
-    for number, said in enumerate(utterances):
+    for number, utterance in enumerate(utterances):
         other = utterances[(number + half) % len(utterances)]
-        told = utterances[(number + half + 1) % len(utterances)]
-        sounds = read_speech(said.sound), read_speech(other.sound)
+        known = utterances[(number + half + 1) % len(utterances)]
+        sounds = read_speech(utterance.sound), read_speech(other.sound)
         n_frames = round(len(sounds[1]) / SAMPLE_RATE_HZ * FRAMES_PER_S)
         spoken = np.flatnonzero(alignments[other.name].labels(n_frames) != PHONEME_INDEX[SILENCE])
-        if alignments[said.name].error or not len(spoken):
+        if alignments[utterance.name].error or not len(spoken):
             continue
         onset_s = float(spoken[0]) / FRAMES_PER_S
-        text = f"{said.text} {told.text}".lower()
+        text = f"{utterance.text} {known.text}".lower()
         times_s.append(time_to_leave(recognizer, *sounds, onset_s, text).left_s)
-        progress(said.name)
+        progress(utterance.name)
     left_s = [each for each in times_s if each is not None]
     return {
         "leaving_ms_p50": 1e3 * float(np.median(left_s)) if left_s else None,
@@ -206,23 +206,23 @@ def false_speech(
 
 
 def own_servo_figures(make_recognizer: Callable[[], LiveRecognizer]) -> dict[str, float]:
-    """The share of frames called speech while a robot's servos move and nobody speaks.
+    """The share of frames called speech while a robot's servos move without speech.
 
     20 s at -36 dBFS, 10 dB below usual speech; then the same of a robot that tells how its servos
     move, after half a minute in which it listened to others of its moves. Means of four robots.
     """
-    untold, told = [], []
+    without_speeds, with_speeds = [], []
     level = np.float32(10.0 ** (-36 / 20))
     for robot in range(_N_ROBOTS):
         rng, recognizer = np.random.default_rng(0), make_recognizer()
         first, first_speeds = servo_noise(rng, 30 * SAMPLE_RATE_HZ, robot)
         sound, speeds = servo_noise(rng, 20 * SAMPLE_RATE_HZ, robot)
-        untold.append(false_speech(recognizer, level * sound))
+        without_speeds.append(false_speech(recognizer, level * sound))
         false_speech(recognizer, level * first, encoder_readings_deg(first_speeds))
-        told.append(false_speech(recognizer, level * sound, encoder_readings_deg(speeds)))
+        with_speeds.append(false_speech(recognizer, level * sound, encoder_readings_deg(speeds)))
     return {
-        "own_servos_speech_share": float(np.mean(untold)),
-        "own_servos_speech_share_told": float(np.mean(told)),
+        "own_servos_speech_share": float(np.mean(without_speeds)),
+        "own_servos_speech_share_told": float(np.mean(with_speeds)),
     }
 
 
@@ -240,14 +240,14 @@ def quiet_sounds(rng: np.random.Generator) -> dict[str, np.ndarray]:
 
 
 def block_costs_s(
-    recognizer: LiveRecognizer, samples: np.ndarray, told: ToldText = NOTHING_TOLD
+    recognizer: LiveRecognizer, samples: np.ndarray, text: KnownText = NO_TEXT
 ) -> np.ndarray:
     """Processor time of each 10 ms block (m,): the least of several passes over the sound.
 
     What other programs cost on a shared machine (caches emptied, memory slowed) goes away with the
     least; what this block costs by itself stays.
     """
-    passes = [label_frames(recognizer, samples, told=told)[1].costs_s for _ in range(_N_PASSES)]
+    passes = [label_frames(recognizer, samples, text=text)[1].costs_s for _ in range(_N_PASSES)]
     least: np.ndarray = np.min(passes, axis=0)
     return least
 
@@ -260,7 +260,10 @@ KINDS = ("true", "other", "half_other", "half_missing")
 def texts_of(
     utterance: TranscribedUtterance, pool: Sequence[TranscribedUtterance], rng: np.random.Generator
 ) -> dict[str, str]:
-    """By kind: what was said; what another utterance says; half of each; half of what was said."""
+    """By kind: the spoken text; that of another utterance; half of each.
+
+    Half of the spoken text.
+    """
     others = [u.text for u in pool if u.text != utterance.text]
     nearest = sorted(others, key=lambda text: abs(len(text) - len(utterance.text)))[:_NEAREST]
     own, other = utterance.text.split(), str(rng.choice(nearest)).split()

@@ -5,7 +5,7 @@ recogniser and synthesiser run as they do live. All times are sound time: the fa
 an instant of the sound. Shown it is a constant later (`ClosingBench.delay_s`), in which the
 look-ahead was spent; so a mouth may begin to close before the voice stops.
 
-How soon the mouth leaves rest when somebody begins to speak.
+How soon the mouth leaves rest when a person begins to speak.
 
 Each recording is played after a pause, once with digital silence there and once with room noise
 40 dB below the speech all over, to a mouth at rest. Times are sound time, as in closing_times.py: a
@@ -96,7 +96,18 @@ class ClosingBench:
         return Mouth(np.array(watch.openings_mm[first:]), np.array(watch.resting[first:]))
 
     def opening_mm(self, face: Array) -> float:
-        """Lip gap of a face (n_components,) beyond the one at rest."""
+        """Return the lip gap of a face beyond the one at rest.
+
+        Parameters
+        ----------
+        face : Array
+            (n_components,).
+
+        Returns
+        -------
+        float
+            mm.
+        """
         return self._width_mm(face) - self._rest_mm
 
     def _width_mm(self, face: Array) -> float:
@@ -225,10 +236,20 @@ def with_gap(samples: Samples, at_s: float, gap_s: float) -> tuple[Samples, floa
 
 
 def closing_times(opening_mm: Array) -> tuple[float, float] | None:
-    """When closing begins and when it is complete, s after the cut at index 0.
+    """Return when closing begins and when it is complete, s after the cut.
 
     Begun: a tenth of the greatest opening since the cut is gone; complete: nine tenths are, and
-    stay away. None for a mouth that was not open at the cut.
+    stay away.
+
+    Parameters
+    ----------
+    opening_mm : Array
+        (n,), every 10 ms from the cut on.
+
+    Returns
+    -------
+    tuple[float, float] | None
+        Seconds; None for a mouth that was not open at the cut.
     """
     if opening_mm[0] < _LEAST_OPENING_MM:
         return None

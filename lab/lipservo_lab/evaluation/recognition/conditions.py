@@ -2,7 +2,7 @@
 
 Speech in a room with six walls: the image method of Allen and Berkley (1979).
 
-Each wall is a mirror that takes a part of the sound; a microphone hears the talker and all mirror
+Each wall is a mirror that takes a part of the sound; a microphone gets the talker and all mirror
 images of the talker, each as late and as faint as it is far. Training knows rooms only as a tail of
 noise that fades (noise.py), so that this is another room than any it has heard.
 
@@ -14,7 +14,7 @@ made from its speed alone: the mesh of each pair of gears as a tone whose height
 brushes as a rush that the motor's turning modulates, the load as a growl, all through the shell of
 a head. So the same speed always sounds much the same, as it does with real gears.
 
-Made otherwise than the servos that training hears (training/nonspeech_sounds.py), in motion, gears
+Made otherwise than the servos of the training (training/nonspeech_sounds.py), in motion, gears
 and shell, so that no network was trained on its like.
 """
 
@@ -42,9 +42,21 @@ _N_PLACES = 50
 
 
 def in_room(rng: np.random.Generator, speech: Array32) -> Array32:
-    """The same (n,) samples, heard by a microphone somewhere in the room.
+    """Return speech as a microphone somewhere in a room gets it.
 
-    The direct sound keeps its time and its level.
+    The direct sound keeps time and level.
+
+    Parameters
+    ----------
+    rng : np.random.Generator
+        Draws the room.
+    speech : Array32
+        (n,).
+
+    Returns
+    -------
+    Array32
+        (n,).
     """
     heard_m = rng.uniform(_LOW_M, _HIGH_M)
     direction = rng.normal(size=3) * [1.0, 1.0, 0.2]
@@ -74,7 +86,18 @@ def _heard_through(response: Array, direct: int, speech: Array32) -> Array32:
 
 
 def impulse_response(spoken_m: Array, heard_m: Array) -> Array:
-    """(n,) samples: what one click at spoken_m (3,) is at heard_m (3,), until it has died away."""
+    """Return what one click is at the microphone, until it has died away.
+
+    Parameters
+    ----------
+    spoken_m,heard_m : Array
+        (3,): where.
+
+    Returns
+    -------
+    Array
+        (n,) samples at 16 kHz.
+    """
     apart_m, bounces = zip(*(_images(k, spoken_m[k], heard_m[k]) for k in range(3)), strict=True)
     x_m, y_m, z_m = np.ix_(*apart_m)
     far_m = np.sqrt(x_m**2 + y_m**2 + z_m**2)
@@ -104,9 +127,21 @@ _HOP = SAMPLE_RATE_HZ // FRAMES_PER_S
 
 
 def servo_noise(rng: np.random.Generator, n: int, robot: int = 0) -> tuple[Array32, Array]:
-    """Samples (n,) of unit power; speeds (n // 160, 8) of the joints, a row each 10 ms, in deg/s.
+    """Return the noise of a robot's servos, and their speeds.
 
-    robot: its number; servos and shell are drawn from it, and the motion from `rng`.
+    Parameters
+    ----------
+    rng : np.random.Generator
+        Draws the motion.
+    n : int
+        Samples.
+    robot : int
+        Its number; servos and shell are drawn from it.
+
+    Returns
+    -------
+    tuple[Array32, Array]
+        (n,) of unit power; (n // 160, 8), a row each 10 ms, in deg/s.
     """
     build = np.random.default_rng(robot)
     n_frames = n // _HOP
@@ -124,7 +159,18 @@ def servo_noise(rng: np.random.Generator, n: int, robot: int = 0) -> tuple[Array
 
 
 def encoder_readings_deg(speeds_deg_s: Array) -> Array:
-    """Where encoders of 4096 steps see the joints at the end of each 10 ms; as the speeds."""
+    """Return where encoders of 4096 steps see the joints at the end of each 10 ms.
+
+    Parameters
+    ----------
+    speeds_deg_s : Array
+        (n_frames, n_servos).
+
+    Returns
+    -------
+    Array
+        (n_frames, n_servos) degrees.
+    """
     step_deg = 360.0 / 4096
     places_deg = np.cumsum(speeds_deg_s, axis=0) / FRAMES_PER_S
     return np.asarray(np.rint(places_deg / step_deg) * step_deg)
@@ -202,7 +248,7 @@ class ConditionError(UserError):
 class Condition:
     """How speech is changed. db: signal to noise; of `level` its change; of `room` metres, or 0.
 
-    robot: whose servos are heard. tells_servos: the recogniser is told how they move.
+    robot: whose servos are heard. tells_servos: the recogniser gets their speeds.
     """
 
     kind: str
@@ -211,9 +257,21 @@ class Condition:
     tells_servos: bool = False
 
     def apply(self, samples: Array32, name: str, voices: list[Array32]) -> Array32:
-        """The samples (n,) as they are heard; the utterance's name chooses the random numbers.
+        """Return the samples in this condition; the utterance's name chooses the random numbers.
 
-        voices: other recordings, for babble.
+        Parameters
+        ----------
+        samples : Array32
+            (n,).
+        name : str
+            Of the utterance.
+        voices : list[Array32]
+            Other recordings, for babble.
+
+        Returns
+        -------
+        Array32
+            (n,).
         """
         rng = _rng(name)
         if self.kind == "level":
@@ -233,7 +291,20 @@ class Condition:
         return noise.add_noise(samples, maker[self.kind](rng, len(samples)), self.db)
 
     def servo_positions_deg(self, name: str, n_samples: int) -> Array | None:
-        """What the encoders say, a row (n_servos,) each 10 ms; None: nobody tells."""
+        """Return encoder readings, a row each 10 ms.
+
+        Parameters
+        ----------
+        name : str
+            Of the utterance.
+        n_samples : int
+            Of it.
+
+        Returns
+        -------
+        Array | None
+            (n_frames, n_servos) degrees; None: the recogniser gets none.
+        """
         if not self.tells_servos:
             return None
         return encoder_readings_deg(servo_noise(_rng(name), n_samples, self.robot)[1])
@@ -243,7 +314,7 @@ def parse_condition(text: str, *, tells_servos: bool = False) -> Condition:
     """`KIND:DB`, as `white:10`, or `servos:DB:ROBOT`.
 
     tells_servos: as `Condition` has it. Raises ConditionError for another form, and for servos
-    that are told of and not heard.
+    whose speeds are given though they are not heard.
     """
     if tells_servos and not text.startswith("servos:"):
         raise ConditionError("--servo-speeds is for the noise of servos; give --noise servos:10")

@@ -35,9 +35,9 @@ _TAIL_S = 0.5
 def recognize_file(
     recognizer: LiveRecognizer, recording: Path, words: Sequence[PronouncedWord] = ()
 ) -> Heard:
-    """Play a recording to a recogniser, which is reset; updates are asked for every 10 ms.
+    """Play a recording to a recogniser, which is reset; updates are taken every 10 ms.
 
-    words: what is said there, told before it sounds to a recogniser that follows a text.
+    words: those of the recording, given before it sounds to a recogniser that follows a text.
     """
     recognizer.reset()
     if words and isinstance(recognizer, TextFollower):
@@ -92,7 +92,7 @@ class Closure:
     """A phone that closes the mouth, as it was spoken, and whether the mouth closed for it."""
 
     phone: PhonemeEvent
-    was_met: bool
+    is_reached: bool
 
 
 def closure_hits(
@@ -100,7 +100,7 @@ def closure_hits(
 ) -> list[Closure]:
     """Every closure among the phones spoken in a recording, in order, in the motion it gave.
 
-    A closure is met as in `bench motion` (docs/motion.md): lips at most 1 mm apart, or for F V
+    A closure is reached as in `bench motion` (docs/motion.md): lips at most 1 mm apart, or for F V
     4.6 mm, at some instant from 40 ms before the phone to 40 ms after it.
     """
     gaps_mm = model.lip_gaps_mm(model.markers_mm(motion.faces))
@@ -116,8 +116,8 @@ def closure_figures(closures: Iterable[Closure]) -> dict[str, object]:
     figures: dict[str, object] = {}
     found = list(closures)
     for name, wanted in (("closure", True), ("labiodental", False)):
-        met = [c.was_met for c in found if is_bilabial(c.phone.phoneme) == wanted]
-        figures[f"{name}s"] = len(met)
-        figures[f"{name}s_met"] = sum(met)
-        figures[f"{name}_hits"] = sum(met) / len(met) if met else None
+        reached = [c.is_reached for c in found if is_bilabial(c.phone.phoneme) == wanted]
+        figures[f"{name}s"] = len(reached)
+        figures[f"{name}s_met"] = sum(reached)
+        figures[f"{name}_hits"] = sum(reached) / len(reached) if reached else None
     return figures

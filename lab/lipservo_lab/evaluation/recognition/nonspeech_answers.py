@@ -1,6 +1,6 @@
 """A folder of sounds that hold no speech, played to the street one by one.
 
-What the mouth does while nobody speaks: how long, how often and how wide it opens for sounds.
+The mouth without speech: how long, how often and how wide it opens for other sounds.
 """
 
 from collections import defaultdict

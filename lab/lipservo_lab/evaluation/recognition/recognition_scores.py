@@ -36,20 +36,26 @@ class HeardClosures:
 
     n_spoken: int = 0
     n_found: int = 0
-    n_said: int = 0
+    n_reported: int = 0
     n_true: int = 0
     onset_errors_ms: list[float] = field(default_factory=list)
 
-    def add(self, said: NDArray[np.bool_], spoken: NDArray[np.bool_]) -> None:
-        """Count one utterance: whether each frame (n,) was heard, and was spoken, as a closure."""
-        said_runs, spoken_runs = _runs(said), _runs(spoken)
+    def add(self, found: NDArray[np.bool_], spoken: NDArray[np.bool_]) -> None:
+        """Count one utterance.
+
+        Parameters
+        ----------
+        found,spoken : NDArray[np.bool_]
+            (n,): whether each frame was recognised, and was spoken, as a closure.
+        """
+        found_runs, spoken_runs = _runs(found), _runs(spoken)
         self.n_spoken += len(spoken_runs)
-        self.n_said += len(said_runs)
-        self.n_true += sum(_touches(run, spoken) for run in said_runs)
+        self.n_reported += len(found_runs)
+        self.n_true += sum(_touches(run, spoken) for run in found_runs)
         for run in spoken_runs:
-            if _touches(run, said):
+            if _touches(run, found):
                 self.n_found += 1
-                nearest = min(said_runs, key=lambda other: _apart(other, run))
+                nearest = min(found_runs, key=lambda other: _apart(other, run))
                 self.onset_errors_ms.append(_FRAME_MS * (nearest[0] - run[0]))
 
     def figures(self, name: str) -> dict[str, float]:
@@ -57,7 +63,7 @@ class HeardClosures:
         errors_ms = np.array(self.onset_errors_ms or [0.0])
         return {
             f"{name}_recall": self.n_found / self.n_spoken if self.n_spoken else 0.0,
-            f"{name}_precision": self.n_true / self.n_said if self.n_said else 0.0,
+            f"{name}_precision": self.n_true / self.n_reported if self.n_reported else 0.0,
             f"{name}_onset_error_ms_p50": float(np.median(errors_ms)),
             f"{name}_onset_error_ms_abs_p95": float(np.percentile(np.abs(errors_ms), 95)),
         }
@@ -131,9 +137,9 @@ class Score:
         self.openings.add(
             np.isin(hypothesis_class, _OPEN_CLASSES), np.isin(true_class, _OPEN_CLASSES)
         )
-        said, spoken = phone_sequence(hypothesis), phone_sequence(reference)
+        found, spoken = phone_sequence(hypothesis), phone_sequence(reference)
         self.n_phones += len(spoken)
-        self.n_edits += edit_distance(said, spoken)
+        self.n_edits += edit_distance(found, spoken)
         self.phone_all_by_utterance.append(float(right.mean()))
 
     def figures(self) -> dict[str, float]:
@@ -167,12 +173,12 @@ def phone_sequence(labels: Labels) -> list[int]:
     return [label for label, _ in groupby(labels.tolist()) if label != _SILENCE_INDEX]
 
 
-def edit_distance(said: Sequence[int], spoken: Sequence[int]) -> int:
+def edit_distance(found: Sequence[int], spoken: Sequence[int]) -> int:
     """Fewest insertions, deletions and substitutions that make one of the other (Levenshtein)."""
     spoken_row = np.asarray(spoken)
     steps = np.arange(len(spoken) + 1)
     costs = steps.copy()
-    for index, phone in enumerate(said, start=1):
+    for index, phone in enumerate(found, start=1):
         steps_down = np.minimum(costs[:-1] + (spoken_row != phone), costs[1:] + 1)
         best = np.concatenate(([index], steps_down))
         # Deletions run along the row: the least of what stands to the left plus the way from there.

@@ -39,7 +39,7 @@ _UNKNOWN = -1
 
 
 class FrameLabels:
-    """Phoneme numbers (n,) of 10 ms frames as last told, and how often a frame's viseme changed."""
+    """Latest phoneme numbers (n,) of 10 ms frames, and how often a frame's viseme changed."""
 
     def __init__(self, n_frames: int) -> None:
         self.labels: Labels = np.full(n_frames, PHONEME_INDEX[SILENCE])
@@ -93,8 +93,8 @@ _PIECE_WORDS, _PIECE_AHEAD_S = 3, 0.3
 
 
 @dataclass(frozen=True, slots=True)
-class ToldText:
-    """What a recogniser is told, when: before the sound, so long after it began, or in pieces."""
+class KnownText:
+    """The words that a recogniser gets, and when: before the sound, later, or in pieces."""
 
     text: str
     late_s: float = 0.0
@@ -115,22 +115,37 @@ class ToldText:
         ]
 
 
-NOTHING_TOLD: Final = ToldText("")
+NO_TEXT: Final = KnownText("")
 
 
 def label_frames(
     recognizer: LiveRecognizer,
     samples: Array32,
     servos_deg: Array | None = None,
-    told: ToldText = NOTHING_TOLD,
+    text: KnownText = NO_TEXT,
 ) -> tuple[FrameLabels, StepCosts]:
-    """Reset and feed samples (n,) at 16 kHz as a live stream, and silence until all is settled.
+    """Feed samples as a live stream, and silence until all is settled.
 
     The blocks are 10 ms long and end where the label of a frame is due: latency_s after the start
-    of the frame. So frame t is judged by what was settled when the sound to 10 t ms + latency was
-    heard, and nothing later. The costs are those of the blocks. servos_deg: what encoders read of
-    the robot's servos, a row (n_servos,) each 10 ms, which the recogniser is told when it is read.
-    told: what it follows is settled later, and judged by that.
+    of the frame. So frame t is scored by what was settled when the sound to 10 t ms + latency was
+    heard, and nothing later. The costs are those of the blocks.
+
+    Parameters
+    ----------
+    recognizer : LiveRecognizer
+        Reset first.
+    samples : Array32
+        (n,) at 16 kHz.
+    servos_deg : Array | None
+        (n_frames, n_servos), encoder readings each 10 ms, which the recogniser gets when they are
+        read.
+    text : KnownText
+        The words that it gets; what follows them is settled later, and scored by that.
+
+    Returns
+    -------
+    tuple[FrameLabels, StepCosts]
+        Labels and costs in s.
     """
     recognizer.reset()
     n_tail = round((recognizer.latency_s + 0.1) * SAMPLE_RATE_HZ)
@@ -141,8 +156,8 @@ def label_frames(
     blocks = blocks_of(whole, n_first)
     if servos_deg is not None and isinstance(recognizer, ServoListener):
         blocks = _with_servos(blocks, recognizer, servos_deg)
-    if told.text and isinstance(recognizer, TextFollower):
-        pieces = told.pieces(len(samples) / SAMPLE_RATE_HZ)
+    if text.text and isinstance(recognizer, TextFollower):
+        pieces = text.pieces(len(samples) / SAMPLE_RATE_HZ)
         blocks = _telling(blocks, recognizer, [(at_s, pronounced(t)) for at_s, t in pieces])
     RecognizerStream(recognizer, (labels, costs)).run(blocks)
     return labels, costs
@@ -153,7 +168,7 @@ def _telling(
     recognizer: TextFollower,
     pieces: Sequence[tuple[float, Sequence[PronouncedWord]]],
 ) -> Iterator[AudioBlock]:
-    """The blocks; before each, the recogniser is told what is due."""
+    """The blocks; before each, the recogniser gets the words that are due."""
     waiting, is_first = deque(pieces), True
     for block in blocks:
         while waiting and waiting[0][0] <= block.start_s:
@@ -165,23 +180,39 @@ def _telling(
 
 @dataclass(frozen=True, slots=True)
 class Leaving:
-    """How long a text that is not said moves the mouth, s; None: to the end of the sound."""
+    """How long a text that is not spoken moves the mouth, s; None: to the end of the sound."""
 
     left_s: float | None
 
 
 def time_to_leave(
-    recognizer: LiveRecognizer, said: Array32, other: Array32, onset_s: float, told: str
+    recognizer: LiveRecognizer, speech: Array32, other: Array32, onset_s: float, text: str
 ) -> Leaving:
-    """A sound (n,) with its words, and another (m,) whose words differ from those that are told.
+    """Play a sound with its words, and then another whose words differ from the given ones.
 
-    onset_s: from the beginning of the other sound to its first phone.
+    Parameters
+    ----------
+    recognizer : LiveRecognizer
+        Reset first.
+    speech : Array32
+        (n,).
+    other : Array32
+        (m,).
+    onset_s : float
+        From the beginning of the other sound to its first phone.
+    text : str
+        The given words.
+
+    Returns
+    -------
+    Leaving
+        Seconds until the given text no longer moves the mouth.
     """
     recognizer.reset()
     assert isinstance(recognizer, TextFollower)
-    recognizer.tell(pronounced(told))
-    samples = np.concatenate((said, other))
-    onset_s += len(said) / SAMPLE_RATE_HZ
+    recognizer.tell(pronounced(text))
+    samples = np.concatenate((speech, other))
+    onset_s += len(speech) / SAMPLE_RATE_HZ
     stream = RecognizerStream(recognizer)
     for block in blocks_of(samples[: len(samples) // _HOP * _HOP], _HOP):
         stream.feed([block])
@@ -194,14 +225,14 @@ def time_to_leave(
 def _with_servos(
     blocks: Iterable[AudioBlock], recognizer: ServoListener, servos_deg: Array
 ) -> Iterator[AudioBlock]:
-    """The blocks; before each, the recogniser is told what was read by then."""
-    speeds, n_told = ServoSpeeds(), 0
+    """The blocks; before each, the recogniser gets the encoder readings until then."""
+    speeds, n_passed = ServoSpeeds(), 0
     for block in blocks:
-        while n_told < len(servos_deg) and (n_told + 1) * BLOCK_S <= block.end_s:
-            found = speeds.take((n_told + 1) * BLOCK_S, servos_deg[n_told])
+        while n_passed < len(servos_deg) and (n_passed + 1) * BLOCK_S <= block.end_s:
+            found = speeds.take((n_passed + 1) * BLOCK_S, servos_deg[n_passed])
             if found is not None:
                 recognizer.note_servo_speeds(*found)
-            n_told += 1
+            n_passed += 1
         yield block
 
 

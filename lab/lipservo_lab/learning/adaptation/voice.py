@@ -1,7 +1,7 @@
 """Minutes of one voice with its text, made ready to be learned from, and refused where it is none.
 
 A forced aligner lays any text over any sound for which it finds a way, so every alignment is scored
-(`goodness_of_pronunciation`), labels that somebody brought too. Sentences that were not said so are
+(`goodness_of_pronunciation`), labels of the user too. Sentences that were not spoken so are
 left out; where they are many, the folder is not what it should be.
 """
 
@@ -28,7 +28,7 @@ LEAST_S = 120.0
 #: What is kept for grading: every fifth text, and at least so much.
 _HELD_OUT_STEP, LEAST_HELD_OUT_S = 5, 20.0
 #: Left out at most: of true texts of 64 native sentences none is, of 60 learners' seven, of others'
-#: texts on native sentences all (docs/recognition.md, Whether the text was said).
+#: texts on native sentences all (docs/recognition.md, Does the text match the sound).
 MOST_LEFT_OUT = 0.34
 
 #: What is done, how many, of how many.
@@ -93,7 +93,7 @@ def read_voice(
     """Read, align and split the utterances of one speaker.
 
     Raises SoundError for a file that is no sound, LabelError for labels that cannot be used, and
-    VoiceError for too little of a voice and for texts that are not what is said.
+    VoiceError for too little of a voice and for texts that are not spoken.
     """
     sounds = {each.name: read_speech(each.sound) for each in utterances}
     check_length(sum(len(samples) for samples in sounds.values()) / SAMPLE_RATE_HZ)
@@ -136,7 +136,20 @@ def check_length(duration_s: float) -> None:
 
 
 def why_left_out(aligned: AlignedUtterance, samples: Array32) -> str:
-    """Why an utterance is not learned from, or nothing."""
+    """Return why an utterance is not learned from, or "".
+
+    Parameters
+    ----------
+    aligned : AlignedUtterance
+        Its alignment.
+    samples : Array32
+        (n,) at 16 kHz.
+
+    Returns
+    -------
+    str
+        One line.
+    """
     if aligned.error:
         return aligned.error
     score = aligned.score
@@ -186,7 +199,7 @@ def _same(text: str) -> str:
 def _refuse_bad_labels(
     utterances: Sequence[TranscribedUtterance], aligned: Mapping[str, AlignedUtterance]
 ) -> None:
-    """Labels are somebody's work, and their mistakes that person's to mend."""
+    """Refuse wrong labels: they are a person's work, and their mistakes that person's to mend."""
     for each in utterances:
         if each.labels is not None and aligned[each.name].error:
             raise LabelError(aligned[each.name].error)

@@ -66,7 +66,7 @@ def adapt(
     plan: AdaptationPlan,
     advance: Callable[[str, int, int], None] = lambda _what, _done, _all: None,
 ) -> NetworkWeights:
-    """Weights for the voice of the recordings. advance: hears what is done, how many of how many.
+    """Weights for the voice of the recordings. advance: called with the work, how many of how many.
 
     With one thread the same seed gives the same weights on one kind of processor.
     """
@@ -91,7 +91,24 @@ def learn_voice(
     plan: AdaptationPlan,
     progress: Callable[[int], None] = lambda _step: None,
 ) -> NetworkWeights:
-    """What `start` becomes by learning from arrays (the first one is the light copy)."""
+    """Adapt weights to arrays (the first one is the light copy).
+
+    Parameters
+    ----------
+    start : NetworkWeights
+        Weights.
+    arrays : Sequence[TrainingArray]
+        Features of shape (n_frames, 40) and targets.
+    plan : AdaptationPlan
+        Of the learning.
+    progress : Callable[[int], None]
+        Called with the steps done.
+
+    Returns
+    -------
+    NetworkWeights
+        The adapted weights.
+    """
     schedule = plan.for_network(start)
     torch.manual_seed(plan.seed)
     torch.set_num_threads(plan.n_threads)

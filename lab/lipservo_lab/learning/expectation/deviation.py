@@ -39,10 +39,24 @@ _LOOKAHEAD_S = 0.1
 def with_deviation(
     expectation: Expectation, utterances: Sequence[Utterance], coefficients: Sequence[Array]
 ) -> Expectation:
-    """The expectation whose components each deviate by at least SHARE of the recorded.
+    """Return the expectation with each component deviating by at least SHARE of the recorded.
 
-    coefficients: (n_frames, n_components) of each utterance. Deviations are those in speech from
-    the mean of the sentence, since nothing that is heard tells a sentence's own offset.
+    Deviations are those in speech from the mean of the sentence, since nothing that is heard tells
+    a sentence's own offset.
+
+    Parameters
+    ----------
+    expectation : Expectation
+        Learned.
+    utterances : Sequence[Utterance]
+        Labelled.
+    coefficients : Sequence[Array]
+        (n_frames, n_components) of each.
+
+    Returns
+    -------
+    Expectation
+        Amplified where it deviates less.
     """
     expected, recorded = [], []
     for utterance, motion in zip(utterances, coefficients, strict=True):
@@ -62,10 +76,19 @@ def with_deviation(
 def gain_and_mean(
     expected: Sequence[Array], recorded: Sequence[Array], share: float = SHARE
 ) -> tuple[Array, Array]:
-    """By how much each component is to deviate more, and from which mean: both (n_components,).
+    """Return by how much each component is to deviate more, and from which mean.
 
-    expected, recorded: (n_frames, n_components) of the speech of each sentence; share: of the
-    recorded deviation that is wanted.
+    Parameters
+    ----------
+    expected,recorded : Sequence[Array]
+        (n_frames, n_components) of the speech of each sentence.
+    share : float
+        Of the recorded deviation that is wanted.
+
+    Returns
+    -------
+    tuple[Array, Array]
+        (n_components,) each.
     """
     wanted = share * _deviation(recorded)
     gain = np.clip(wanted / np.maximum(_deviation(expected), 1e-9), 1.0, _LARGEST_GAIN)

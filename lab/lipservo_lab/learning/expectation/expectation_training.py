@@ -90,10 +90,15 @@ _CONSONANTS: dict[str, tuple[str, str, bool, float]] = {
 
 
 def articulatory_features() -> Array:
-    """(40, 22), a row for each of `PHONEMES`.
+    """Return articulatory features, a row for each of `PHONEMES`.
 
     Columns: silence, vowel, consonant; openness, backness, rounding, each at the beginning and at
     the end; the places; the manners; voiced.
+
+    Returns
+    -------
+    Array
+        (40, 22).
     """
     return np.array([_features(phoneme) for phoneme in PHONEMES])
 
@@ -150,7 +155,20 @@ def initial_layers(sizes: tuple[int, ...], rng: np.random.Generator) -> Layers:
 
 
 def forward(layers: Layers, inputs: Array32) -> list[Array32]:
-    """The inputs, and what every layer makes of them; the last one is linear."""
+    """Return the inputs, and the outputs of every layer; the last one is linear.
+
+    Parameters
+    ----------
+    layers : Layers
+        Weights and biases.
+    inputs : Array32
+        (n, n_inputs).
+
+    Returns
+    -------
+    list[Array32]
+        (n, width) each.
+    """
     values = [inputs]
     n_layers = len(layers) // 2
     for i in range(n_layers):
@@ -160,7 +178,22 @@ def forward(layers: Layers, inputs: Array32) -> list[Array32]:
 
 
 def gradients(layers: Layers, inputs: Array32, targets: Array32) -> Layers:
-    """Of half the squared error, summed over outputs and averaged over the batch."""
+    """Return gradients of half the squared error, summed over outputs, averaged over the batch.
+
+    Parameters
+    ----------
+    layers : Layers
+        Weights and biases.
+    inputs : Array32
+        (n, n_inputs).
+    targets : Array32
+        (n, n_outputs).
+
+    Returns
+    -------
+    Layers
+        In the shape of `layers`.
+    """
     values = forward(layers, inputs)
     slope = (values[-1] - targets) / np.float32(len(inputs))
     found: Layers = []
@@ -174,7 +207,26 @@ def gradients(layers: Layers, inputs: Array32, targets: Array32) -> Layers:
 def fit(
     layers: Layers, inputs: Array32, targets: Array32, schedule: Schedule, rng: np.random.Generator
 ) -> Layers:
-    """Train in place, and return the layers."""
+    """Train in place, and return the layers.
+
+    Parameters
+    ----------
+    layers : Layers
+        Weights and biases.
+    inputs : Array32
+        (n, n_inputs).
+    targets : Array32
+        (n, n_outputs).
+    schedule : Schedule
+        Steps and rates.
+    rng : np.random.Generator
+        Draws batches.
+
+    Returns
+    -------
+    Layers
+        In the shape they had.
+    """
     first = [np.zeros_like(layer) for layer in layers]
     second = [np.zeros_like(layer) for layer in layers]
     n_batches = -(-len(inputs) // _BATCH)
@@ -263,11 +315,24 @@ def collect_training_set(
     coefficients: Sequence[Array],
     heard: Mapping[str, Sequence[PhonemeEvent]] | None = None,
 ) -> TrainingSet:
-    """All frames in or near speech; coefficients: (n_frames, n_components) of each utterance.
+    """Return all frames in or near speech.
 
-    heard: what a recogniser made of some of the sentences, by name; those alone are taken then, in
-    the contexts that were heard, every frame at one look-ahead in turn: an error teaches less than
-    a label. None takes every sentence as it is labelled, every frame at every look-ahead.
+    Parameters
+    ----------
+    utterances : Iterable[Utterance]
+        Labelled.
+    coefficients : Sequence[Array]
+        (n_frames, n_components) of each.
+    heard : Mapping[str, Sequence[PhonemeEvent]] | None
+        Phonemes that a recogniser made of some of the sentences, by name; those alone are taken
+        then, in the contexts that were recognised, every frame at one look-ahead in turn: an error
+        teaches less than a label. None takes every sentence as it is labelled, every frame at every
+        look-ahead.
+
+    Returns
+    -------
+    TrainingSet
+        Contexts of shape (n, 5), and faces.
     """
     n_components = coefficients[0].shape[1] if coefficients else 0
     n_turns = 1 if heard is None else len(TRAINED_LOOKAHEADS_S)
@@ -294,7 +359,21 @@ def fit_expectation(
 ) -> Expectation:
     """Learn from a training set; the same set and seed give the same expectation.
 
-    centres: (40, n_components), what a phoneme looks like where there are too few frames to learn.
+    Parameters
+    ----------
+    training_set : TrainingSet
+        Contexts and faces.
+    centres : Array
+        (40, n_components), what a phoneme looks like where there are too few frames to learn.
+    seed : int
+        Of weights and batches.
+    progress : Progress
+        Called with the progress.
+
+    Returns
+    -------
+    Expectation
+        The expectation.
     """
     if len(training_set.faces) < _FEWEST_FRAMES * len(TRAINED_LOOKAHEADS_S):
         return constant_expectation(centres)
@@ -345,13 +424,25 @@ def _fit_family(
 
 
 def articulation_table() -> Array32:
-    """(41, 22): articulatory features of each phoneme, zeros for UNKNOWN."""
+    """Return articulatory features of each phoneme, zeros for UNKNOWN.
+
+    Returns
+    -------
+    Array32
+        (41, 22).
+    """
     features = articulatory_features()
     return np.concatenate([features, np.zeros((1, features.shape[1]))]).astype(np.float32)
 
 
 def phoneme_features() -> list[Array32]:
-    """For each slot (41, n_features): articulation; in the middle slots class and name as well."""
+    """Return features for each slot: articulation; in the middle slots class and name as well.
+
+    Returns
+    -------
+    list[Array32]
+        (41, n_features) each.
+    """
     articulation = articulation_table()
     viseme = np.zeros((UNKNOWN + 1, len(VISEME_CLASSES)), dtype=np.float32)
     viseme[np.arange(len(PHONEMES)), [VISEME_OF[p] for p in PHONEMES]] = 1.0

@@ -1,8 +1,8 @@
 """Learning what the mouth does by a recogniser's posteriors, of a voice disturbed in many ways.
 
 The recordings are of few talkers; so every sentence is heard as it is and again as other voices in
-other rooms would have said it (times stay), and its face is learned from what the recogniser
-believes each time. Frames are seen as they are live: by the heads that have spoken of them when a
+other rooms would have spoken it (times stay), and its face is learned from the recogniser's
+posteriors each time. Frames are seen as they are live: by the heads that have spoken of them when a
 look-ahead of 100 ms is over, and on every other frame when there is less.
 """
 
@@ -71,7 +71,7 @@ def hear_copies(
     utterances: Sequence[Utterance],
     progress: Callable[[str, Sequence[Utterance]], Iterable[Utterance]],
 ) -> HeardCopies:
-    """What a recogniser believes of every sentence, in each voice; unreadable sounds left out."""
+    """A recogniser's posteriors of every sentence, in each voice; unreadable sounds left out."""
     voices = []
     with threadpool_limits(limits=1):  # several threads add up in changing order
         for number, factor in enumerate(_VOICES):
@@ -111,16 +111,37 @@ def _disturbed(rng: np.random.Generator, samples: Array32, factor: float) -> Arr
 
 
 def looks() -> Array32:
-    """(n_phonemes, k): articulation and viseme class, in which words never met are familiar."""
+    """Return articulation and viseme class, in which unknown words are familiar.
+
+    Returns
+    -------
+    Array32
+        (n_phonemes, k).
+    """
     classes = np.eye(len(VISEME_CLASSES))[[VISEME_OF[phoneme] for phoneme in PHONEMES]]
     return np.concatenate([articulatory_features(), classes], axis=1).astype(np.float32)
 
 
 def believed_means(values: Array32, delays: Sequence[int], frames: Array, ahead: int) -> Array32:
-    """(n, n_windows, n_phonemes) around frames (n,), as they are live `ahead` frames later.
+    """Return mean posteriors around frames, as they are live `ahead` frames later.
 
-    values: (n_frames, n_heads, n_phonemes). Before the first frame there was silence; what no head
-    has spoken of is 0.
+    Before the first frame there was silence; where no head has spoken it is 0.
+
+    Parameters
+    ----------
+    values : Array32
+        (n_frames, n_heads, n_phonemes).
+    delays : Sequence[int]
+        Of the heads, in frames.
+    frames : Array
+        (n,).
+    ahead : int
+        Frames.
+
+    Returns
+    -------
+    Array32
+        (n, n_windows, n_phonemes).
     """
     wanted = frames.astype(np.int64)[:, None] + OFFSETS
     rows = np.zeros((*wanted.shape, values.shape[2]), np.float32)

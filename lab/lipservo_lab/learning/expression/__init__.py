@@ -1,1 +1,1 @@
-"""Learning expression from tracks of somebody's head, eyes and lids; offline."""
+"""Learning expression from tracks of a person's head, eyes and lids; offline."""

@@ -43,7 +43,18 @@ _FEWEST_BLINKS = 10
 
 
 def smoothed(values: Array) -> Array:
-    """Angles (n_frames, n) without a tracker's jitter; half as large at 2.9 Hz, not late."""
+    """Return angles without a tracker's jitter; half as large at 2.9 Hz, not late.
+
+    Parameters
+    ----------
+    values : Array
+        (n_frames, n).
+
+    Returns
+    -------
+    Array
+        (n_frames, n).
+    """
     for _ in range(2):
         begin = (1.0 - _SMOOTHING) * values[:1]
         passed, _end = lfilter([_SMOOTHING], [1.0, _SMOOTHING - 1.0], values, axis=0, zi=begin)
@@ -138,7 +149,18 @@ def _fit_lids(shut: list[Array], poses: list[Array], gazes: list[Array]) -> Arra
 
 
 def blink_times_s(shut: Array) -> Array:
-    """When the lids of a track (n_frames,) pass half shut on their way down."""
+    """Return when the lids of a track pass half shut on their way down.
+
+    Parameters
+    ----------
+    shut : Array
+        (n_frames,).
+
+    Returns
+    -------
+    Array
+        (n_blinks,) s.
+    """
     times_s, is_shut = [], bool(shut[0] > _OPEN_BELOW)
     for frame, value in enumerate(shut.tolist()):
         if not is_shut and value > _SHUT_ABOVE:
@@ -150,10 +172,20 @@ def blink_times_s(shut: Array) -> Array:
 
 
 def fit_blinks(shut: Sequence[Array]) -> tuple[float, float] | None:
-    """Mean and standard deviation of log intervals by maximum likelihood; None: too few blinks.
+    """Return mean and standard deviation of log intervals by maximum likelihood.
 
     Intervals that a recording's end cuts off count as longer than what was seen of them, or short
     recordings would know of short intervals only. What precedes the first blink is left out.
+
+    Parameters
+    ----------
+    shut : Sequence[Array]
+        (n_frames,) each.
+
+    Returns
+    -------
+    tuple[float, float] | None
+        Of the logarithm of s; None: too few blinks.
     """
     whole, cut, n_blinks = [], [], 0
     for lid in shut:

@@ -26,7 +26,7 @@ from lipservo_lab.learning.expression.tracks import (
     TrackError,
     check_alike,
     hear,
-    nobody_watches,
+    no_progress,
     read_track_files,
 )
 from lipservo_lab.learning.learned_expression.expression_model import RATE_HZ, ExpressionModel
@@ -50,7 +50,20 @@ _LEAST_POWER = 1e-9
 
 
 def canonical_correlation(x: Array, y: Array) -> float:
-    """The greatest correlation of any mixture of x (n, p) with any of y (n, q); Hotelling 1936."""
+    """Return the greatest correlation of any mixture of x with any of y; Hotelling 1936.
+
+    Parameters
+    ----------
+    x : Array
+        (n, p).
+    y : Array
+        (n, q).
+
+    Returns
+    -------
+    float
+        0 to 1.
+    """
 
     def orthonormal(values: Array) -> Array:
         centred = values - values.mean(axis=0)
@@ -63,9 +76,21 @@ def canonical_correlation(x: Array, y: Array) -> float:
 
 
 def head_correlation(prosody: Sequence[Array], poses: Sequence[Array]) -> float:
-    """First canonical correlation of the voice of the last 200 ms with the head's motion.
+    """Return the first canonical correlation of the last 200 ms of voice with the head's motion.
 
     Motion: speed, velocity of pitch and its amount.
+
+    Parameters
+    ----------
+    prosody : Sequence[Array]
+        (n, 2) each.
+    poses : Sequence[Array]
+        (n, 3) each.
+
+    Returns
+    -------
+    float
+        0 to 1.
     """
     x, y = [], []
     for heard, pose in zip(prosody, poses, strict=True):
@@ -75,7 +100,20 @@ def head_correlation(prosody: Sequence[Array], poses: Sequence[Array]) -> float:
 
 
 def head_lag_s(prosody: Sequence[Array], poses: Sequence[Array]) -> tuple[float, float]:
-    """By how much the head's speed follows loudness, and their correlation there; -0.2 to 0.4 s."""
+    """Return by how much the head's speed follows loudness, and their correlation there.
+
+    Parameters
+    ----------
+    prosody : Sequence[Array]
+        (n, 2) each.
+    poses : Sequence[Array]
+        (n, 3) each.
+
+    Returns
+    -------
+    tuple[float, float]
+        -0.2 to 0.4 s, and the correlation.
+    """
     best = (0.0, 0.0)
     for lag in range(_LEAST_LAG_FRAMES, _MOST_LAG_FRAMES + 1):
         pairs = [
@@ -90,7 +128,18 @@ def head_lag_s(prosody: Sequence[Array], poses: Sequence[Array]) -> tuple[float,
 
 
 def log_psd_distance_db(one: Sequence[Array], other: Sequence[Array]) -> float:
-    """Root mean square difference of the poses' power spectra, over axes and 0.8 to 12.5 Hz."""
+    """Return the rms difference of the poses' power spectra, over axes and 0.8 to 12.5 Hz.
+
+    Parameters
+    ----------
+    one,other : Sequence[Array]
+        (n, 3) each.
+
+    Returns
+    -------
+    float
+        dB.
+    """
     ratio = np.log10(_power(one)) - np.log10(_power(other))
     return 10.0 * float(np.sqrt(np.mean(np.square(ratio))))
 
@@ -207,7 +256,20 @@ def measure_held_out(
 
 
 def generated_poses(expression: LearnedExpression, prosody: Array) -> Array:
-    """Pitch, yaw, roll (n, 3) of the frames of a recording with this prosody (n, 2)."""
+    """Return the poses of a recording with this prosody.
+
+    Parameters
+    ----------
+    expression : LearnedExpression
+        Learned.
+    prosody : Array
+        (n, 2).
+
+    Returns
+    -------
+    Array
+        (n, 3) degrees: pitch, yaw, roll.
+    """
     poses = []
     for pitch_z, loudness_z in prosody.tolist():
         for _ in range(_CUES_PER_FRAME):
@@ -248,7 +310,7 @@ _HELD_OUT_EVERY = 10
 
 
 def train_expression(
-    folder: Path, seed: int = 0, progress: Progress = nobody_watches
+    folder: Path, seed: int = 0, progress: Progress = no_progress
 ) -> tuple[ExpressionModel, dict[str, object]]:
     """The model, and its figures by name.
 
@@ -277,7 +339,7 @@ def train_expression(
     return model, figures
 
 
-def read_tracks(folder: Path, progress: Progress = nobody_watches) -> list[ExpressionTrack]:
+def read_tracks(folder: Path, progress: Progress = no_progress) -> list[ExpressionTrack]:
     """The tracks of either kind of folder. Raises TrackError, CorpusError."""
     if (folder / "landmarks.json").is_file():
         return read_grid_tracks(folder, progress)

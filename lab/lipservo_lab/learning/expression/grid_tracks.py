@@ -13,7 +13,7 @@ from lipservo_lab.learning.expression.tracks import (
     Progress,
     TrackError,
     at_model_rate,
-    nobody_watches,
+    no_progress,
 )
 from lipsync.arrays import Array
 from lipsync.face.head_motion import apply_similarity, fit_similarity, refine_mean
@@ -34,7 +34,7 @@ _SEES_BELOW = 0.35
 _MEAN_OF = 5
 
 
-def read_grid_tracks(folder: Path, progress: Progress = nobody_watches) -> list[ExpressionTrack]:
+def read_grid_tracks(folder: Path, progress: Progress = no_progress) -> list[ExpressionTrack]:
     """Head, gaze and lids of every recording. Raises CorpusError, TrackError.
 
     Head: the rotation of the rigid points against their mean, from the usual pose. Gaze: irises
@@ -72,10 +72,20 @@ def read_grid_tracks(folder: Path, progress: Progress = nobody_watches) -> list[
 
 
 def head_angles_deg(rotations: Array) -> tuple[Array, Array, Array]:
-    """Pitch, yaw, roll (n,) of head orientations (n, 3, 3), in the signs of `Expression`.
+    """Return the angles of head orientations, in the signs of `Expression`.
 
     x to the picture's right, which is the face's own left, y up, z to the viewer; yaw, then pitch,
     then roll.
+
+    Parameters
+    ----------
+    rotations : Array
+        (n, 3, 3).
+
+    Returns
+    -------
+    tuple[Array, Array, Array]
+        (n,) degrees each: pitch, yaw, roll.
     """
     forward, up = rotations[:, :, 2], rotations[:, 1]
     pitch = np.degrees(np.arcsin(np.clip(forward[:, 1], -1.0, 1.0)))

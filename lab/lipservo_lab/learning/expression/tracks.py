@@ -1,4 +1,4 @@
-"""Tracks: what a head, its eyes and its lids did while somebody spoke, with the sound.
+"""Tracks: the motion of a talking person's head, eyes and lids, with the sound.
 
 Tracks of a user's own: `NAME.csv` beside `NAME.wav` or any other sound file.
 
@@ -35,7 +35,7 @@ _BLOCKS_PER_FRAME = round(1.0 / (RATE_HZ * BLOCK_S))
 Progress = Callable[[str, int, int], None]
 
 
-def nobody_watches(_what: str, _n_done: int, _n_all: int) -> None:
+def no_progress(_what: str, _n_done: int, _n_all: int) -> None:
     """Progress that is not shown."""
 
 
@@ -57,7 +57,18 @@ class ExpressionTrack:
         return len(next(iter(self.values.values())))
 
     def stacked(self, names: Sequence[str]) -> Array:
-        """The values of some names, (n_frames, n)."""
+        """Return the values of some names.
+
+        Parameters
+        ----------
+        names : Sequence[str]
+            n of them.
+
+        Returns
+        -------
+        Array
+            (n_frames, n).
+        """
         return np.stack([self.values[name] for name in names], axis=1)
 
 
@@ -70,17 +81,28 @@ class HeardTrack:
 
 
 def at_model_rate(times_s: Array, values: dict[str, Array]) -> dict[str, Array]:
-    """Values at 25 Hz from 0 s to the last time, interpolated; before the first, held."""
+    """Return values at 25 Hz from 0 s to the last time, interpolated; before the first, held.
+
+    Parameters
+    ----------
+    times_s : Array
+        (n,).
+    values : dict[str, Array]
+        (n,) by name.
+
+    Returns
+    -------
+    dict[str, Array]
+        (n_frames,) by name.
+    """
     frames_s = np.arange(int(times_s[-1] * RATE_HZ + 1e-6) + 1) / RATE_HZ
     return {name: np.interp(frames_s, times_s, each) for name, each in values.items()}
 
 
-def hear(
-    tracks: Sequence[ExpressionTrack], progress: Progress = nobody_watches
-) -> list[HeardTrack]:
-    """The tracks with their prosody, as the live part hears it; one voice speaks them all.
+def hear(tracks: Sequence[ExpressionTrack], progress: Progress = no_progress) -> list[HeardTrack]:
+    """The tracks with their prosody, as the live part measures it; one voice speaks them all.
 
-    The same tracker hears one after the other, so that the voice is known from the second on.
+    The same tracker gets one after the other, so that the voice is known from the second on.
     Raises SoundError.
     """
     tracker, heard = VoiceTracker(), []
@@ -92,9 +114,23 @@ def hear(
 
 
 def prosody_frames(samples: np.ndarray, n_frames: int, tracker: VoiceTracker) -> Array:
-    """(n_frames, 2): pitch and loudness z, means over the 40 ms before each frame.
+    """Return pitch and loudness z, means over the 40 ms before each frame.
 
     Sound that ends before the track is silence. Frame 0 has heard nothing yet.
+
+    Parameters
+    ----------
+    samples : np.ndarray
+        (n,) at 16 kHz.
+    n_frames : int
+        At 25 Hz.
+    tracker : VoiceTracker
+        Knows the voice.
+
+    Returns
+    -------
+    Array
+        (n_frames, 2).
     """
     n_blocks = (n_frames - 1) * _BLOCKS_PER_FRAME
     whole = np.zeros(n_blocks * _BLOCK, np.float32)
@@ -124,7 +160,7 @@ _LONGEST_HOLE_S = 0.5
 _MOST_DEG = 90.0
 
 
-def read_track_files(folder: Path, progress: Progress = nobody_watches) -> list[ExpressionTrack]:
+def read_track_files(folder: Path, progress: Progress = no_progress) -> list[ExpressionTrack]:
     """All tracks of a folder, by name. Raises TrackError."""
     if not folder.is_dir():
         raise TrackError(f"{folder}: no such folder")

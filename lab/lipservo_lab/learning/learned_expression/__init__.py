@@ -1,1 +1,1 @@
-"""Head, gaze and lids as they were learned from somebody's tracks; live, NumPy only."""
+"""Head, gaze and lids as they were learned from a person's tracks; live, NumPy only."""

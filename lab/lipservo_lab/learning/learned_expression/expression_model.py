@@ -1,4 +1,4 @@
-"""What was learned of somebody's head, gaze and lids; and its file, one .npz without pickle."""
+"""A learned model of a person's head, gaze and lids; and its file, one .npz without pickle."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,12 +48,38 @@ class ExpressionModel:
 
 
 def gaze_inputs(poses_deg: Array, prosody: Array) -> Array:
-    """(21,) of poses (6, 3), the newest first, and (pitch, loudness) z; the last is 1."""
+    """Return the inputs of gaze.
+
+    Parameters
+    ----------
+    poses_deg : Array
+        (6, 3), the newest first.
+    prosody : Array
+        (2,): pitch and loudness z.
+
+    Returns
+    -------
+    Array
+        (21,); the last is 1.
+    """
     return np.concatenate((poses_deg.ravel(), prosody, (1.0,)))
 
 
 def lid_inputs(gaze_pitches_deg: Array, head_pitch_deg: float) -> Array:
-    """(6,) of the eyes' pitch (3,), newest first, and the head's; down is positive."""
+    """Return the inputs of the lids; down is positive.
+
+    Parameters
+    ----------
+    gaze_pitches_deg : Array
+        (3,), newest first.
+    head_pitch_deg : float
+        The head's.
+
+    Returns
+    -------
+    Array
+        (6,).
+    """
     nod = (max(0.0, -head_pitch_deg), max(0.0, head_pitch_deg), 1.0)
     return np.concatenate((np.maximum(0.0, -gaze_pitches_deg), nod))
 

@@ -93,7 +93,7 @@ _WIDEST, _MOST_FOLLOWED = -0.2, 0.5
 
 
 def prosody_of(voice: VoiceFrame) -> tuple[float, float]:
-    """What the mixture hears of 10 ms: pitch and loudness in standard deviations."""
+    """The mixture's input for 10 ms: pitch and loudness in standard deviations."""
     return (voice.pitch_z, max(SILENT_Z, voice.loudness_z)) if voice.is_speech else (0.0, SILENT_Z)
 
 
@@ -206,7 +206,7 @@ _OVER_S: Final = 1.0
 class LearnedHead:
     """A `WholeExpression` of two: `learned` in conversation, `otherwise` in all else.
 
-    Idle motion, rest and looking at somebody are not in the tracks of a talking head.
+    Idle motion, rest and looking at a person are not in the tracks of a talking head.
     """
 
     def __init__(self, learned: ExpressionSource, otherwise: WholeExpression) -> None:
@@ -216,7 +216,7 @@ class LearnedHead:
 
     @property
     def is_resting(self) -> bool:
-        """Whether it is at neutral, and stays there until somebody speaks or moves."""
+        """Whether it is at neutral, and stays there until a person speaks or moves."""
         return self._share == 0.0 and self._otherwise.is_resting
 
     def step(self, cue: ExpressionCue) -> Expression:

@@ -97,25 +97,61 @@ class PoseMixture:
         object.__setattr__(self, "_log_scales", np.log(self.weights) + half_log_det)
 
     def log_density(self, features: Array) -> float:
-        """Log p(x) of features (11,), less the constant -11/2 log 2 pi."""
+        """Return log p(x), less the constant -11/2 log 2 pi.
+
+        Parameters
+        ----------
+        features : Array
+            (11,).
+
+        Returns
+        -------
+        float
+            Its logarithm.
+        """
         away = self.means - features
         squares = np.einsum("ki,kij,kj->k", away, self.precisions, away)
         logs = self._log_scales - 0.5 * squares
         return float(logs.max() + np.log(np.exp(logs - logs.max()).sum()))
 
     def features(self, poses_deg: tuple[Array, Array, Array], prosody: Array) -> Array:
-        """X (11,) of the pose before last, the last, the new one, and (pitch, loudness) z."""
+        """Return x of three poses and prosody.
+
+        Parameters
+        ----------
+        poses_deg : tuple[Array, Array, Array]
+            (3,) each: the pose before last, the last, the new one.
+        prosody : Array
+            (2,): pitch and loudness z.
+
+        Returns
+        -------
+        Array
+            (11,).
+        """
         before, last, new = poses_deg
         per_s = 1.0 / self.period_s
         acceleration = (new - 2.0 * last + before) * (per_s * per_s)
         return np.concatenate((new, (new - last) * per_s, acceleration, prosody))
 
     def next_pose(self, before: Array, last: Array, prosody: Array) -> tuple[Array, Factor]:
-        """The likeliest pose (3,) after two poses; the Cholesky factor of the curvature there.
+        """Return the likeliest pose after two, and the Cholesky factor of the curvature there.
 
         Gauss-Newton ascent from the extrapolated pose 2 last - before. Each component is quadratic
         in the pose; a round weighs them by how likely they made it and goes to the top of their
         sum, which never lowers the density (as an EM step).
+
+        Parameters
+        ----------
+        before,last : Array
+            (3,) degrees.
+        prosody : Array
+            (2,): pitch and loudness z.
+
+        Returns
+        -------
+        tuple[Array, Factor]
+            (3,) degrees, and (3, 3).
         """
         fixed = self.features((before, last, np.zeros(N_AXES)), prosody)
         away = self.means - fixed

@@ -122,10 +122,13 @@ def train(
         both = joined([from_labels, from_hearing])
         expectation = fit_expectation(both, centres, seed=seed, progress=progress)
         each = counted_sentences(labelled.utterances)
-        said, motion = [labelled.utterances[i] for i in each], [coefficients[i] for i in each]
-        expectation = with_deviation(expectation, said, motion)
+        utterances_of, motion = (
+            [labelled.utterances[i] for i in each],
+            [coefficients[i] for i in each],
+        )
+        expectation = with_deviation(expectation, utterances_of, motion)
         progress("baselines")
-        dominance = tune_dominance(said, motion, centres)
+        dominance = tune_dominance(utterances_of, motion, centres)
         regression = fit_regression(
             from_labels.phonemes, from_labels.times_s, from_labels.lookahead_s, from_labels.faces
         )
@@ -207,10 +210,20 @@ def _face(
 
 
 def phone_centres(segments: Segments) -> tuple[Array, Array]:
-    """The mean middle sample of each phoneme (40, n_components), and how often they count (40,).
+    """Return the mean middle sample of each phoneme, and how often they count.
 
-    A phoneme never heard takes the mean of its viseme class, and where that is empty of what
-    stands in for it.
+    A phoneme never heard takes the mean of its viseme class, and where that is empty of what stands
+    in for it.
+
+    Parameters
+    ----------
+    segments : Segments
+        Of the corpus.
+
+    Returns
+    -------
+    tuple[Array, Array]
+        (40, n_components) and (40,).
     """
     middles = segments.samples[:, SAMPLES_PER_ANIMPHO // 2]
     counts = np.bincount(segments.phonemes, segments.weights, len(PHONEMES)).astype(np.float64)
@@ -229,10 +242,22 @@ def phone_centres(segments: Segments) -> tuple[Array, Array]:
 
 
 def cut_segments(utterances: Iterable[Utterance], coefficients: list[Array]) -> Segments:
-    """One segment a phoneme, resampled to five evenly spaced frames.
+    """Return one segment a phoneme, resampled to five evenly spaced frames.
 
-    coefficients: (n_frames, n_components) for each utterance. Neighbours share exactly one frame:
-    the one at their boundary, interpolated, because a phone may be shorter than a frame at 25 Hz.
+    Neighbours share exactly one frame: the one at their boundary, interpolated, because a phone may
+    be shorter than a frame at 25 Hz.
+
+    Parameters
+    ----------
+    utterances : Iterable[Utterance]
+        Labelled.
+    coefficients : list[Array]
+        (n_frames, n_components) of each.
+
+    Returns
+    -------
+    Segments
+        Samples of shape (m, 5, n_components).
     """
     samples, phonemes, sentence, weights = [], [], [], []
     for number, (utterance, motion) in enumerate(zip(utterances, coefficients, strict=True)):

@@ -47,11 +47,21 @@ class Closures:
 def observe_closures(
     utterances: Iterable[Utterance], lip_gaps_mm: Callable[[NDArray[np.floating]], Array]
 ) -> Closures:
-    """Medians over all closing phones. A phoneme too rare takes the median of all.
+    """Return medians over all closing phones; a phoneme too rare takes the median of all.
 
-    lip_gaps_mm: (n_frames, n_points, 3) -> (n_frames,), how far the lips are apart.
+    Parameters
+    ----------
+    utterances : Iterable[Utterance]
+        Labelled.
+    lip_gaps_mm : Callable[[NDArray[np.floating]], Array]
+        (n_frames, n_points, 3) to (n_frames,), how far the lips are apart.
+
+    Returns
+    -------
+    Closures
+        Gap in mm and times in s.
     """
-    moments_s: dict[str, list[float]] = {phoneme: [] for phoneme in _CLOSING}
+    at_s: dict[str, list[float]] = {phoneme: [] for phoneme in _CLOSING}
     labiodental_mm: list[float] = []
     for utterance in utterances:
         gaps_mm = lip_gaps_mm(utterance.markers_mm)
@@ -62,12 +72,12 @@ def observe_closures(
             times_s = np.arange(phone.start_s - _AROUND_S, phone.end_s + _AROUND_S, _STEP_S)
             around_mm = np.interp(times_s, frames_s, gaps_mm)
             tight = around_mm <= around_mm.min() + _AS_TIGHT_MM
-            moments_s[phone.phoneme].append(float(times_s[tight].mean() - phone.start_s))
+            at_s[phone.phoneme].append(float(times_s[tight].mean() - phone.start_s))
             if phone.phoneme in ("F", "V"):
                 labiodental_mm.append(float(around_mm.min()))
-    everything = [m for list_ in moments_s.values() for m in list_] or [0.0]
+    everything = [m for list_ in at_s.values() for m in list_] or [0.0]
     tightest_s = np.zeros(len(PHONEMES))
-    for phoneme, list_ in moments_s.items():
+    for phoneme, list_ in at_s.items():
         enough = list_ if len(list_) >= _FEWEST else everything
         # Inside the phone, or a closure would belong to the phone before.
         tightest_s[PHONEMES.index(phoneme)] = max(0.0, float(np.median(enough)))
@@ -76,7 +86,20 @@ def observe_closures(
 
 
 def counted(n: int, weight: float) -> NDArray[np.int64]:
-    """Which of n things in their order to take, some of them more than once; 1 takes each once."""
+    """Return which of n things to take, some of them more than once; weight 1 takes each once.
+
+    Parameters
+    ----------
+    n : int
+        Things.
+    weight : float
+        How often each.
+
+    Returns
+    -------
+    NDArray[np.int64]
+        (k,) numbers, ascending.
+    """
     wanted = max(1, round(n * weight)) if n else 0
     return np.minimum((np.arange(wanted) + 0.5) * n / max(wanted, 1), n - 1).astype(np.int64)
 
@@ -86,7 +109,22 @@ def counted_training_set(
     coefficients: Sequence[Array],
     heard: Mapping[str, Sequence[PhonemeEvent]] | None = None,
 ) -> TrainingSet:
-    """`collect_training_set` with every context there as often as its speaker counts."""
+    """Return `collect_training_set` with every context there as often as its speaker counts.
+
+    Parameters
+    ----------
+    utterances : Sequence[Utterance]
+        Labelled.
+    coefficients : Sequence[Array]
+        (n_frames, n_components) of each.
+    heard : Mapping[str, Sequence[PhonemeEvent]] | None
+        Recognised phonemes, by name; None: the labels.
+
+    Returns
+    -------
+    TrainingSet
+        Contexts of shape (n, 5), and faces.
+    """
     sets = []
     for weight in dict.fromkeys(u.weight for u in utterances):
         of_weight = [i for i, u in enumerate(utterances) if u.weight == weight]
@@ -130,15 +168,39 @@ class PrincipalComponents:
     variance_held: float
 
     def coefficients(self, frames: Array) -> Array:
-        """(n_frames, n_values) -> (n_frames, n_components)."""
+        """Return the coefficients of frames.
+
+        Parameters
+        ----------
+        frames : Array
+            (n_frames, n_values).
+
+        Returns
+        -------
+        Array
+            (n_frames, n_components).
+        """
         return np.asarray(frames @ self.basis.T - self.mean @ self.basis.T)
 
 
 def principal_components(frames: Array, weights: Array, n_components: int) -> PrincipalComponents:
-    """The eigenvectors of the weighted covariance.
+    """Return the eigenvectors of the weighted covariance.
 
-    frames: (n_frames, n_values); weights: (n_frames,), a frame of weight 2 counts as two. The
-    largest number of each component is positive, so that the same frames give the same signs.
+    The largest number of each component is positive, so that the same frames give the same signs.
+
+    Parameters
+    ----------
+    frames : Array
+        (n_frames, n_values).
+    weights : Array
+        (n_frames,), a frame of weight 2 counts as two.
+    n_components : int
+        How many.
+
+    Returns
+    -------
+    PrincipalComponents
+        Basis of shape (n_components, n_values).
     """
     total = weights.sum()
     mean = (frames * weights[:, None]).sum(axis=0) / total
@@ -176,10 +238,25 @@ _CLOSED_SHARE = 1.0 / 3.0
 def mean_at_rest(
     utterances: Iterable[Utterance], motion: Sequence[Array], layout: PointLayout
 ) -> Array:
-    """The mean of all silent frames with closed lips; of the most closed tenth if none touch.
+    """Return the mean of all silent frames with closed lips.
 
-    motion: of each utterance (n_frames, n), whatever is to be averaged. Without silence, of all
-    frames.
+    Of the most closed tenth if none touch.
+
+    Without silence, of all frames.
+
+    Parameters
+    ----------
+    utterances : Iterable[Utterance]
+        Labelled.
+    motion : Sequence[Array]
+        (n_frames, n) of each, whatever is to be averaged.
+    layout : PointLayout
+        Of the points.
+
+    Returns
+    -------
+    Array
+        (n,).
     """
     still, gap_mm = _silent_frames(utterances, motion, layout)
     if not len(still):
@@ -189,10 +266,22 @@ def mean_at_rest(
 
 
 def closed_mouth_mm(utterances: Sequence[Utterance], layout: PointLayout) -> Array:
-    """(n_points, 3): the mean of the most closed third of all silent frames.
+    """Return the mean of the most closed third of all silent frames.
 
     No distance in mm decides, so that it is the same mouth on a face of another size. Without
     silence, of all frames.
+
+    Parameters
+    ----------
+    utterances : Sequence[Utterance]
+        Labelled.
+    layout : PointLayout
+        Of the points.
+
+    Returns
+    -------
+    Array
+        (n_points, 3).
     """
     motion = [u.markers_mm.reshape(len(u.markers_mm), -1).astype(np.float64) for u in utterances]
     still, gap_mm = _silent_frames(utterances, motion, layout)

@@ -1,4 +1,4 @@
-"""Corpora of several speakers become one corpus, as if one face had said everything.
+"""Corpora of several speakers become one corpus, as if one face had spoken everything.
 
 One speaker's motion on another speaker's face: a rotation, and a scale for each axis.
 
@@ -51,7 +51,7 @@ class FaceMapError(UserError):
 class PhonemeFaces:
     """The closed mouth, and what each phoneme looks like in its middle, on average.
 
-    rest_mm: (n_points, 3); means_mm: (40, n_points, 3), 0 for what is not said; counts: (40,).
+    rest_mm: (n_points, 3); means_mm: (40, n_points, 3), 0 for phonemes not spoken; counts: (40,).
     """
 
     rest_mm: Array
@@ -74,13 +74,37 @@ class FaceMap:
         return float(np.degrees(np.arccos(np.clip((np.trace(self.rotation) - 1.0) / 2.0, -1, 1))))
 
     def on_target(self, markers_mm: NDArray[np.floating]) -> Array:
-        """(n_frames, n_points, 3) of the speaker, as the target's face would do it."""
+        """Return a speaker's markers as the target's face would move.
+
+        Parameters
+        ----------
+        markers_mm : NDArray[np.floating]
+            (n_frames, n_points, 3).
+
+        Returns
+        -------
+        Array
+            (n_frames, n_points, 3) mm.
+        """
         moved = (markers_mm - self.rest_mm) @ self.rotation.T
         return np.asarray(self.target_rest_mm + moved * self.scale)
 
 
 def phoneme_faces(utterances: Sequence[Utterance], rest_mm: Array) -> PhonemeFaces:
-    """Every phone's middle, interpolated between frames. rest_mm: (n_points, 3)."""
+    """Return the mean of every phone's middle, interpolated between frames.
+
+    Parameters
+    ----------
+    utterances : Sequence[Utterance]
+        Labelled.
+    rest_mm : Array
+        (n_points, 3).
+
+    Returns
+    -------
+    PhonemeFaces
+        Means of shape (40, n_points, 3).
+    """
     counts, sums = np.zeros(len(PHONEMES)), np.zeros((len(PHONEMES), *rest_mm.shape))
     for utterance in utterances:
         last = len(utterance.markers_mm) - 1
@@ -174,16 +198,18 @@ def on_one_face(
     maps: dict[str, FaceMap] = {}
     utterances: list[Utterance] = []
     for corpus in corpora:
-        said = corpus.labelled().utterances
+        spoken = corpus.labelled().utterances
         if corpus is not target:
             try:
                 maps[corpus.name] = fit_face_map(faces[corpus.name], faces[target.name])
             except FaceMapError as error:
                 raise CorpusError(f"{corpus.name} beside {target.name}: {error}") from error
-            said = _moved(said, maps[corpus.name], target.labelled().utterances[0].frame_rate_hz)
+            spoken = _moved(
+                spoken, maps[corpus.name], target.labelled().utterances[0].frame_rate_hz
+            )
         weight = (weights or {}).get(corpus.name, 1.0)
         utterances += [
-            replace(u, name=f"{corpus.name}{SEPARATOR}{u.name}", weight=weight) for u in said
+            replace(u, name=f"{corpus.name}{SEPARATOR}{u.name}", weight=weight) for u in spoken
         ]
     skipped = tuple(line for corpus in corpora for line in corpus.skipped)
     name = "+".join(of_speaker)
@@ -223,21 +249,21 @@ def check_speakers(names: Sequence[str], face_of: str | None, weights: Mapping[s
 
 
 def _moved(
-    said: Sequence[Utterance], face_map: FaceMap, frame_rate_hz: float
+    spoken: Sequence[Utterance], face_map: FaceMap, frame_rate_hz: float
 ) -> tuple[Utterance, ...]:
     """A speaker's sentences on the target's face, at its frame rate."""
     on_target = [
-        replace(u, markers_mm=face_map.on_target(u.markers_mm).astype(np.float32)) for u in said
+        replace(u, markers_mm=face_map.on_target(u.markers_mm).astype(np.float32)) for u in spoken
     ]
     return tuple(at_frame_rate(utterance, frame_rate_hz) for utterance in on_target)
 
 
 def _phoneme_faces(corpus: Corpus) -> PhonemeFaces:
-    said = corpus.labelled().utterances
-    for utterance in said:
+    spoken = corpus.labelled().utterances
+    for utterance in spoken:
         if not np.isfinite(utterance.markers_mm).all():
             raise CorpusError(
                 f"corpus {corpus.name}: {utterance.name} has markers that are not numbers; leave "
                 "the sentence out or track it again"
             )
-    return phoneme_faces(said, closed_mouth_mm(said, corpus.layout))
+    return phoneme_faces(spoken, closed_mouth_mm(spoken, corpus.layout))

@@ -44,7 +44,18 @@ _RIDGE = 1e-3
 
 
 def fit_voice_likeness(mean_cepstra: Sequence[Array]) -> VoiceLikeness:
-    """From the mean cepstrum (m,) of each line."""
+    """Fit a voice from the mean cepstrum of each line.
+
+    Parameters
+    ----------
+    mean_cepstra : Sequence[Array]
+        (m,) each.
+
+    Returns
+    -------
+    VoiceLikeness
+        Mean (m,) and precision (m, m).
+    """
     lines = np.array(mean_cepstra)
     covariance = np.atleast_2d(np.cov(lines, rowvar=False)) if len(lines) > 1 else np.eye(12)
     ridge = _RIDGE * max(float(np.trace(covariance)) / len(covariance), 1e-9)
@@ -76,10 +87,30 @@ def fit_sound_expectation(
     seed: int,
     progress: Progress = lambda _: None,
 ) -> SoundExpectation:
-    """From labelled sentences, their motion (n_frames, n_components), and cepstra, 100 a second.
+    """Learn from labelled sentences, their motion, and cepstra, 100 a second.
 
-    lip_gaps_mm: (n_frames,) of each. The networks learn to tell the gap beside the face, and what
-    they learn for it serves the face; it is not kept.
+    The networks learn to tell the gap beside the face, and what they learn for it serves the face;
+    it is not kept.
+
+    Parameters
+    ----------
+    utterances : Sequence[Utterance]
+        Labelled.
+    coefficients : Sequence[Array]
+        (n_frames, n_components) of each.
+    lip_gaps_mm : Sequence[Array]
+        (n_frames,) of each.
+    cepstra : Sequence[Array]
+        (m, 13) of each.
+    seed : int
+        Of weights and batches.
+    progress : Progress
+        Called with the progress.
+
+    Returns
+    -------
+    SoundExpectation
+        The expectation.
     """
     articulation = articulatory_features().astype(np.float32)
     inputs = np.concatenate(
@@ -93,8 +124,8 @@ def fit_sound_expectation(
     mean, spread = inputs.mean(axis=0), inputs.std(axis=0) + np.float32(_SMALLEST_SPREAD)
     inputs = (inputs - mean) / spread
     unit = max(float(faces.std()), 1e-9)
-    told = _GAP_WEIGHT * (gaps_mm - gaps_mm.mean())
-    targets = (np.concatenate([faces, told[:, None]], axis=1) / unit).astype(np.float32)
+    weighted = _GAP_WEIGHT * (gaps_mm - gaps_mm.mean())
+    targets = (np.concatenate([faces, weighted[:, None]], axis=1) / unit).astype(np.float32)
 
     def learn(number: int) -> Layers:
         rng = np.random.default_rng([seed, number])
@@ -118,7 +149,24 @@ def with_sound_deviation(
     coefficients: Sequence[Array],
     cepstra: Sequence[Array],
 ) -> SoundExpectation:
-    """The same whose components deviate as far as those of the live one (`with_deviation`)."""
+    """Return the expectation with components that deviate as the live one's (`with_deviation`).
+
+    Parameters
+    ----------
+    expectation : SoundExpectation
+        Learned.
+    utterances : Sequence[Utterance]
+        Labelled.
+    coefficients : Sequence[Array]
+        (n_frames, n_components) of each.
+    cepstra : Sequence[Array]
+        (m, 13) of each.
+
+    Returns
+    -------
+    SoundExpectation
+        Amplified where it deviates less.
+    """
     expected, recorded = [], []
     for utterance, motion, sound in zip(utterances, coefficients, cepstra, strict=True):
         spoken = speech_frames(utterance)
@@ -153,7 +201,7 @@ def train_offline(
     face's components whatever the states were made of.
 
     listening: goes through the sentences while their sound is read. Raises BuildingError for a
-    corpus without labels, too small for the states asked, or without a point of the face's;
+    corpus without labels, too small for the number of states, or without a point of the face's;
     SoundError for a sound that cannot be read.
     """
     recipe = recipe or Recipe()
@@ -212,7 +260,7 @@ def _rows_of_face(corpus: Corpus, face: FaceModel) -> Indices:
 
 
 def _at_points(states: StateModel, rows: Indices) -> StateModel:
-    """The same states, told of some of the points; the components' rows are then not orthonormal.
+    """The states at some of the points; the components' rows are then not orthonormal.
 
     Nothing is made of them but points: mean + motion times basis.
     """

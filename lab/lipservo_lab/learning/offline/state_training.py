@@ -3,9 +3,9 @@
 The speech manifold: frames laid out by how far they are from each other.
 
 Edge, Hilton and Jackson, steps 3: PCA of the matrix of Euclidean distances between all frames. Each
-row of the matrix is one frame, told by its distances to all others; its principal components are
-the coordinates. (Classical scaling squares and centres the distances first; of Euclidean ones that
-gives back the frames themselves, rotated, and nothing would be gained.)
+row of the matrix is one frame, described by its distances to all others; its principal components
+are the coordinates. (Classical scaling squares and centres the distances first; of Euclidean ones
+that gives back the frames themselves, rotated, and nothing would be gained.)
 
 The matrix of 70,000 frames has 4.9e9 entries. Its columns are samples of one smooth function of a
 frame, so that some hundreds of them, taken at landmarks that lie evenly in the recordings, hold
@@ -59,12 +59,25 @@ def landmark_frames(n_frames: int, n_landmarks: int) -> Indices:
 def speech_manifold(
     parameters: Array, n_landmarks: int | None = N_LANDMARKS, kept_share: float = KEPT_SHARE
 ) -> Array:
-    """Coordinates (n, d) of frames with parameters (n, m), by PCA of their distances.
+    """Return coordinates of frames by PCA of their distances.
 
     D_ij = || z_i - z_j || with j over the landmarks, equation (M1); coordinates: the leading
     principal components of the rows of D that hold `kept_share` of their variance, equation (M2),
     divided by the root of the number of landmarks, so that they are as large whatever that is.
-    n_landmarks: None takes every frame, the exact form.
+
+    Parameters
+    ----------
+    parameters : Array
+        (n, m).
+    n_landmarks : int | None
+        None takes every frame, the exact form.
+    kept_share : float
+        0 to 1.
+
+    Returns
+    -------
+    Array
+        (n, d).
     """
     numbers = landmark_frames(len(parameters), n_landmarks or len(parameters))
     distances = cdist(parameters, parameters[numbers]).astype(np.float32)
@@ -102,14 +115,37 @@ class Components:
     share: float
 
     def of(self, frames_mm: NDArray[np.floating]) -> Array:
-        """(n, n_coordinates) -> (n, n_components): equation (P1), x = B (f - mean)."""
+        """Return x = B (f - mean), equation (P1).
+
+        Parameters
+        ----------
+        frames_mm : NDArray[np.floating]
+            (n, n_coordinates).
+
+        Returns
+        -------
+        Array
+            (n, n_components).
+        """
         return np.asarray((frames_mm - self.mean_mm) @ self.basis.T, dtype=np.float64)
 
 
 def find_components(sentences_mm: Sequence[NDArray[np.floating]], n_components: int) -> Components:
-    """The leading principal components of all frames of sentences (n_frames, n_coordinates).
+    """Return the leading principal components of all frames of sentences.
 
     Exact up to `MOST_FOR_COVARIANCE` coordinates, by EM beyond.
+
+    Parameters
+    ----------
+    sentences_mm : Sequence[NDArray[np.floating]]
+        (n_frames, n_coordinates) each.
+    n_components : int
+        How many.
+
+    Returns
+    -------
+    Components
+        Basis of shape (n_components, n_coordinates).
     """
     if sentences_mm[0].shape[1] > MOST_FOR_COVARIANCE:
         return components_by_em(sentences_mm, n_components)
@@ -119,11 +155,23 @@ def find_components(sentences_mm: Sequence[NDArray[np.floating]], n_components: 
 
 
 def components_by_em(sentences_mm: Sequence[NDArray[np.floating]], n_components: int) -> Components:
-    """The same by EM, one sentence in memory as float64 at a time.
+    """Return the leading principal components by EM, one sentence in memory as float64 at a time.
 
     Roweis, section 3.1: X = (C' C)^-1 C' Y, then C = Y X' (X X')^-1. With the columns of C kept
     orthonormal, both together lead to the space of Y Y' C, which is all that matters of C. It
     starts from frames that lie evenly in the recordings, so the same frames give the same result.
+
+    Parameters
+    ----------
+    sentences_mm : Sequence[NDArray[np.floating]]
+        (n_frames, n_coordinates) each.
+    n_components : int
+        How many.
+
+    Returns
+    -------
+    Components
+        Basis of shape (n_components, n_coordinates).
     """
     n_frames = sum(map(len, sentences_mm))
     sums = sum(each.sum(axis=0, dtype=np.float64) for each in sentences_mm)
@@ -159,17 +207,38 @@ def components_by_em(sentences_mm: Sequence[NDArray[np.floating]], n_components:
 
 
 def velocities(positions: Array) -> Array:
-    """x'_i = x_{i+1} - x_i, (n, p) -> (n, p), equation (P2); the last frame keeps the last step."""
+    """Return x'_i = x_{i+1} - x_i, equation (P2); the last frame keeps the last step.
+
+    Parameters
+    ----------
+    positions : Array
+        (n, p).
+
+    Returns
+    -------
+    Array
+        (n, p).
+    """
     steps = np.diff(positions, axis=0)
     last = steps[-1:] if len(steps) else np.zeros_like(positions[:1])
     return np.concatenate([steps, last])
 
 
 def joint_parameters(sentences: Sequence[Array]) -> Array:
-    """z_i = (x_i / s, x'_i / s'), (n, 2 p) over all sentences, equation (P3).
+    """Return z_i = (x_i / s, x'_i / s') over all sentences, equation (P3).
 
     s and s' make the variance of each block 1 in all: one scale a block. A scale for every
     component would blow the jitter of the last ones up to the size of the jaw.
+
+    Parameters
+    ----------
+    sentences : Sequence[Array]
+        (n_frames, p) each.
+
+    Returns
+    -------
+    Array
+        (n, 2 p).
     """
     blocks = [np.concatenate(sentences), np.concatenate([velocities(x) for x in sentences])]
     scaled = []
@@ -180,20 +249,45 @@ def joint_parameters(sentences: Sequence[Array]) -> Array:
 
 
 def bisected_states(coordinates: Array, n_states: int, seed: int) -> Indices:
-    """The state of each frame, (n,), by bisecting k-means on the manifold (n, d), equation (S1).
+    """Return the state of each frame by bisecting k-means on the manifold, equation (S1).
 
     The cluster with the largest squared error is split in two until there are `n_states`
     (Steinbach, Karypis and Kumar, "A comparison of document clustering techniques", 2000).
+
+    Parameters
+    ----------
+    coordinates : Array
+        (n, d).
+    n_states : int
+        How many.
+    seed : int
+        Of the splits.
+
+    Returns
+    -------
+    Indices
+        (n,).
     """
     kmeans = BisectingKMeans(n_states, random_state=seed, n_init=1)
     return np.asarray(kmeans.fit_predict(coordinates), dtype=np.int64)
 
 
 def transitions(sentences: Sequence[Indices], n_states: int) -> NDArray[np.bool_]:
-    """T (n_states, n_states), equation (S2): whether a frame in i is anywhere followed by one in j.
+    """Return T, equation (S2): whether a frame in i is anywhere followed by one in j.
 
-    sentences: the states of each sentence in order of time. Binary on purpose: what was seen once
-    is as possible as what is common.
+    Binary on purpose: what was seen once is as possible as what is common.
+
+    Parameters
+    ----------
+    sentences : Sequence[Indices]
+        The states of each sentence in order of time, (n_frames,).
+    n_states : int
+        How many.
+
+    Returns
+    -------
+    NDArray[np.bool_]
+        (n_states, n_states).
     """
     follows = np.zeros((n_states, n_states), dtype=np.bool_)
     for states in sentences:
@@ -204,10 +298,26 @@ def transitions(sentences: Sequence[Indices], n_states: int) -> NDArray[np.bool_
 def state_gaussians(
     positions: Array, speeds: Array, states: Indices, n_states: int, shrinkage: float
 ) -> tuple[Array, Array]:
-    """Means (n_states, 2 p) and covariances (n_states, 2 p, 2 p) of y = (x, x'), equation (S3).
+    """Return means and covariances of y = (x, x'), equation (S3).
 
-    positions, speeds: (n, p). A state of a few frames cannot tell a covariance of 2 p numbers: it
-    is drawn to the mean one of all states as if `shrinkage` frames of that had been seen as well.
+    A state of a few frames cannot tell a covariance of 2 p numbers: it is drawn to the mean one of
+    all states as if `shrinkage` frames of that had been seen as well.
+
+    Parameters
+    ----------
+    positions,speeds : Array
+        (n, p).
+    states : Indices
+        (n,).
+    n_states : int
+        How many.
+    shrinkage : float
+        Frames.
+
+    Returns
+    -------
+    tuple[Array, Array]
+        (n_states, 2 p) and (n_states, 2 p, 2 p).
     """
     both = np.concatenate([positions, speeds], axis=1)
     counts = np.bincount(states, minlength=n_states).astype(np.float64)
@@ -249,10 +359,28 @@ def build_states(
     recipe: Recipe | None = None,
     progress: Progress = lambda _: None,
 ) -> StateModel:
-    """A state model of labelled sentences, and of what is heard at each of their frames.
+    """Build a state model of labelled sentences, and of the cepstra at each of their frames.
 
-    cepstra: (n_frames, m) of each. Raises BuildingError for too few frames, and for sentences at
-    different rates.
+    Parameters
+    ----------
+    utterances : Sequence[Utterance]
+        Labelled.
+    cepstra : Sequence[Array]
+        (n_frames, m) of each.
+    recipe : Recipe | None
+        Sizes; None: the usual ones.
+    progress : Progress
+        Called with the progress.
+
+    Returns
+    -------
+    StateModel
+        The model.
+
+    Raises
+    ------
+    BuildingError
+        Too few frames, or sentences at different rates.
     """
     recipe = recipe or Recipe()
     rates = {u.frame_rate_hz for u in utterances}

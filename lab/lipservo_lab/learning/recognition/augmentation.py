@@ -26,10 +26,22 @@ _N_FFT, _HOP = 512, 128
 
 
 def warped(samples: Array32, factor: float) -> Array32:
-    """All frequencies times `factor`, as of a vocal tract and larynx so much smaller.
+    """Return speech with all frequencies times `factor`, as of a smaller vocal tract and larynx.
 
     The sound is stretched in time by WSOLA (Verhelst and Roelands, ICASSP 1993) and resampled back
     to its length: 1.15 makes a woman of a man, 1.35 a child.
+
+    Parameters
+    ----------
+    samples : Array32
+        (n,) at 16 kHz.
+    factor : float
+        Above 0.
+
+    Returns
+    -------
+    Array32
+        (n,).
     """
     stretched = _stretched(samples, factor)
     back = soxr.resample(stretched, SAMPLE_RATE_HZ * factor, SAMPLE_RATE_HZ)
@@ -37,7 +49,20 @@ def warped(samples: Array32, factor: float) -> Array32:
 
 
 def shouted(rng: np.random.Generator, samples: Array32) -> Array32:
-    """More effort: a flatter spectrum, a raised pitch, the loud parts pressed together."""
+    """Return speech with more effort: flatter spectrum, raised pitch, loud parts compressed.
+
+    Parameters
+    ----------
+    rng : np.random.Generator
+        Draws the amounts.
+    samples : Array32
+        (n,) at 16 kHz.
+
+    Returns
+    -------
+    Array32
+        (n,).
+    """
     raised = warped(samples, rng.uniform(1.03, 1.15))
     pressed = np.tanh(rng.uniform(2.0, 8.0) * raised / max(1e-6, float(np.abs(raised).max())))
     tilted = lfilter([1.0, -rng.uniform(0.2, 0.7)], [1.0], pressed)
@@ -46,7 +71,20 @@ def shouted(rng: np.random.Generator, samples: Array32) -> Array32:
 
 
 def whispered(rng: np.random.Generator, samples: Array32) -> Array32:
-    """The spectral envelope, filled with noise in place of the voice, and weaker in the bass."""
+    """Return the spectral envelope filled with noise in place of the voice, weaker in the bass.
+
+    Parameters
+    ----------
+    rng : np.random.Generator
+        Draws the noise.
+    samples : Array32
+        (n,) at 16 kHz.
+
+    Returns
+    -------
+    Array32
+        (n,).
+    """
     n_frames = max(1, -(-len(samples) // _HOP))
     window = np.hanning(_N_FFT + 1)[:-1]
     padded = np.zeros(n_frames * _HOP + _N_FFT)
@@ -133,7 +171,20 @@ class Surroundings:
     found: Noise | None = None
 
     def sound(self, rng: np.random.Generator, n: int) -> Array32:
-        """A sound that is no speech: made, or found."""
+        """Return a sound that is no speech: made, or found.
+
+        Parameters
+        ----------
+        rng : np.random.Generator
+            Chooses.
+        n : int
+            Samples.
+
+        Returns
+        -------
+        Array32
+            (n,).
+        """
         if self.found is not None and rng.random() < 0.45:
             return self.found(rng, n)
         chance = rng.random()
@@ -145,7 +196,20 @@ class Surroundings:
         return makers[int(rng.integers(len(makers)))](rng, n)
 
     def beside_speech(self, rng: np.random.Generator, speech: Array32) -> Array32:
-        """The speech with a sound, many voices or one other voice in it."""
+        """Return the speech with a sound, many voices or one other voice in it.
+
+        Parameters
+        ----------
+        rng : np.random.Generator
+            Chooses.
+        speech : Array32
+            (n,).
+
+        Returns
+        -------
+        Array32
+            (n,).
+        """
         chance, n = rng.random(), len(speech)
         if chance < 0.15:
             return noise.add_noise(speech, self.babble(rng, n), rng.uniform(*_SNR_DB))
@@ -180,7 +244,22 @@ def augment_heavily(
 
 
 def no_speech(rng: np.random.Generator, n: int, around: Surroundings) -> Array32:
-    """A sound alone at any level down to nothing, now and then with a pause, in a room, cut off."""
+    """Return a sound alone at any level down to 0, sometimes with a pause, in a room, or clipped.
+
+    Parameters
+    ----------
+    rng : np.random.Generator
+        Chooses.
+    n : int
+        Samples.
+    around : Surroundings
+        Makes sounds.
+
+    Returns
+    -------
+    Array32
+        (n,).
+    """
     samples = around.sound(rng, n)
     if rng.random() < 0.2:
         samples = noise.add_noise(samples, around.sound(rng, n), rng.uniform(0.0, 20.0))

@@ -127,16 +127,41 @@ def train_network(
     check: Checkpoint = lambda _step, _weights: {},
     after_step: Callable[[int], bool | None] = lambda _step: False,
 ) -> NetworkWeights:
-    """Learn from arrays (the first one is the light copy); returns the averaged weights.
+    """Learn from arrays (the first one is the light copy); return the averaged weights.
 
-    `folder` keeps the state (`state.pt`) and the run log (`log.jsonl`): a run that finds a state
-    there goes on from it, to the same bits on one thread. `start`: weights to begin with in place
-    of random ones; a smaller network grows. `taught`: what targets from len(PHONEMES) on stand for.
-    `check` scores the weights so far; its figures go into the log, and where it gives a `score` the
-    weights that have most of it are returned, and kept as `best.npz`. `after_step`: called with
-    the steps done; where it is true the state is saved and TrainingStoppedError raised. Raises
-    TrainingError where `start` or the state does not fit, OutputError where the state cannot be
-    written.
+    Parameters
+    ----------
+    arrays : Sequence[TrainingArray]
+        Features of shape (n_frames, 40), and targets.
+    scale : FeatureScale
+        Of the features.
+    plan : TrainingPlan
+        Of the training.
+    folder : Path
+        Keeps the state (`state.pt`) and the run log (`log.jsonl`): a run that finds a state there
+        goes on from it, to the same bits on one thread.
+    start : NetworkWeights | None
+        Weights to begin with in place of random ones; a smaller network grows.
+    taught : Taught | None
+        What targets from len(PHONEMES) on stand for.
+    check : Checkpoint
+        Scores the weights so far; its figures go into the log, and where it gives a `score` the
+        weights that have most of it are returned, and kept as `best.npz`.
+    after_step : Callable[[int], bool | None]
+        Called with the steps done; where it is true the state is saved and TrainingStoppedError
+        raised.
+
+    Returns
+    -------
+    NetworkWeights
+        The weights.
+
+    Raises
+    ------
+    TrainingError
+        `start` or the state does not fit.
+    OutputError
+        The state cannot be written.
     """
     torch.manual_seed(plan.seed)
     torch.set_num_threads(plan.n_threads)

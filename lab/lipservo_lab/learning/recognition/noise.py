@@ -25,12 +25,38 @@ Noise = Callable[[np.random.Generator, int], Array32]
 
 
 def white(rng: np.random.Generator, n: int) -> Array32:
-    """White noise of unit power."""
+    """Return white noise of unit power.
+
+    Parameters
+    ----------
+    rng : np.random.Generator
+        Draws it.
+    n : int
+        Samples.
+
+    Returns
+    -------
+    Array32
+        (n,).
+    """
     return rng.standard_normal(n).astype(np.float32)
 
 
 def coloured(rng: np.random.Generator, n: int) -> Array32:
-    """Noise whose power falls by 0 to 12 dB an octave, with one random resonance."""
+    """Return noise whose power falls by 0 to 12 dB an octave, with one random resonance.
+
+    Parameters
+    ----------
+    rng : np.random.Generator
+        Draws it.
+    n : int
+        Samples.
+
+    Returns
+    -------
+    Array32
+        (n,).
+    """
     spectrum = np.fft.rfft(white(rng, n))
     hz = np.linspace(20.0, SAMPLE_RATE_HZ / 2, len(spectrum))
     slope = rng.uniform(0.0, 2.0)
@@ -40,7 +66,20 @@ def coloured(rng: np.random.Generator, n: int) -> Array32:
 
 
 def chords(rng: np.random.Generator, n: int) -> Array32:
-    """Sustained harmonic tones that start, swell, waver and stop: the music of training."""
+    """Return sustained harmonic tones that start, swell, waver and stop: the music of training.
+
+    Parameters
+    ----------
+    rng : np.random.Generator
+        Draws it.
+    n : int
+        Samples.
+
+    Returns
+    -------
+    Array32
+        (n,).
+    """
     total = np.zeros(n)
     for _ in range(max(2, round(n / SAMPLE_RATE_HZ * rng.uniform(2.0, 8.0)))):
         n_tone = min(n, round(SAMPLE_RATE_HZ * rng.uniform(0.15, 1.5)))
@@ -60,10 +99,22 @@ def chords(rng: np.random.Generator, n: int) -> Array32:
 
 
 def band(rng: np.random.Generator, n: int) -> Array32:
-    """Plucked strings, bass and drums at a steady beat: the music-like noise of the bench.
+    """Return plucked strings, bass and drums at a steady beat: the music-like noise of the bench.
 
-    Made otherwise than `chords`, so that no network was trained on its like. Strings are
-    Karplus and Strong's (Computer Music Journal 7(2), 1983): a loop of noise, averaged each turn.
+    Made otherwise than `chords`, so that no network was trained on its like. Strings are Karplus
+    and Strong's (Computer Music Journal 7(2), 1983): a loop of noise, averaged each turn.
+
+    Parameters
+    ----------
+    rng : np.random.Generator
+        Draws it.
+    n : int
+        Samples.
+
+    Returns
+    -------
+    Array32
+        (n,).
     """
     beat = round(SAMPLE_RATE_HZ * 60.0 / rng.uniform(90.0, 140.0) / 2)
     scale_hz = 220.0 * 2.0 ** (np.array([0, 2, 4, 5, 7, 9, 11, 12]) / 12.0)
@@ -82,7 +133,20 @@ def band(rng: np.random.Generator, n: int) -> Array32:
 
 
 def babble(voices: Sequence[Array32], n_voices: int = 6) -> Noise:
-    """So many of the voices at random at once, each from a random place on."""
+    """Return a noise of several voices at once, each from a random place on.
+
+    Parameters
+    ----------
+    voices : Sequence[Array32]
+        (n,) each.
+    n_voices : int
+        At once.
+
+    Returns
+    -------
+    Noise
+        Makes (n,) samples.
+    """
 
     def together(rng: np.random.Generator, n: int) -> Array32:
         total = np.zeros(n, np.float32)
@@ -95,16 +159,41 @@ def babble(voices: Sequence[Array32], n_voices: int = 6) -> Noise:
 
 
 def add_noise(speech: Array32, noise: Array32, snr_db: float) -> Array32:
-    """Speech with noise `snr_db` below it; both powers are means over the whole length."""
+    """Return speech with noise `snr_db` below it; both powers are means over the whole length.
+
+    Parameters
+    ----------
+    speech,noise : Array32
+        (n,).
+    snr_db : float
+        dB.
+
+    Returns
+    -------
+    Array32
+        (n,).
+    """
     power = float(np.mean(np.square(speech, dtype=np.float64)))
     gain = np.sqrt(power * 10.0 ** (-snr_db / 10.0))
     return (speech + np.float32(gain) * unit_power(noise)).astype(np.float32)
 
 
 def reverberate(rng: np.random.Generator, speech: Array32) -> Array32:
-    """Speech in a room: reflections of walls, then an exponential tail of noise, 0.15 to 0.7 s.
+    """Return speech in a room: reflections, then an exponential tail of noise, 0.15 to 0.7 s.
 
     What is not direct has .02 to 3 times its power, as from beside the talker to across the room.
+
+    Parameters
+    ----------
+    rng : np.random.Generator
+        Draws the room.
+    speech : Array32
+        (n,) at 16 kHz.
+
+    Returns
+    -------
+    Array32
+        (n,).
     """
     reverberation_s, wet = rng.uniform(0.15, 0.7), rng.uniform(0.15, 1.7)
     time_s = np.arange(round(reverberation_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
@@ -127,7 +216,18 @@ def reverberate(rng: np.random.Generator, speech: Array32) -> Array32:
 
 
 def telephone(speech: Array32) -> Array32:
-    """Speech through an 8 kHz line with 8-bit mu-law samples (ITU-T G.711's curve)."""
+    """Return speech through an 8 kHz line with 8-bit mu-law samples (ITU-T G.711's curve).
+
+    Parameters
+    ----------
+    speech : Array32
+        (n,) at 16 kHz.
+
+    Returns
+    -------
+    Array32
+        (n,).
+    """
     narrow = np.clip(soxr.resample(speech, SAMPLE_RATE_HZ, 8_000), -1.0, 1.0)
     curve = np.log1p(255.0 * np.abs(narrow)) / np.log(256.0)
     steps = np.rint(curve * 127.0) / 127.0
@@ -137,7 +237,20 @@ def telephone(speech: Array32) -> Array32:
 
 
 def lossy(rng: np.random.Generator, speech: Array32) -> Array32:
-    """Speech as a lossy codec leaves it: Vorbis at some 28 to 53 kbit/s."""
+    """Return speech as a lossy codec leaves it: Vorbis at some 28 to 53 kbit/s.
+
+    Parameters
+    ----------
+    rng : np.random.Generator
+        Draws the quality.
+    speech : Array32
+        (n,) at 16 kHz.
+
+    Returns
+    -------
+    Array32
+        (n,).
+    """
     stream = io.BytesIO()
     quality = rng.uniform(0.4, 1.0)
     soundfile.write(stream, speech, SAMPLE_RATE_HZ, format="OGG", compression_level=quality)
@@ -147,14 +260,35 @@ def lossy(rng: np.random.Generator, speech: Array32) -> Array32:
 
 
 def add_at(total: NDArray[np.float64], start: int, part: NDArray[np.float64]) -> None:
-    """Lay `part` (n,) into `total` (m,) from sample `start` on; what is beyond its end is lost."""
+    """Add `part` to `total` from a sample on; what is beyond its end is lost.
+
+    Parameters
+    ----------
+    total : NDArray[np.float64]
+        (m,), changed in place.
+    start : int
+        Sample.
+    part : NDArray[np.float64]
+        (n,).
+    """
     end = min(len(total), start + len(part))
     if start < end:
         total[start:end] += part[: end - start]
 
 
 def unit_power(samples: NDArray[np.floating]) -> Array32:
-    """The same at a mean power of 1; silence stays silence."""
+    """Return samples at a mean power of 1; silence stays silence.
+
+    Parameters
+    ----------
+    samples : NDArray[np.floating]
+        (n,).
+
+    Returns
+    -------
+    Array32
+        (n,).
+    """
     power = float(np.mean(np.square(samples, dtype=np.float64)))
     return (samples / np.sqrt(power) if power > 0.0 else samples).astype(np.float32)
 
@@ -181,9 +315,24 @@ class FoundSoundsError(UserError):
 def read_found_sounds(
     folder: Path, warn: Callable[[str], None] = lambda _line: None
 ) -> list[Array32]:
-    """Every sound file below a folder, (n,) at 16 kHz; what is no sound is told and left out.
+    """Read every sound file below a folder; other files are reported and left out.
 
-    Raises FoundSoundsError for a folder that holds no sound.
+    Parameters
+    ----------
+    folder : Path
+        Of sounds.
+    warn : Callable[[str], None]
+        Called with a line for each file left out.
+
+    Returns
+    -------
+    list[Array32]
+        (n,) at 16 kHz each.
+
+    Raises
+    ------
+    FoundSoundsError
+        The folder holds no sound.
     """
     if not folder.is_dir():
         raise FoundSoundsError(f"{folder}: no such folder; give one of sounds without speech")
@@ -205,7 +354,18 @@ def read_found_sounds(
 
 
 def found(sounds: list[Array32]) -> Noise:
-    """A part of one of the sounds; short ones again and again with pauses, long ones likelier."""
+    """Return a noise of parts of sounds; short ones repeat with pauses, long ones are likelier.
+
+    Parameters
+    ----------
+    sounds : list[Array32]
+        (n,) each.
+
+    Returns
+    -------
+    Noise
+        Makes (n,) samples.
+    """
     weights = np.sqrt([float(len(sound)) for sound in sounds])
     chances = weights / weights.sum()
 

@@ -33,9 +33,19 @@ _SHORTEST_FRAMES = 6
 
 
 def laughter_of(voices: Sequence[tuple[Array32, NDArray[np.int64]]]) -> Noise:
-    """Laughter made of the vowels of recordings: samples (n,), labels (n_frames,) each.
+    """Return a noise of laughter made of the vowels of recordings.
 
-    Where they hold no vowel of 60 ms it is silence.
+    Silence without a vowel of 60 ms.
+
+    Parameters
+    ----------
+    voices : Sequence[tuple[Array32, NDArray[np.int64]]]
+        Samples (n,), labels (n_frames,) each.
+
+    Returns
+    -------
+    Noise
+        Makes (n,) samples.
     """
     vowels = [found for samples, labels in voices if (found := _vowels(samples, labels))]
 
@@ -89,7 +99,20 @@ def _breath(rng: np.random.Generator, vowel: Samples, n: int) -> Samples:
 
 
 def impulses(rng: np.random.Generator, n: int) -> Array32:
-    """Typing, knocks, claps: short bursts through resonances of their own, one after the other."""
+    """Return typing, knocks, claps: short bursts through resonances of their own.
+
+    Parameters
+    ----------
+    rng : np.random.Generator
+        Draws them.
+    n : int
+        Samples.
+
+    Returns
+    -------
+    Array32
+        (n,).
+    """
     total = 0.003 * rng.standard_normal(n)
     rate_hz = np.exp(rng.uniform(np.log(0.7), np.log(12.0)))
     decay_s = np.exp(rng.uniform(np.log(0.002), np.log(0.06)))
@@ -111,7 +134,20 @@ def impulses(rng: np.random.Generator, n: int) -> Array32:
 
 
 def cough(rng: np.random.Generator, n: int) -> Array32:
-    """Coughs and cleared throats: an explosion of breath, a rasp, sometimes a voiced end."""
+    """Return coughs and cleared throats: an explosion of breath, a rasp, sometimes a voiced end.
+
+    Parameters
+    ----------
+    rng : np.random.Generator
+        Draws them.
+    n : int
+        Samples.
+
+    Returns
+    -------
+    Array32
+        (n,).
+    """
     total = 0.002 * rng.standard_normal(n)
     formants_hz = (rng.uniform(400, 900), rng.uniform(1000, 1900), rng.uniform(2300, 3600))
     at = int(rng.uniform(0.0, 0.5) * SAMPLE_RATE_HZ)
@@ -132,7 +168,20 @@ def cough(rng: np.random.Generator, n: int) -> Array32:
 
 
 def laughter(rng: np.random.Generator, n: int) -> Array32:
-    """Bursts of one vowel with breath between, five a second, falling in pitch and strength."""
+    """Return bursts of one vowel with breath between, five a second, falling in pitch and strength.
+
+    Parameters
+    ----------
+    rng : np.random.Generator
+        Draws them.
+    n : int
+        Samples.
+
+    Returns
+    -------
+    Array32
+        (n,).
+    """
     total = 0.002 * rng.standard_normal(n)
     at = int(rng.uniform(0.0, 0.5) * SAMPLE_RATE_HZ)
     while at < n:
@@ -153,7 +202,20 @@ def laughter(rng: np.random.Generator, n: int) -> Array32:
 
 
 def hum(rng: np.random.Generator, n: int) -> Array32:
-    """Mains hum, buzz of a bad contact, a whistle of electronics: harmonics that stand still."""
+    """Return mains hum, buzz of a bad contact, a whistle of electronics: constant harmonics.
+
+    Parameters
+    ----------
+    rng : np.random.Generator
+        Draws them.
+    n : int
+        Samples.
+
+    Returns
+    -------
+    Array32
+        (n,).
+    """
     time_s = np.arange(n) / SAMPLE_RATE_HZ
     base_hz = float(rng.choice([50.0, 60.0, 100.0, 120.0])) * rng.uniform(0.995, 1.005)
     if rng.random() < 0.3:
@@ -172,7 +234,20 @@ def hum(rng: np.random.Generator, n: int) -> Array32:
 
 
 def motors(rng: np.random.Generator, n: int) -> Array32:
-    """Fans, pumps, drills, vacuum cleaners: a rotating tone in the noise that it makes."""
+    """Return fans, pumps, drills, vacuum cleaners: a rotating tone in the noise that it makes.
+
+    Parameters
+    ----------
+    rng : np.random.Generator
+        Draws them.
+    n : int
+        Samples.
+
+    Returns
+    -------
+    Array32
+        (n,).
+    """
     speed = 1.0 + 0.02 * np.cumsum(rng.standard_normal(n)) / np.sqrt(n)
     if rng.random() < 0.4:
         speed *= 0.2 + 0.8 * _switched(rng, n, (0.5, 4.0), edge_s=0.4)
@@ -180,10 +255,22 @@ def motors(rng: np.random.Generator, n: int) -> Array32:
 
 
 def servos(rng: np.random.Generator, n: int) -> Array32:
-    """Geared servos that move as a mouth does: the whine goes with the speed of each.
+    """Return geared servos that move as a mouth does: the whine goes with the speed of each.
 
     Three to eight servos; each starts, runs and stops three to eight times a second, some of the
     time. The mesh of the gears gives a tone as high as the shaft is fast, and the loudness too.
+
+    Parameters
+    ----------
+    rng : np.random.Generator
+        Draws them.
+    n : int
+        Samples.
+
+    Returns
+    -------
+    Array32
+        (n,).
     """
     total = 0.004 * rng.standard_normal(n)
     is_moving = _switched(rng, n, (0.3, 3.0), edge_s=0.05)
@@ -209,7 +296,20 @@ _KINDS: tuple[tuple[Callable[[np.random.Generator, int], Array32], float], ...] 
 
 
 def any_sound(rng: np.random.Generator, n: int) -> Array32:
-    """One of them."""
+    """Return one of the sounds of this file, by its chance.
+
+    Parameters
+    ----------
+    rng : np.random.Generator
+        Chooses.
+    n : int
+        Samples.
+
+    Returns
+    -------
+    Array32
+        (n,).
+    """
     chances = [chance for _, chance in _KINDS]
     return _KINDS[int(rng.choice(len(_KINDS), p=chances))][0](rng, n)
 

@@ -1,9 +1,9 @@
-"""A teacher's labels: the phones of an alignment, laid anew over what a better network hears.
+"""A teacher's labels: the phones of an alignment, laid anew over a better network's posteriors.
 
 The aligner's boundaries are the ceiling of what learns from them. A network that waits long (it
 knows what comes as well as what was) is trained on them, and its posteriors say where the same
 phones are likelier to lie: Viterbi over the phones in order, each of two frames at least, silences
-of which may be left out. What the network cannot find there was not said.
+of which may be left out. What the network cannot find there was not spoken.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,7 +36,7 @@ class TaughtRecordings:
 
     recordings: tuple[LabelledSamples, ...]
     taught: Taught
-    n_not_said: int
+    n_unspoken: int
 
 
 def taught_by(
@@ -68,10 +68,21 @@ def taught_by(
 
 
 def retimed(phones: Sequence[int], logs: Array32) -> NDArray[np.int64] | None:
-    """The likeliest labels (n,) that say the phones in order; None where they do not fit in.
+    """Return the likeliest labels that have the phones in order.
 
-    phones: numbers as in PHONEMES. logs: (n, n_phonemes), log posteriors. Silence may stand before
-    and after everything.
+    Silence may stand before and after everything.
+
+    Parameters
+    ----------
+    phones : Sequence[int]
+        Numbers as in PHONEMES.
+    logs : Array32
+        (n, n_phonemes), log posteriors.
+
+    Returns
+    -------
+    NDArray[np.int64] | None
+        (n,); None where they do not fit in.
     """
     # Silences in a row are one.
     order = [_SILENCE_INDEX]

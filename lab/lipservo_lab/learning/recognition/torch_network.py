@@ -80,10 +80,26 @@ def exported(network: nn.Module, scale: FeatureScale, plan: TrainingPlan) -> Net
 def started_from(
     weights: NetworkWeights, arrays: Sequence[TrainingArray], plan: TrainingPlan
 ) -> TorchNetwork:
-    """A network that says what `weights` say, ready to go on learning; smaller ones have grown.
+    """Return a network with the outputs of `weights`, ready to go on learning.
+
+    Smaller ones have grown.
 
     The weights hold no norms, these are folded into them; they are set here from what the layers
     give on windows of the arrays, so that the first step finds the network as it was left.
+
+    Parameters
+    ----------
+    weights : NetworkWeights
+        To start from.
+    arrays : Sequence[TrainingArray]
+        Features of shape (n_frames, 40), and targets.
+    plan : TrainingPlan
+        Of the training.
+
+    Returns
+    -------
+    TorchNetwork
+        The network.
     """
     weights = grown(weights, plan)
     network = TorchNetwork(plan)
@@ -113,8 +129,8 @@ def started_from(
 def grown(weights: NetworkWeights, plan: TrainingPlan) -> NetworkWeights:
     """The weights in the plan's shape: their channels and layers kept, new ones beside and behind.
 
-    Nothing old hears a new channel, and new layers add next to nothing (Net2Net: Chen, Goodfellow
-    and Shlens, ICLR 2016, has the idea), so that the network says what it said and has room. Raises
+    No old weight reads a new channel, and new layers add next to nothing (Net2Net: Chen, Goodfellow
+    and Shlens, ICLR 2016, has the idea), so that the network's outputs stay and it has room. Raises
     TrainingError for a plan that is narrower, shorter, or of other dilations or delays.
     """
     dilations = tuple(layer.dilation for layer in weights.residuals)

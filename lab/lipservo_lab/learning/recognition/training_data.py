@@ -68,7 +68,18 @@ class Taught:
     posteriors: NDArray[np.float16]
 
     def decoded(self, targets: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Phonemes' numbers, and rows of `posteriors`, -1 where there are none."""
+        """Return phonemes' numbers, and rows of `posteriors`.
+
+        Parameters
+        ----------
+        targets : NDArray[np.int64]
+            (n,).
+
+        Returns
+        -------
+        tuple[NDArray[np.int64], NDArray[np.int64]]
+            (n,) each; -1 where there is no row.
+        """
         rows = np.maximum(targets - len(PHONEMES), -1)
         return np.where(rows >= 0, self.labels[rows], targets), rows
 
@@ -86,7 +97,22 @@ def feature_scale(recordings: Iterable[LabelledSamples]) -> FeatureScale:
 
 
 def delayed(labels: NDArray[np.int64], n_frames: int, delays: Sequence[int]) -> NDArray[np.int64]:
-    """Targets (n_frames, n_heads): what head h says at frame n is the label of frame n - delay."""
+    """Return targets of all heads: at frame n head h has the label of frame n - delay.
+
+    Parameters
+    ----------
+    labels : NDArray[np.int64]
+        (m,).
+    n_frames : int
+        n.
+    delays : Sequence[int]
+        Of the heads, in frames.
+
+    Returns
+    -------
+    NDArray[np.int64]
+        (n_frames, n_heads).
+    """
     targets = np.full((n_frames, len(delays)), NO_TARGET)
     for head, delay in enumerate(delays):
         n_known = min(n_frames - delay, len(labels))
@@ -97,7 +123,22 @@ def delayed(labels: NDArray[np.int64], n_frames: int, delays: Sequence[int]) -> 
 def as_array(
     recordings: Iterable[LabelledSamples], scale: FeatureScale, delays: Sequence[int]
 ) -> TrainingArray:
-    """All recordings one after the other, each as a stream of its own."""
+    """Join recordings one after the other, each as a stream of its own.
+
+    Parameters
+    ----------
+    recordings : Iterable[LabelledSamples]
+        Labelled.
+    scale : FeatureScale
+        Of the features.
+    delays : Sequence[int]
+        Of the heads, in frames.
+
+    Returns
+    -------
+    TrainingArray
+        Features (n, 40), targets (n, n_heads).
+    """
     features, targets = [], []
     for each in recordings:
         frames = LevelNormalizer(scale).push(LogMelStream().push(each.samples))
@@ -117,10 +158,33 @@ def training_arrays(
     is_taught: bool = False,
     n_processes: int = 1,
 ) -> Iterator[TrainingArray]:
-    """One lightly augmented copy, `n_heavy` heavily, as they are made; the same for the same seed.
+    """Yield one lightly augmented copy, `n_heavy` heavily, as they are made.
 
-    found_sounds: recordings (n,) in which nobody speaks, beside those that are made. is_taught:
-    targets are frames of `Taught`, which has those of `clean` in this order.
+    The same for the same seed.
+
+    Parameters
+    ----------
+    clean : Sequence[LabelledSamples]
+        Labelled.
+    scale : FeatureScale
+        Of the features.
+    delays : Sequence[int]
+        Of the heads, in frames.
+    n_heavy : int
+        Copies.
+    seed : int
+        Of the augmentation.
+    found_sounds : Sequence[Array32]
+        Recordings (n,) without speech, beside those that are made.
+    is_taught : bool
+        Targets are frames of `Taught`, which has those of `clean` in this order.
+    n_processes : int
+        At once.
+
+    Returns
+    -------
+    Iterator[TrainingArray]
+        Features (n, 40), targets (n, n_heads).
     """
     jobs = [(copy, seed, scale, tuple(delays)) for copy in range(1 + n_heavy)]
     _SHARED[:] = clean
@@ -241,7 +305,22 @@ class TrainingPlan:
 def draw_windows(
     arrays: Sequence[TrainingArray], plan: TrainingPlan, rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Features (batch, 40, window), some bands blanked; targets (batch, n_heads, window)."""
+    """Draw windows of the arrays, some bands blanked.
+
+    Parameters
+    ----------
+    arrays : Sequence[TrainingArray]
+        Features of shape (n, 40), and targets.
+    plan : TrainingPlan
+        Sizes.
+    rng : np.random.Generator
+        Draws.
+
+    Returns
+    -------
+    tuple[NDArray[np.float32], NDArray[np.int64]]
+        Features (batch, 40, window); targets (batch, n_heads, window).
+    """
     features = np.empty((plan.batch, N_BANDS, plan.window), np.float32)
     targets = np.empty((plan.batch, len(plan.delays), plan.window), np.int64)
     for index in range(plan.batch):

@@ -64,7 +64,7 @@ class TrainingRun:
 
     held_out, validation: speakers; left_out: utterances. limit: only so many of each speaker; None:
     all. voices: synthetic ones, which read texts of the corpora that train, so many each. sounds:
-    folders of files in which nobody speaks. start: weights to go on from; start_share: how much of
+    folders of files without speech. start: weights to go on from; start_share: how much of
     them is in the mean that comes out. teacher: lays the labels of what trains anew, leaves out
     texts that it does not hear, and its posteriors are learned beside them; None: the aligner's.
     resumes: whether the folder may hold a run already, which then goes on.
@@ -104,21 +104,21 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
         )
     sounds = [sound for folder in run.sounds for sound in read_found_sounds(folder)]
     utterances, alignments = _aligned(run, advance)
-    usable = [u for u in utterances if _is_said(alignments[u.name])]
+    usable = [u for u in utterances if _is_spoken(alignments[u.name])]
     training = [u for u in usable if u.speaker not in run.validation]
     if not training:
         raise TrainingError("no utterance is left to learn from; hold out fewer speakers")
     clean = [read_labelled(u, alignments[u.name]) for u in training]
     taught = None
     if run.teacher is not None:
-        told = taught_by(
+        labels = taught_by(
             run.teacher,
             [(each, alignments[u.name]) for each, u in zip(clean, training, strict=True)],
             lambda n: advance("teaching", n, len(training)),
         )
-        if not told.recordings:
+        if not labels.recordings:
             raise TrainingError("the teacher hears none of the texts; train one first")
-        clean, taught = list(told.recordings), told.taught
+        clean, taught = list(labels.recordings), labels.taught
     scale = feature_scale(clean[::_SCALE_STEP]) if run.start is None else run.start.scale
     arrays = []
     for array in training_arrays(
@@ -157,9 +157,23 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
 def checked(
     weights: NetworkWeights, conditions: Mapping[str, TrainingArray], plan: TrainingPlan
 ) -> dict[str, float]:
-    """The figures, and the score by which weights are kept: the mean over corpora.
+    """Return the figures, and the score by which weights are kept: the mean over corpora.
 
     Each corpus counts alike: visemes of its speech at the head that counts most in the loss.
+
+    Parameters
+    ----------
+    weights : NetworkWeights
+        To score.
+    conditions : Mapping[str, TrainingArray]
+        Features of shape (n, 40) and targets, by name.
+    plan : TrainingPlan
+        Of the training.
+
+    Returns
+    -------
+    dict[str, float]
+        By name, 0 to 1.
     """
     found = figures(weights, conditions)
     delay = plan.delays[int(np.argmax(plan.head_weights))]
@@ -168,7 +182,20 @@ def checked(
 
 
 def figures(weights: NetworkWeights, conditions: Mapping[str, TrainingArray]) -> dict[str, float]:
-    """Frame accuracies without a decoder: phones and viseme classes, condition by condition."""
+    """Return frame accuracies without a decoder: phones and viseme classes, condition by condition.
+
+    Parameters
+    ----------
+    weights : NetworkWeights
+        To score.
+    conditions : Mapping[str, TrainingArray]
+        Features of shape (n, 40) and targets, by name.
+
+    Returns
+    -------
+    dict[str, float]
+        By name, 0 to 1.
+    """
     found: dict[str, float] = {}
     silence = PHONEMES.index(SILENCE)
     for name, array in conditions.items():
@@ -214,7 +241,7 @@ def _aligned(
     return utterances, alignments
 
 
-def _is_said(aligned: AlignedUtterance) -> bool:
+def _is_spoken(aligned: AlignedUtterance) -> bool:
     """Learners and children say other words than their text; labels of those would be wrong."""
     return not aligned.error and (aligned.score is None or aligned.score >= LEAST_SCORE)
 

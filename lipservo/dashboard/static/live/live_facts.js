@@ -72,9 +72,9 @@ export function rows(status) {
   if (status.speaking) said.push(["says", status.speaking]);
   else if (status.sound) said.push(["hears", status.sound]);
   if (status.moved_by) said.push(["mouth moved by", MOVED_BY[status.moved_by]]);
-  if (status.delay_ms != null) said.push(["face after sound", shown(status.delay_ms, 0, "ms")]);
-  if (status.n_ticks != null) said.push(["late ticks", lateWords(status.n_late, status.n_ticks)]);
-  if (status.recognizer) said.push(["listener", status.recognizer]);
+  if (status.delay_ms != null) said.push(["mouth behind the sound", shown(status.delay_ms, 0, "ms")]);
+  if (status.n_ticks != null) said.push(["updates too late", lateWords(status.n_late, status.n_ticks)]);
+  if (status.recognizer) said.push(["recogniser", status.recognizer]);
   if (status.output) said.push(["loudspeaker", status.output + (status.output_lost ? ": lost" : "")]);
   return said;
 }

@@ -73,14 +73,14 @@ class FaceRobot extends HTMLElement {
   }
 }
 
-const LAST = "Not driven: drawn where its joints were read last.";
-const UNREAD = "Not driven: its joints are not read, and drawn at 0°.";
+const LAST = "Not running: drawn where its joints were read last.";
+const UNREAD = "Not running: its joints are not read, and drawn at 0°.";
 
 /** Which parts are hatched, in a sentence. Pure. */
 export function lostWords(names) {
   if (!names.length) return "";
   const listed = names.slice(0, 4).join(", ") + (names.length > 4 ? ` and ${names.length - 4} more` : "");
-  return `Hatched: not driven or not answering: ${listed}.`;
+  return `Hatched: not working or not answering: ${listed}.`;
 }
 
 function hasHead(channels) {

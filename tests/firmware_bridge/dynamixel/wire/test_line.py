@@ -212,14 +212,14 @@ def test_one_silent_servo_costs_the_others_nothing_and_little_time():
         start_s = face.clock.now()
         heard = group.ask(line)
         assert n < 5 or len(heard) == 19
-        if 8 in group.asked.ids:
-            wire_s = (len(group.asked.request) + group.asked.reply_size) * line.byte_s
+        if 8 in group.request.ids:
+            wire_s = (len(group.request.request) + group.request.reply_size) * line.byte_s
             over_s.append(face.clock.now() - start_s - wire_s)
         face.clock.advance(0.01)
 
     assert len(over_s) >= 10
     assert statistics.median(over_s) <= 0.005
-    assert group.asked.fast  # a silent servo does not turn it off
+    assert group.request.fast  # a silent servo does not turn it off
 
 
 def test_a_servo_behind_a_computer_that_is_late_with_everything_is_found_before_a_start():

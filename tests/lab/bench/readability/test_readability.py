@@ -12,7 +12,7 @@ from lipservo_lab.bench.readability.readability_figures import (
     reading_rows,
     with_line_methods,
 )
-from lipservo_lab.bench.readability.reading_models import asked_parts, given_models
+from lipservo_lab.bench.readability.reading_models import given_models, requested_parts
 from lipservo_lab.corpus.grid import read_grid
 from lipservo_lab.corpus.utterance import CorpusError
 from lipservo_lab.evaluation.motion.offline_methods import OfflineModels
@@ -123,7 +123,7 @@ def test_what_the_robot_shows_is_in_the_headline_as_the_reader_of_lips_reads_it(
 
 def test_methods_of_render_are_read_too(folder, models):
     corpus = read_grid(folder).labelled()
-    parts = asked_parts(folder, corpus, None)
+    parts = requested_parts(folder, corpus, None)
     asked = reading_question("heard,mean-face,model-based", "200", "true", robot=False)
     recipe = Recipe(n_components=3, n_states=10)
 
@@ -160,9 +160,9 @@ def test_what_cannot_be_asked_says_why(folder, models):
         reading_question("expected", "100", "true,heard", robot=False)
     corpus = read_grid(folder)
     with pytest.raises(BenchError, match="--words names no word"):
-        asked_parts(folder, corpus, " , ")
+        requested_parts(folder, corpus, " , ")
     with pytest.raises(CorpusError, match="every labelled sentence holds one of these words"):
-        asked_parts(folder, corpus, "one,two")
-    parts = asked_parts(folder, corpus, "tea")
+        requested_parts(folder, corpus, "one,two")
+    parts = requested_parts(folder, corpus, "tea")
     with pytest.raises(BenchError, match=r"words.npz: was trained on 2 of the sentences .*\(s2"):
         given_models(models, parts)

@@ -30,10 +30,10 @@ def test_the_robots_lips_follow_the_motion_in_time():
         "a": (25, 47, 3),
         "b": (13, 47, 3),
     }
-    asked_mm = model.lip_gaps_mm(model.markers_mm(faces["a"]))[::4]
+    wanted_mm = model.lip_gaps_mm(model.markers_mm(faces["a"]))[::4]
     seen_mm = model.lip_gaps_mm(shown["a"])
-    assert np.corrcoef(asked_mm, seen_mm)[0, 1] > 0.97
-    assert np.abs(seen_mm - asked_mm).max() < 0.35 * asked_mm.max()
+    assert np.corrcoef(wanted_mm, seen_mm)[0, 1] > 0.97
+    assert np.abs(seen_mm - wanted_mm).max() < 0.35 * wanted_mm.max()
     assert model.lip_gaps_mm(shown["b"]).max() < 1.0
     assert progress[-1][0] == progress[-1][1] > 2
 

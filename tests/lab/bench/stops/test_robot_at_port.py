@@ -46,7 +46,7 @@ def test_its_processes_find_no_place_of_this_user_or_of_another_job(monkeypatch)
     code = f"import os; print({places}, 'RUNTIME_DIRECTORY' in os.environ)"
     with robot_at_port() as robot, robot_at_port(session=robot.session) as beside:
         assert robot.start_python("-c", code).wait() == 0
-        places, has_other = robot.said.rsplit(maxsplit=1)
+        places, has_other = robot.output.rsplit(maxsplit=1)
         assert all(str(robot.folder) in each for each in places.split(","))
         assert has_other == "False"
         assert beside.runtime == robot.runtime

@@ -4,7 +4,7 @@ from itertools import product
 
 import pytest
 from lipservo_lab.bench.stops.stop_cases import (
-    MOMENTS_S,
+    TIMES_S,
     StopCase,
     StopOutcome,
     batches,
@@ -43,7 +43,7 @@ def test_the_first_conditions_keep_their_levels_and_moments(trouble):
         if case.trouble is trouble and case.client is StopClient.SOCKET
     }
 
-    assert by_socket == set(product(StopLevel, MOMENTS_S))
+    assert by_socket == set(product(StopLevel, TIMES_S))
 
 
 def test_a_batch_needs_one_face_with_the_same_doors_and_what_ends_a_face_comes_last():

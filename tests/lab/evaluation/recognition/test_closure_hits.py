@@ -25,7 +25,7 @@ def test_a_phone_is_met_where_the_lips_come_near_enough_within_40_ms_of_it():
 
 def test_lips_alone_and_lip_with_teeth_are_counted_apart():
     met = [("P", True), ("M", False), ("V", True)]
-    closures = [Closure(PhonemeEvent(p, 0.0, 0.1), was_met) for p, was_met in met]
+    closures = [Closure(PhonemeEvent(p, 0.0, 0.1), is_reached) for p, is_reached in met]
     assert closure_figures(closures) == {
         "closures": 2, "closures_met": 1, "closure_hits": 0.5,
         "labiodentals": 1, "labiodentals_met": 1, "labiodental_hits": 1.0,

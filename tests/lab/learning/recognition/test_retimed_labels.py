@@ -56,7 +56,7 @@ def test_a_text_that_the_teacher_does_not_hear_teaches_nothing(monkeypatch):
     other = AlignedUtterance("b", "", "default", (("K", 0, 5), ("UW", 5, 9), ("M", 9, 35)))
     told = taught_by(None, [(sound, other), (sound, own)])
 
-    assert told.n_not_said == 1
+    assert told.n_unspoken == 1
     assert [each.labels.tolist() for each in told.recordings] == [said.tolist()]
     assert told.taught.posteriors.shape == (35, len(PHONEMES))
     assert told.taught.posteriors[12].argmax() == P

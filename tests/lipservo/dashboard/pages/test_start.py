@@ -40,7 +40,7 @@ def started(page, face):
     page.keyboard.press("Enter")
     reads(page, LINE, "Starting: the bridge starts")
     face.come_up()
-    reads(page, HEAD, "driven")
+    reads(page, HEAD, "running")
 
 
 def wait_for(page, is_so):
@@ -81,7 +81,7 @@ def test_start_is_confirmed_by_enter_and_the_next_stop_is_a_first_one(opened, st
     assert startable.said[-1] == "limp"
 
     started(page, startable)
-    reads(page, LINE, "Started: the face is driven.")
+    reads(page, LINE, "Started: the face is running.")
     page.keyboard.press("Escape")
     reads(page, LINE, LIMP)
 
@@ -189,7 +189,7 @@ def test_two_pages_end_with_the_same_word(opened, startable):
         reads(page, LINE, "Starting: the bridge starts")
     startable.come_up()
     for page in (one, other):
-        reads(page, HEAD, "driven")
+        reads(page, HEAD, "running")
         page.locator(LINE).wait_for(state="hidden", timeout=8000)
 
 
@@ -243,7 +243,7 @@ def test_a_dashboard_that_is_gone_leaves_the_last_confirmed_word(opened, startab
     # Once it is driven again, the word is no longer kept.
     startable.start()
     startable.come_up()
-    reads(page, HEAD, "driven")
+    reads(page, HEAD, "running")
     os.kill(dashboard[1].pid, signal.SIGSTOP)
     try:
         reads(page, BANNER, "The face may still move")

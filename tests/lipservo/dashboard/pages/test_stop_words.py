@@ -48,9 +48,9 @@ def test_what_the_page_shows(module_page, status, frame, age_ms, word, word_ms, 
 @pytest.mark.parametrize(
     ("status", "frame", "phase", "word", "expected"),
     [
-        ({**DRIVEN, "servos": {"jaw": "driven"}}, TORQUE, "moving", None, ["driven", "good"]),
+        ({**DRIVEN, "servos": {"jaw": "driven"}}, TORQUE, "moving", None, ["running", "good"]),
         # A status of before a start says nothing of servos that are driven by now.
-        ({**STOPPED, "servos": {"jaw": "waiting"}}, TORQUE, "moving", None, ["driven", "good"]),
+        ({**STOPPED, "servos": {"jaw": "waiting"}}, TORQUE, "moving", None, ["running", "good"]),
         (STOPPED, GONE, "stopped", WORD, ["stopped: limp", "quiet"]),
         (STOPPED, GONE, "stopped", None, ["stopped, not confirmed", "warn"]),
         (STOPPED, GONE, "stopped", RELEASED, ["stopped: pulses off", "warn"]),

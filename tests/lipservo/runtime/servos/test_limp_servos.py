@@ -120,7 +120,7 @@ def test_a_lost_sample_is_no_silence():
     with face.bus:
         face.clock.sleep_until(1.0)
         assert limp.let_go().complete
-        assert any(limp.look().obstacles for _ in range(30))
+        assert any(limp.read_pose().obstacles for _ in range(30))
         assert limp.steady_pose().obstacles == {}
 
 

@@ -4,7 +4,7 @@ from hobby_bus import PULSES, WORDS
 
 from firmware_bridge.capabilities import IN_MEMORY, mixed_capabilities
 from lipservo.commands.run.stop import _state
-from lipservo.dashboard.servo_remedies import told_servos
+from lipservo.dashboard.servo_remedies import listed_servos
 from lipservo.runtime.servos.letting_go import Outcome
 
 REPORT = {
@@ -33,7 +33,7 @@ def test_status_says_them_too():
 
 
 def test_the_page_calls_such_a_servo_neither_limp_nor_silent():
-    for one in told_servos(STATUS, is_fresh=True):
+    for one in listed_servos(STATUS, is_fresh=True):
         assert one["state"] == "released"
         assert one["trouble"]["meaning"] == WORDS
         assert one["heard"]
@@ -43,12 +43,12 @@ def test_the_page_calls_such_a_servo_neither_limp_nor_silent():
 def test_a_servo_that_was_never_heard_is_told_from_one_that_measures_nothing():
     measuring = {**STATUS, "capabilities": {"heat": True}}
 
-    assert [one["heard"] for one in told_servos(measuring, is_fresh=True)] == [False, False]
+    assert [one["heard"] for one in listed_servos(measuring, is_fresh=True)] == [False, False]
 
 
 def test_on_two_buses_each_servo_is_judged_by_what_its_own_can_report():
     can = mixed_capabilities({"lips": PULSES, "neck": IN_MEMORY}, ["neck", "lips"])
-    told = told_servos({**STATUS, "capabilities": can.as_dict()}, is_fresh=True)
+    told = listed_servos({**STATUS, "capabilities": can.as_dict()}, is_fresh=True)
 
     assert [(one["name"], one["heard"]) for one in told] == [("jaw", False), ("lip", True)]
 

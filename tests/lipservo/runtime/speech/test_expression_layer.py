@@ -8,7 +8,7 @@ import pytest
 from firmware_bridge.process.commands import CommandError, CommandQueue
 from lipservo.runtime.speech.expression import (
     ExpressionLayer,
-    ExpressionWishes,
+    ExpressionRequests,
     expression_servos,
     expression_settings,
 )
@@ -58,7 +58,7 @@ def told():
 @pytest.fixture
 def layer(told):
     voice = HeardVoice(Counting())
-    return ExpressionLayer(told, voice, expression_servos(HEAD), ExpressionWishes(1.0))
+    return ExpressionLayer(told, voice, expression_servos(HEAD), ExpressionRequests(1.0))
 
 
 def advance(layer, seconds, *, is_speaking, now_s=0.0):
@@ -156,6 +156,6 @@ def test_what_is_beyond_its_bounds_is_refused(name, value):
 
 
 def test_the_settings_that_may_be_asked_for_are_those_that_are_followed():
-    assert ExpressionWishes(0.7).values == {
+    assert ExpressionRequests(0.7).values == {
         name: each.value for name, each in expression_settings(0.7).items()
     }
