@@ -104,7 +104,7 @@ def row(scores: Sequence[Score], new: Sequence[Score]) -> str:
     low, high = np.percentile(one[:, 0] / one[:, 1] - other[:, 0] / other[:, 1], (2.5, 97.5))
     hits, frames = theirs.sum(axis=0)
     counts = [each.bilabials for each in scores]
-    found, said = sum(c.n_found for c in counts), sum(c.n_said for c in counts)
+    found, said = sum(c.n_found for c in counts), sum(c.n_reported for c in counts)
     recall = found / sum(c.n_spoken for c in counts)
     precision = sum(c.n_true for c in counts) / max(1, said)
     per = sum(s.n_edits for s in scores) / sum(s.n_phones for s in scores)
