@@ -1,7 +1,7 @@
 # make run    sees speech move a head, here and in a browser; installs what it needs into .venv first
 # make test   the tests
 # make traces the motion that tests/lipservo/traces/test_reference_traces.py holds, anew: docs/traces.md
-# make docs   the reference of all public names, from their docstrings, into site/
+# make docs   a site of all pages with search, and the reference of all public names, into site/
 # make check  style, types, the docs, samples of campaigns, and the wheels: what they hold, and that they run alone
 # make agents the adapters with the real packages (Pipecat, LiveKit, Wyoming, OpenAI: 1 GB), in .venv-agents
 # make campaign  every campaign whole: an hour and a half
@@ -37,11 +37,17 @@ UNDOCUMENTED := $(addprefix lipservo_client.,pipecat_face livekit_face wyoming_f
 	lipservo_lab.learning.adaptation.voice_learning \
 	$(addprefix lipservo_lab.learning.recognition.,network_training torch_network training_run)
 SITE := site
+PAGES := build/pages
+export NO_MKDOCS_2_WARNING := 1
 docs: $(VENV)/.installed-dev
-	rm -rf $(SITE)
+	@$(BIN)/python -c "import material, mkdocs, pdoc" || { echo "the site needs mkdocs-material and pdoc: $(BIN)/python -m pip install '.[docs]', once, with a network; docs/README.md reads without" >&2; exit 1; }
+	rm -rf $(SITE) $(PAGES)
+	$(BIN)/python docs/site_pages.py $(PAGES)
 	$(BIN)/python -W error $(foreach module,$(UNDOCUMENTED),-W "ignore:Couldn't import $(module)") \
-		-m pdoc --docformat markdown --no-show-source --output-directory $(SITE) \
+		-m pdoc --docformat markdown --no-show-source --output-directory $(PAGES)/api \
 		calibration firmware_bridge lipservo lipservo_client lipservo_lab lipsync $(foreach module,$(UNDOCUMENTED),'!$(subst .,\.,$(module))$$')
+	PAGES=$(abspath $(PAGES)) $(BIN)/python -m mkdocs build --strict --quiet --site-dir $(abspath $(SITE))
+	@echo "open $(SITE)/index.html"
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
@@ -75,7 +81,7 @@ clean:
 
 $(VENV)/.installed: pyproject.toml client/pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dashboard]' --editable ./client
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dashboard,say]' --editable ./client
 	touch $@
 
 $(VENV)/.installed-dev: pyproject.toml client/pyproject.toml lab/pyproject.toml

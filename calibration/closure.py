@@ -123,5 +123,5 @@ class Closure:
 
 @lru_cache
 def pairs(n_servos: int) -> tuple[Indices, Indices]:
-    """I and j of every product with i <= j, row by row."""
+    """Return the indices i <= j of every product of two joints, row by row."""
     return np.triu_indices(n_servos)

@@ -197,7 +197,7 @@ class Closing:
 
     @property
     def description(self) -> str:
-        """In words, where they do not."""
+        """Why the mouth does not close, in words."""
         return (
             f"does not close: lips stay up to {self.apart_mm:.1f} mm apart, {self.joint} is at its "
             f"limit and up to {self.missing_deg:.1f} deg are missing"

@@ -46,11 +46,11 @@ class MouthServos:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """One a joint."""
+        """The names of the servos, one a joint."""
         return tuple(joint.name for joint in self.joints)
 
     def holding(self, still: Collection[int]) -> "MouthServos":
-        """The same with these joints, by number, held at 0."""
+        """Return the servos with these joints, by number, held at 0."""
         held = tuple(
             JointRange(joint.name, 0.0, 0.0) if number in still else joint
             for number, joint in enumerate(self.joints)

@@ -69,7 +69,7 @@ class HardwareError(IntFlag):
 
 
 def describe_errors(bits: int) -> str:
-    """In words, `overload and overheating` for one; `none` for 0."""
+    """Return hardware errors in words, such as `overload and overheating`; `none` for 0."""
     words = [e.name.lower().replace("_", " ") for e in HardwareError if e & bits and e.name]
     return " and ".join(words) or ("none" if not bits else f"unknown ({bits:#04x})")
 
@@ -130,7 +130,7 @@ class ServoState(IntEnum):
 
     @property
     def word(self) -> str:
-        """For people and programs."""
+        """The state as a word, for people and programs."""
         return STATE_WORDS[self]
 
 

@@ -99,7 +99,7 @@ class PortRelease(Protocol):
         """Let go of everybody, at whatever rate they are spoken to; who there is, and these."""
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
 
 
 class BusKind:
@@ -125,7 +125,7 @@ class BusKind:
     simulator_module: str = ""
 
     def capabilities(self, settings: "BusSettings") -> BusCapabilities:
-        """What its servos can do; known while no port is open."""
+        """Return the capabilities of its servos; known while no port is open."""
         raise NotImplementedError
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":
@@ -186,7 +186,7 @@ class BusKind:
 
 
 def bus_names() -> list[str]:
-    """Every kind that is installed, those that come with lipservo first."""
+    """Return the names of all installed kinds, those that come with lipservo first."""
     others = sorted(point.name for point in entry_points(group=GROUP))
     return list(dict.fromkeys([*_BUILT_IN, *others]))
 

@@ -83,12 +83,12 @@ class BusServo(Strict):
 
     @property
     def make(self) -> str | None:
-        """Its model, where the YAML says it."""
+        """The servo model that the YAML names; None: none."""
         return getattr(self, "model", None)
 
     @property
     def pulse(self) -> JointPulse | None:
-        """Of a hobby servo; None: it is none."""
+        """Pulse and range of a hobby servo; None: it is none."""
         return None
 
     @property

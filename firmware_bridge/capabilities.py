@@ -60,7 +60,7 @@ class BusCapabilities:
         return self.soft_start_s + self.stagger_s * (n_servos - 1)
 
     def as_dict(self) -> dict[str, object]:
-        """For JSON."""
+        """Return the capabilities by name, for JSON."""
         return {each.name: getattr(self, each.name) for each in fields(BusCapabilities)}
 
     def warnings(self) -> list[str]:
@@ -111,11 +111,11 @@ class MixedCapabilities(BusCapabilities):
     bus_of: tuple[str, ...] = ()
 
     def of(self, index: int) -> BusCapabilities:
-        """What one servo can do."""
+        """Return the capabilities of one servo."""
         return self.buses[self.bus_of[index]]
 
     def start_s(self, _n_servos: int) -> float:
-        """As that of the slowest bus."""
+        """The start time of the slowest bus, in s."""
         return max(can.start_s(self.bus_of.count(name)) for name, can in self.buses.items())
 
     def as_dict(self) -> dict[str, object]:

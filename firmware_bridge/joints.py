@@ -27,7 +27,7 @@ class JointPulse:
     max_us: float
 
     def us(self, joint_deg: float) -> float:
-        """Of a joint angle."""
+        """Return the pulse of a joint angle, in us."""
         return self.neutral_us + self.us_per_deg * joint_deg
 
     def deg(self, pulse_us: float) -> float:
@@ -41,7 +41,7 @@ class JointPulse:
 
     @property
     def reach_deg(self) -> tuple[float, float]:
-        """The same as joint angles, the smaller first."""
+        """The reachable joint angles, degrees, the smaller first."""
         low, high = sorted(self.deg(each) for each in self.reach_us)
         return low, high
 

@@ -15,7 +15,7 @@ def ports_text(ports: Mapping[str, str]) -> str | None:
 
 
 def named_ports(text: str) -> dict[str, str] | None:
-    """What `ports_text` wrote, or a person; None: it is one port, without a name."""
+    """Parse `name=port,...`, as `ports_text` writes it; None: it is one port, without a name."""
     found = [_NAMED.fullmatch(each) for each in text.split(",")]
     if not all(found):
         return None
@@ -23,6 +23,6 @@ def named_ports(text: str) -> dict[str, str] | None:
 
 
 def ports_in(text: str) -> list[str]:
-    """Every port in such a text."""
+    """Return the ports in a text such as `/dev/ttyUSB0` or `a=/dev/ttyUSB0,b=/dev/ttyUSB1`."""
     named = named_ports(text)
     return [text] if named is None else list(named.values())

@@ -65,7 +65,7 @@ class PulseController(Protocol):
         """Open the way to it, again after it was lost; sends no pulse."""
 
     def close(self) -> None:
-        """Give it back for good; pulses go on as they are."""
+        """Close the controller; pulses go on as they are."""
 
     def send(self, pulses_us: Array) -> bool:
         """Send the pulse of each servo in one write.
@@ -265,7 +265,7 @@ class PulseBus:
         )
 
     def feedback(self) -> Feedback:
-        """Nothing comes back from them; whose turn has come."""
+        """Return unknown places, and which servos' turn has come."""
         self._check_open()
         now_s = self._clock.now()
         ready = sent_deg = None
@@ -277,7 +277,7 @@ class PulseBus:
         return Feedback(now_s, unknown, unknown, self._errors, self._nothing, ready, sent_deg)
 
     def remarks(self) -> Sequence[str]:
-        """Those of the controller."""
+        """Remarks of the controller."""
         return self._controller.remarks()
 
     def look_after(self) -> Health:
@@ -299,13 +299,13 @@ class PulseBus:
         self._check_open()
         if not self._may_jump and np.isnan(self._last_us[index]):
             return (
-                "has had no pulse yet, so nobody knows where it stands: it will jump to neutral at "
+                "has had no pulse yet, so its position is unknown: it will jump to neutral at "
                 "full speed; keep clear, then allow it once: `lipservo calibrate neutral --yes`"
             )
         return self._wrong[index]
 
     def enable_torque(self, index: int) -> str:
-        """Its pulses begin where they ended, when its turn comes."""
+        """Start a servo's pulses where they ended, when its turn comes."""
         if why := self.obstacle(index):
             return why
         if self._held[index]:
@@ -326,7 +326,7 @@ class PulseBus:
         return ""
 
     def keep_torque(self, index: int) -> bool:
-        """One that still gets pulses goes on with them."""
+        """Go on with the pulses of a servo that still gets them."""
         self._check_open()
         sending_us = self._controller.sending(index)
         if not sending_us > 0.0:
@@ -363,7 +363,7 @@ class PulseBus:
         return off
 
     def reboot(self, index: int) -> None:
-        """There is nothing to restart: no pulses."""
+        """Do nothing: a hobby servo without pulses cannot be restarted."""
         self.disable_torque(index)
 
     def reopen(self) -> None:

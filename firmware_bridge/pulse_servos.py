@@ -50,7 +50,7 @@ class PulseServo(BusServo, _Channel):
 
     @property
     def pulse(self) -> JointPulse:
-        """As its joint has it."""
+        """The pulse of its joint."""
         return JointPulse(self.neutral_us, self.us_per_deg, self.min_us, self.max_us)
 
     @model_validator(mode="after")

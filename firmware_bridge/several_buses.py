@@ -122,7 +122,7 @@ class BusThread:
             return self._answers.pop(key, None)
 
     def let_go(self) -> None:
-        """Torque off is the next thing that it does, and nothing of what was handed over before."""
+        """Switch torque off next; drop all work handed over before."""
         with self._changed:
             self._jobs.clear()
             self._answers.clear()
@@ -136,11 +136,11 @@ class BusThread:
             return let_go is not None and bool(let_go[index])
 
     def hear(self) -> None:
-        """Ask where its servos stand; in its thread."""
+        """Read where its servos stand, in its thread."""
         self.feedback = self.bus.feedback(), self._clock.now()
 
     def look(self) -> None:
-        """Ask how one of its servos is; in its thread."""
+        """Read the condition of one of its servos, in its thread."""
         self.health = self.bus.look_after(), self._clock.now()
 
     def lose(self, error: PortError) -> None:
@@ -337,7 +337,7 @@ class SeveralBuses:
         return found
 
     def remarks(self) -> Sequence[str]:
-        """Those of every bus, and which of them was lost."""
+        """Return the remarks of every bus, and which was lost."""
         for name, bus in self._buses.items():
             for remark in bus.remarks():
                 self._remark(f"{name}: {remark}")
@@ -470,7 +470,7 @@ class SeveralBuses:
 
 
 def _put(whole: Any, at: NDArray[np.intp], part: Any) -> None:
-    """Into the arrays of all servos those of one bus."""
+    """Put one bus's values into the arrays of all servos."""
     for each in fields(whole):
         values = getattr(part, each.name)
         if each.name != "time_s" and values is not None:

@@ -44,7 +44,7 @@ def install_handler(handler: Handler, *, leave_ignored: bool = False) -> Previou
 
 
 def restore_handlers(previous: PreviousHandlers) -> None:
-    """Undo `install_handler`."""
+    """Restore the handlers that `install_handler` replaced."""
     for number, handler in previous.items():
         signal.signal(number, handler)
 

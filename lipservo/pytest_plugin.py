@@ -101,9 +101,19 @@ class SimulatedFace:
             return dict(zip(board.layout.servos, newest["encoder_deg"].tolist(), strict=True))
 
     def stop(self) -> dict[str, Any]:
-        """Switch torque off, as a person would; return the confirmed stop. The daemon waits."""
+        """Switch torque off, as a person would, and return the stop report: `confirmed` servos.
+
+        The daemon then waits for a start. Raises RuntimeError where no report comes.
+        """
+        give_up_s = time.monotonic() + _PATIENCE_S
         with self.connect() as face:
-            return face.stop("limp")
+            face.stop("limp")
+            while time.monotonic() < give_up_s:
+                report: dict[str, Any] | None = face.status()["stop_report"]
+                if report is not None:
+                    return report
+                time.sleep(_POLL_S)
+        raise RuntimeError("the simulated face did not report its stop")
 
     def end(self) -> list[dict[str, Any]]:
         """Stop the face and return what it did.

@@ -78,7 +78,7 @@ class ArrayArchive:
 
     @property
     def names(self) -> list[str]:
-        """Of all arrays, in the order in which they are stored."""
+        """The names of all arrays, in the order in which they are stored."""
         return list(self._members)
 
     def __contains__(self, name: str) -> bool:

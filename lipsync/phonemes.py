@@ -97,7 +97,7 @@ class PhonemeEvent:
     confidence: float = 1.0
 
     def later(self, by_s: float) -> Self:
-        """The same of sound that begins `by_s` later."""
+        """Return the event for sound that begins `by_s` later."""
         end_s = None if self.end_s is None else self.end_s + by_s
         return replace(self, start_s=self.start_s + by_s, end_s=end_s)
 
@@ -117,7 +117,7 @@ class FramePosteriors:
     values: Array32
 
     def later(self, by_s: float) -> Self:
-        """The same of sound that begins `by_s` later, to the nearest frame."""
+        """Return the posteriors for sound that begins `by_s` later, to the nearest frame."""
         return replace(self, first_frame=self.first_frame + round(by_s * self.frames_per_s))
 
 
@@ -198,7 +198,7 @@ class LiveRecognizer(Protocol):
         """Hear the next block. Blocks of any size; a gap between blocks is heard as silence."""
 
     def updates(self) -> list[PhonemeUpdate]:
-        """What became known since the last call."""
+        """Return what became known since the last call."""
 
     def reset(self) -> None:
         """Forget everything, ready for a new stream at sound time 0."""

@@ -104,7 +104,7 @@ class SpokenText:
 
     @property
     def n_characters(self) -> int:
-        """Of all units."""
+        """The number of characters of all units."""
         return sum(len(unit.label) for unit in self.units)
 
     @property

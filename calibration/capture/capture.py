@@ -159,7 +159,7 @@ def plan_rows(plan: PosePlan, rows: Sequence[int]) -> PosePlan:
 
 
 def joined(first: PosePlan, second: PosePlan) -> PosePlan:
-    """One plan after the other."""
+    """Join two plans, one after the other."""
     return PosePlan(
         first.servo_names,
         np.concatenate([first.goals_deg, second.goals_deg]),

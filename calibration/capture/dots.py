@@ -294,14 +294,14 @@ class DotsFolder:
         self._warned: set[str] = set()
 
     def readings(self, pose: int) -> list[Reading]:
-        """What is seen of one pose. Raises CalibrationError."""
+        """Return the readings of one pose. Raises CalibrationError."""
         pictures = pose_pictures(self._folder)
         return [
             each for number, path in pictures if number == pose for each in self._look(number, path)
         ]
 
     def all_readings(self) -> list[Reading]:
-        """Of every picture. Raises CalibrationError."""
+        """Return the readings of every picture. Raises CalibrationError."""
         pictures = pose_pictures(self._folder)
         if not pictures:
             raise CalibrationError(f"{self._folder}: no picture in it; expected pose_1.png, ...")
@@ -335,7 +335,7 @@ class DotsFolder:
         n_lost = sum(bool(np.isnan(place).any()) for place in places_px.values())
         remarks = []
         if found.n_merged:
-            remarks.append(f"dots that touch, told apart by shape: {2 * found.n_merged}")
+            remarks.append(f"dots that touch, separated by shape: {2 * found.n_merged}")
         if n_lost == len(places_px):
             remarks.append(
                 f"left out: {len(found.middles_px)} dots are seen of {n_lost}, and names would be "

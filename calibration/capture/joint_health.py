@@ -163,7 +163,7 @@ class JointFault:
     pose: int
 
     def description(self, names: tuple[str, ...]) -> str:
-        """One line, with what to do."""
+        """Describe the fault in one line, with what to do."""
         if self.joint < 0:
             return (
                 f"from pose {self.pose} on the face is another one than before: was the tracker or "
@@ -200,7 +200,7 @@ def joint_fault(capture: Capture, lines: StraightLines, sure: float = SURE) -> J
 
 
 def _left(inputs: Array, y: Array) -> float:
-    """What a least-squares fit leaves, squared."""
+    """Return the residual sum of squares of a least-squares fit."""
     basis = np.linalg.qr(inputs)[0]
     return float((y**2).sum() - ((basis.T @ y) ** 2).sum())
 

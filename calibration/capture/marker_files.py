@@ -142,7 +142,7 @@ def read_plan(path: Path, servo_names: tuple[str, ...]) -> PosePlan:
 
 
 def read_numbered_plan(path: Path, servo_names: tuple[str, ...]) -> tuple[list[int], PosePlan]:
-    """The same with the number of each pose, as its line has it."""
+    """Read a plan with the number of each pose, as its line has it."""
     numbers, goals_deg, from_below, ladders = _read_plan(path, servo_names)
     start_deg = goals_deg - LEAD_IN_DEG * from_below
     return numbers, PosePlan(servo_names, goals_deg, from_below, start_deg, ladders)

@@ -49,7 +49,7 @@ class FaceChange:
     last: int
 
     def description(self, names: tuple[str, ...]) -> str:
-        """One line, with what to do."""
+        """Describe the change in one line, with what to do."""
         where = f"between poses {self.first} and {self.last}"
         if self.joint < 0:
             return (
@@ -211,7 +211,7 @@ def _middle(seen_mm: Array) -> Array:
 
 
 def bears_out(changed: ChangedPoses, fault: JointFault) -> bool:
-    """Whether repeated poses, too, say what a model of the whole capture suspects of a joint."""
+    """Return whether repeated poses, too, show a fault found by a model of the whole capture."""
     if fault.joint < 0:
         return False
     if fault.kind == "slipped":

@@ -163,7 +163,7 @@ def check_frame(
 
 
 def _likeness(robot: Array, human: Array) -> float:
-    """1: the same shape but for its size, and nothing turned."""
+    """Return how alike two shapes are; 1: equal but for size, and not turned."""
     return float((robot * human).sum() / (np.linalg.norm(robot) * np.linalg.norm(human) + 1e-12))
 
 
@@ -245,7 +245,7 @@ def check_capture(
 
 
 def _check_range(capture: Capture) -> None:
-    """A joint that the plan never moves cannot be learnt."""
+    """Refuse a plan that never moves a joint, which cannot be learnt."""
     still = np.ptp(capture.goals_deg, axis=0) < _LEAST_RANGE_DEG
     if still.any():
         name = capture.servo_names[int(still.argmax())]
@@ -407,5 +407,5 @@ def _usual_word(name: str, word: str) -> str:
 
 
 def _bare(word: str) -> str:
-    """`opens` -> `open`."""
+    """Return a verb without its s: `opens` -> `open`."""
     return word[:-1] if word.endswith("s") else word

@@ -50,17 +50,17 @@ class Swap:
 
     @property
     def names(self) -> tuple[str, str]:
-        """Both."""
+        """The names of both markers."""
         return self.one, self.other
 
     def description(self) -> str:
-        """Half a line."""
+        """The swap in half a line, for messages."""
         where = "in every pose" if self.pose is None else f"in pose {self.pose + 1}"
         return f"{self.one!r} and {self.other!r} have changed places {where}"
 
 
 def described_swaps(swaps: Sequence[Swap]) -> str:
-    """All of them in half a line."""
+    """Describe all swaps in half a line."""
     return "; ".join(swap.description() for swap in swaps)
 
 

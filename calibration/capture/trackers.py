@@ -41,7 +41,7 @@ class Tracker(Protocol):
 
     @property
     def marker_names(self) -> tuple[str, ...]:
-        """In the order of `measure`."""
+        """The names of the markers, in the order of `measure`."""
 
     def arrived(self, pose: int, reached_deg: Array, /) -> None:
         """Note that the robot holds a pose.
@@ -103,7 +103,7 @@ class FileTracker:
 
     @property
     def marker_names(self) -> tuple[str, ...]:
-        """As seen in pose 0."""
+        """The names of the markers, as seen in pose 0."""
         return self._names
 
     def arrived(self, pose: int, reached_deg: Array) -> None:

@@ -70,20 +70,20 @@ class Place:
         return tuple(self._value)
 
     def at(self, key: str) -> "Place":
-        """What lies under a key."""
+        """Return the place under a key. Raises CalibrationError naming this place."""
         path = f"{self.path}.{key}" if self.path else key
         if key not in self.names or not isinstance(self._value, dict):
             raise CalibrationError(f"{path} is missing")
         return Place(self._value[key], path)
 
     def text(self) -> str:
-        """Some text."""
+        """The value here as text. Raises CalibrationError naming its place otherwise."""
         if not isinstance(self._value, str):
             raise CalibrationError(f"{self.path} is {shown(self._value)}, expected text in quotes")
         return self._value
 
     def number(self) -> float:
-        """A finite number."""
+        """The value here as a finite number. Raises CalibrationError naming its place otherwise."""
         value = self._value
         if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _MAX:
             return float(value)
@@ -102,19 +102,19 @@ class Place:
         return self._value
 
     def flag(self) -> bool:
-        """True or false."""
+        """The value here as a flag. Raises CalibrationError naming its place otherwise."""
         if not isinstance(self._value, bool):
             raise CalibrationError(f"{self.path} is {shown(self._value)}, expected true or false")
         return self._value
 
     def whole(self) -> int:
-        """A whole number of either sign."""
+        """The value here as a whole number. Raises CalibrationError naming its place otherwise."""
         if isinstance(self._value, bool) or not isinstance(self._value, int):
             raise CalibrationError(f"{self.path} is {shown(self._value)}, expected a whole number")
         return self._value
 
     def places(self) -> list["Place"]:
-        """What a list holds, one at least."""
+        """The places in a list, one at least. Raises CalibrationError otherwise."""
         values = self._value
         if not isinstance(values, list) or not values:
             raise CalibrationError(f"{self.path} should be a list")
@@ -293,7 +293,7 @@ def _parse_closing(file: Place) -> Closing | None:
 
 
 def _parse_centres(file: Place, servos: list[Place], n_components: int) -> tuple[Array, Array]:
-    """Bends that are not quadratic, where the map has any."""
+    """Parse centres and weights of bends that are not quadratic; empty where there are none."""
     if not file.has("centres"):
         return np.zeros((0, n_components)), np.zeros((len(servos), 0))
     centres = np.array([centre.numbers(n_components) for centre in file.at("centres").places()])
@@ -314,7 +314,7 @@ def _parse_origin(file: Place, servos: list[Place]) -> Origin:
 
 
 def _parse_memories(servos: list[Place]) -> tuple[ServoMemory, ...]:
-    """None unless some servo was read; then all were."""
+    """Parse the servos' memories; () unless all servos were read."""
     if not any(servo.has("memory") for servo in servos):
         return ()
     keys = [field.name for field in fields(ServoMemory)]
@@ -350,7 +350,7 @@ def _parse_touch(file: Place, names: tuple[str, ...]) -> Touch | None:
 
 
 def _parse_trim(file: Place, names: tuple[str, ...]) -> dict[str, Array]:
-    """A hand writes this part, so names are checked."""
+    """Parse the trims, whose names are checked: people write them by hand."""
     if not file.has("trim"):
         return {}
     trim = file.at("trim")
@@ -411,7 +411,7 @@ def _parse_each_marker(hold_out: Place) -> dict[str, float]:
 
 
 def parse_learnt_lips(file: Place) -> LearntLips | None:
-    """Raises CalibrationError."""
+    """Parse how the lips were learnt. Raises CalibrationError."""
     if not file.has("learnt_lips"):
         return None
     lips = file.at("learnt_lips")
@@ -425,7 +425,7 @@ def parse_learnt_lips(file: Place) -> LearntLips | None:
 
 
 def parse_grade(file: Place) -> Grade | None:
-    """Raises CalibrationError."""
+    """Parse the grade. Raises CalibrationError."""
     if not file.has("grade"):
         return None
     grade = file.at("grade")
@@ -440,7 +440,7 @@ def parse_grade(file: Place) -> Grade | None:
 
 
 def parse_coverage(file: Place) -> dict[str, VisemeReach]:
-    """Raises CalibrationError."""
+    """Parse the coverage of viseme classes. Raises CalibrationError."""
     if not file.has("coverage"):
         return {}
     coverage = file.at("coverage")

@@ -138,7 +138,7 @@ def _servo_lines(calibration: Calibration, i: int) -> list[str]:
 
 
 def _following_lines(following: Following | None, i: int) -> list[str]:
-    """What is not known is not written."""
+    """Return the lines of a servo's response; unknown values are left out."""
     if following is None:
         return []
     lines = [

@@ -232,7 +232,7 @@ def _at_limit(poses_deg: Array, mouth: RobotMouth) -> NDArray[np.bool_]:
 
 
 def _rows_of(model: FaceWithAnimPhos, viseme: tuple[str, ...]) -> NDArray[np.int64]:
-    """Some AnimPhos of a class, evenly from all it has."""
+    """Return some AnimPhos of a class, evenly from all it has."""
     rows = np.concatenate([model.animphos.of_phoneme(phoneme) for phoneme in viseme])
     if not len(rows):
         return rows
@@ -455,7 +455,7 @@ def backlash_only(backlash_deg: Array) -> Following:
 
 
 def mouth_of(face: RobotFace, names: Correspondence, servos: MouthServos) -> RobotMouth:
-    """The learnt face as retargeting sees it."""
+    """Make the mouth of a learnt face for retargeting."""
     return RobotMouth(face.free_mm, names, servos.limits_deg, servos.rules, face.markers_mm)
 
 

@@ -120,7 +120,7 @@ def graded(
     Returns
     -------
     tuple[Calibration, tuple[str, ...]]
-        Errors in mm.
+        With the lips' errors in mm, and warnings for the user.
 
     Raises
     ------
@@ -216,7 +216,7 @@ def _chosen(fit: MeasuredFit, seed: int) -> tuple[NDArray[np.int64], Array]:
 
 
 def _parts(frames: Array, rows: NDArray[np.int64], n: int) -> list[NDArray[np.int64]]:
-    """The rows in so many parts of frames that are alike."""
+    """Divide rows into `n` parts of alike frames."""
     if len(rows) <= n or n == 0:
         return [rows[i : i + 1] for i in range(min(n, len(rows)))]
     labels = KMeans(n, n_init=2, random_state=0).fit(frames[rows]).labels_
@@ -224,7 +224,7 @@ def _parts(frames: Array, rows: NDArray[np.int64], n: int) -> list[NDArray[np.in
 
 
 def _viseme(units: AnimPhoUnits, frame: Array) -> str:
-    """The first phoneme of the class that is spoken there."""
+    """Return the first phoneme of the class that is spoken in a frame."""
     at = int(np.flatnonzero((units.frames == frame).all(axis=1))[0]) // SAMPLES_PER_ANIMPHO
     phoneme = next(p for i, p in enumerate(PHONEMES) if at in units.phoneme_table[i])
     return VISEME_CLASSES[VISEME_OF[phoneme]][0]
@@ -264,7 +264,7 @@ _VISEME, _MAP, _FIRST = "viseme", "map", "_x_mm"
 
 
 def write_check_plan(poses: GradedPoses, calibration: Calibration, path: Path) -> None:
-    """Write it whole or not at all; poses are counted from 1. Raises OutputError."""
+    """Write the poses to grade by as CSV, whole or not at all. Raises OutputError."""
     plan = poses.plan
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

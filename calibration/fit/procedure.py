@@ -111,7 +111,7 @@ class Procedure:
         return max(0, min(round(_SPEECH_SHARE * self.n_poses), spare))
 
     def range_plan(self) -> PosePlan:
-        """The poses that fill the range."""
+        """Return the plan of poses that fill the range."""
         n_poses = self.n_poses - self.n_of_speech
         return plan_poses(self.joints, n_poses, rules=self.rules, seed=self.seed)
 

@@ -558,7 +558,7 @@ def _check_a_mouth(mouth: RobotMouth, closed_mm: Array) -> float:
 
 
 def no_opening(mouth: RobotMouth, opening_mm: float) -> CalibrationError:
-    """Lips that hardly part."""
+    """Return the error for lips that hardly part."""
     names = mouth.names.marker_names
     upper, lower = mouth.names.shape_features.gaps[0]
     return CalibrationError(

@@ -429,7 +429,7 @@ class _Learning:
         self.hyperparameters: Hyperparameters | None = None
 
     def filled(self, seen_mm: Array, known: NDArray[np.bool_]) -> Array:
-        """(n, n_markers, 3), off the centre, where unknown as the process expects it."""
+        """Fit the process; return the markers (n, n_markers, 3), gaps filled by its predictions."""
         filled = np.where(known, seen_mm, 0.0)
         for _ in range(1 if known.all() else _ROUNDS):
             free_mm = filled[self._opened]
@@ -439,7 +439,7 @@ class _Learning:
         return filled
 
     def by_axis(self, filled: Array) -> tuple[Hyperparameters, ...]:
-        """For each axis, the backlash of all of them."""
+        """Fit hyperparameters to each axis alone, with the backlash fitted to all three."""
         return tuple(
             fit_hyperparameters(
                 self._free,
@@ -464,7 +464,7 @@ class _Learning:
         return process.predict((warm - of.middle_deg) / of.half_range_deg)
 
     def expected(self, filled: Array) -> Array:
-        """What the process makes of all poses."""
+        """Return the markers that the process predicts for all poses."""
         assert self.hyperparameters is not None
         inputs = self._poses.inputs(self.hyperparameters.backlash_deg)
         return fit_process(self.hyperparameters, inputs, filled, self._apart_mm2).predict(inputs)

@@ -155,7 +155,7 @@ def lag_between_s(goal: Array, seen: Array, rate_hz: float, *, until: int | None
 
 
 def _chirp_index(frequency_hz: float, rate_hz: float) -> int:
-    """The sample of `chirp_deg` at which it reaches a frequency."""
+    """Return the sample of `chirp_deg` at which it reaches a frequency."""
     low, high = _CHIRP_HZ
     share = (frequency_hz - low) / (high - low)
     return round((_REST_S + share * _CHIRP_S) * rate_hz)

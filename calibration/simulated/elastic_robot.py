@@ -467,7 +467,7 @@ class ElasticFace:
         return np.asarray(values)
 
     def _jaw_yields(self) -> Array:
-        """(n_seen, N_PAIRS): lips that are pushed push the jaw open, and all that hangs on it."""
+        """Return how pushed lips, by the jaw, move dots and gaps, (n_seen, N_PAIRS) mm/N."""
         rest = np.zeros((2, len(self.draw.signs)))
         seen = self._free(rest, np.array([0.0, 0.01]))
         by_rad = (seen[1] - seen[0]) / 0.01

@@ -24,7 +24,7 @@ def connect(url: str = _URL, token: str | None = None) -> "Face":
 
 
 def connect_async(url: str = _URL, token: str | None = None) -> "AsyncFace":
-    """The same for asyncio: `async with lipservo.connect_async() as face:`."""
+    """Connect in asyncio: `async with lipservo.connect_async() as face:`."""
     from lipservo_client.async_face import AsyncFace
 
     return AsyncFace(url, token)

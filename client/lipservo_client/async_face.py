@@ -73,12 +73,12 @@ class AsyncSpeech:
 
     @property
     def is_complete(self) -> bool:
-        """No more of it comes."""
+        """Whether its end was sent."""
         return self._is_complete
 
     @property
     def was_heard(self) -> bool:
-        """It was heard to its end."""
+        """Whether it was heard to its end."""
         has_result = self.is_over and self._heard.exception() is None
         return has_result and self._heard.result().finished
 
@@ -169,7 +169,7 @@ class AsyncSpeech:
                 await self._wire.send("interrupt")
 
     def hear(self, event: Event) -> None:
-        """What the face tells of this stream."""
+        """Handle an event of this stream."""
         if event.get("n_played", 0) > self.n_played:
             self.n_played = int(event["n_played"])
             self._moved_s = asyncio.get_running_loop().time()
@@ -184,7 +184,7 @@ class AsyncSpeech:
                 self.fail(error_of(event))
 
     def fail(self, error: FaceError) -> None:
-        """The face refused something of it."""
+        """Note that the face refused a message of this stream."""
         if not self._ready.done():
             self._ready.set_exception(error)
             self._ready.exception()  # nobody need wait for it
@@ -194,7 +194,7 @@ class AsyncSpeech:
             self._error = self._error or error
 
     def lose(self, error: FaceError) -> None:
-        """The connection is gone."""
+        """End the stream with an error: the connection is lost."""
         self.fail(error)
         if not self.is_over:
             self._heard.set_exception(error)
@@ -252,12 +252,12 @@ class Events:
         self._is_over = False
 
     def put(self, event: Event) -> None:
-        """One more."""
+        """Append an event."""
         self._waiting.append(event)
         self._filled.set()
 
     def end(self) -> None:
-        """No more come."""
+        """End the iteration: no more events come."""
         self._is_over = True
         self._filled.set()
 
@@ -341,7 +341,7 @@ class AsyncFace:
         name = stream or f"speech {next(self._numbers)}"
         self._speeches = {key: each for key, each in self._speeches.items() if not each.is_over}
         if name in self._speeches:
-            raise FaceError("stream_open", f"stream {name!r} is said or waits already")
+            raise FaceError("stream_open", f"stream {name!r} is spoken or waits already")
         speech = AsyncSpeech(self, name, {"sample_rate": sample_rate, "playback": playback})
         self._speeches[name] = speech
         return speech
@@ -368,7 +368,7 @@ class AsyncFace:
         await self.wire.send("pause")
 
     async def resume(self) -> None:
-        """Speech goes on where it was paused."""
+        """Resume speech where it was paused."""
         await self.wire.send("resume")
 
     def keep_trying(self) -> None:
@@ -428,7 +428,7 @@ class AsyncFace:
                 return answer
             done, _ = await asyncio.wait([heard], timeout=STILL_S + answer["duration_s"])
             if not done:
-                raise FaceError("not_answering", f"{kind}: its end was not told")
+                raise FaceError("not_answering", f"{kind}: its end was not reported")
             event = heard.result()
         finally:
             del self._spoken[number]

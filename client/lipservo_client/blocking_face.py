@@ -113,7 +113,7 @@ class Face:
         self.wait_for(self._face.pause())
 
     def resume(self) -> None:
-        """Speech goes on where it was paused."""
+        """Resume speech where it was paused."""
         self.wait_for(self._face.resume())
 
     def events(self) -> Iterator[Event]:

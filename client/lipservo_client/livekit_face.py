@@ -81,14 +81,14 @@ class LiveKitFace(AudioOutput):
                 self.on_playback_finished(playback_position=0.0, interrupted=True)
 
     def flush(self) -> None:
-        """The segment is complete."""
+        """End the segment: it is complete."""
         super().flush()
         speech, self._speech, self._is_cut = self._speech, None, False
         if speech is not None:
             self._then(speech.end())
 
     def clear_buffer(self) -> None:
-        """Silence now."""
+        """Interrupt the face at once."""
         self._is_cut = self._is_cut or self._speech is not None
         if self._face.is_connected:
             self._then(self._face.interrupt())
@@ -101,7 +101,7 @@ class LiveKitFace(AudioOutput):
             self._then(self._face.pause())
 
     def resume(self) -> None:
-        """Speech goes on where it was paused."""
+        """Resume speech where it was paused."""
         super().resume()
         self._is_paused = False
         if self._is_saying:

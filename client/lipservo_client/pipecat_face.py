@@ -41,7 +41,7 @@ class _FaceProcessor(FrameProcessor):
         self._tasks: list[asyncio.Task[None]] = []
 
     async def cleanup(self) -> None:
-        """Hang up."""
+        """Disconnect from the face."""
         await super().cleanup()
         for task in self._tasks:
             await self.cancel_task(task)
@@ -422,7 +422,7 @@ class PipecatFollower(_FaceProcessor):
 
 
 def _rest_of(sound: _Unheard) -> frames.TTSAudioRawFrame:
-    """What was not heard of a frame of sound."""
+    """Return the part of a frame of sound that was not heard."""
     width = 2 * sound.frame.num_channels
     n_played = 0 if sound.speech is None else sound.speech.n_played
     n_rest = min(sound.n - n_played, len(sound.frame.audio) // width)

@@ -35,7 +35,7 @@ class Played:
 
 
 def played_of(event: Event) -> Played:
-    """What the last event of a stream says of it."""
+    """Return what became of a stream, from its last event."""
     finished = event["type"] == "finished"
     return Played(finished, float(event["played_s"]), float(event.get("dropped_s", 0.0)))
 
@@ -77,10 +77,10 @@ class SampleArray(Protocol):
 
     @property
     def dtype(self) -> object:
-        """Its numbers' type."""
+        """The type of its numbers."""
 
     def tobytes(self) -> bytes:
-        """Its numbers."""
+        """Return its numbers as bytes."""
 
 
 #: s16le bytes, or an array (n,) or (n, 1): int16, or float in [-1, 1].

@@ -58,7 +58,7 @@ class VendorUnits:
     alphabet: str | None = None
 
     def stream_units(self, rate_hz: int) -> SpeechUnits:
-        """What `tell` of a stream takes, beside `alphabet=units.alphabet`."""
+        """Return the units for `tell` of a stream, beside `alphabet=units.alphabet`."""
         return _PLURAL[self.kind], [
             (each.label, round(each.start_s * rate_hz), _sample(each.end_s, rate_hz))
             for each in self.units

@@ -97,7 +97,7 @@ class _UnauthorizedError(FaceError):
 
 
 async def _opened(url: str, token: str | None, patience_s: float) -> ClientConnection:
-    """Raises FaceError."""
+    """Open a WebSocket. Raises FaceError."""
     headers = None if token is None else {"Authorization": f"Bearer {token}"}
     try:
         return await connect(
@@ -120,7 +120,7 @@ async def _opened(url: str, token: str | None, patience_s: float) -> ClientConne
         raise FaceError("refused", f"{url}: is no address of a face: {error}") from error
     except (OSError, TimeoutError) as error:
         hint = "is a face running that takes speech?"
-        raise FaceError("not_answering", f"{url}: nobody answers there; {hint}") from error
+        raise FaceError("not_answering", f"{url}: no face answers there; {hint}") from error
 
 
 def _gone(error: ConnectionClosed) -> FaceError:

@@ -200,7 +200,7 @@ class DynamixelBus:
         """
 
     def read(self) -> Readings:
-        """Two questions to all: goals and places, then torque."""
+        """Read goals and places of all servos, then their torque."""
         line = self.line
         found = self._note(self._whole.ask(line))
         for status in found:
@@ -282,7 +282,7 @@ class DynamixelBus:
         return self._torque.keep(self.line, index)
 
     def disable_torque(self, index: int) -> bool:
-        """Torque off, read back."""
+        """Switch torque off, and read back whether it is."""
         return self._torque.disable(self.line, index)
 
     def disable_all(self) -> NDArray[np.bool_]:
@@ -371,7 +371,7 @@ class DynamixelBus:
             self._line = None
 
     def _note(self, statuses: Sequence[Status]) -> Sequence[Status]:
-        """Remember who answered, and with what error."""
+        """Store which servos answered, and with what error."""
         now_s = self.line.transport.clock.now()
         self._watchdogs.spoke(now_s)
         self._present.note(statuses, now_s)

@@ -117,13 +117,13 @@ class ServoModel:
 
 @cache
 def baud_rates() -> Mapping[int, int]:
-    """Baud rate by the code that register `baud_rate` holds."""
+    """Return baud rates by the code that register `baud_rate` holds."""
     return MappingProxyType(dict(_tables()["codes"]["baud_rate"]))
 
 
 @cache
 def servo_models() -> Mapping[str, ServoModel]:
-    """Every known model by its name, `XL330-M288` for one."""
+    """Return every known model by its name, such as `XL330-M288`."""
     return MappingProxyType({name: _model(name, raw) for name, raw in _tables()["models"].items()})
 
 

@@ -30,11 +30,11 @@ class DynamixelKind(BusKind):
     simulator_module = "firmware_bridge.simulator.host"
 
     def capabilities(self, _settings: "BusSettings") -> BusCapabilities:
-        """Everything that there is."""
+        """All capabilities: Dynamixels report everything."""
         return CAPABILITIES
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":  # noqa: ARG002 - real servos have the clock of the computer
-        """By our own packets, or the vendor's library."""
+        """Open the bus, by our own packets or by the vendor's library."""
         from firmware_bridge.dynamixel.bus import DynamixelBus, slow_adapter
         from firmware_bridge.dynamixel.mounting import mounted_servos
         from firmware_bridge.serial_servos.serial_transport import SameAdapter, latency_timer_ms
@@ -59,13 +59,13 @@ class DynamixelKind(BusKind):
         return bus(lambda: SdkTransport(port, settings.baud_rate), make_line=SdkLine)
 
     def slowness(self, wiring: Wiring, rate_hz: float) -> str | None:
-        """By the bytes of a tick."""
+        """Return why the rate is too high for the bytes of a tick; empty: it is not."""
         from firmware_bridge.dynamixel.bus import budget
 
         return budget(len(wiring.servos), wiring.settings.baud_rate, rate_hz)
 
     def answers_at(self, transport: "Transport") -> bool:
-        """By a ping to everybody."""
+        """Whether a servo answers a broadcast ping."""
         from firmware_bridge.dynamixel.wire.line import Line
 
         return bool(Line(transport).ping_all())
@@ -93,7 +93,7 @@ class DynamixelKind(BusKind):
             yield from examine(line, servos, wiring.rate_hz, latency_timer_ms(port))
 
     def memories(self, wiring: Wiring) -> Sequence[Mapping[str, int] | None]:
-        """Of each servo its EEPROM."""
+        """Read the EEPROM of each servo."""
         from firmware_bridge.dynamixel.mounting import mounted_servos, read_identities
         from firmware_bridge.serial_servos.serial_transport import SameAdapter
 

@@ -53,17 +53,17 @@ class PresentState:
         return current_ma
 
     def take_temperature(self, index: int, temperature_degc: int) -> None:
-        """How warm it is, and by how much it may become warmer."""
+        """Store a servo's temperature, and its distance from the servo's own limit."""
         cache = self.cache
         cache.set_one("temperature_degc", index, temperature_degc)
         cache.set_one("room_degc", index, cache.hottest[index] - temperature_degc)
 
     def take_identity(self, index: int, found: ServoIdentity, now_s: float) -> None:
-        """Its own limits and return delay, as its EEPROM says."""
+        """Store a servo's own limits and return delay from its EEPROM."""
         self.cache.take_identity(index, found, found.eeprom["temperature_limit"], now_s)
 
     def note(self, statuses: Sequence[Status], now_s: float) -> None:
-        """Remember who answered, and with what error."""
+        """Store which servos answered, and with what error."""
         cache = self.cache
         for status in statuses:
             n = cache.index[status.servo_id]

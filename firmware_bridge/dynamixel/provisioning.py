@@ -43,7 +43,7 @@ _TRIES: Final = 3
 
 
 def wanted_settings(servo: MountedServo, baud_rate: int) -> dict[str, int]:
-    """EEPROM values by register name for a servo in its place."""
+    """Return the EEPROM values, by register, that a servo should have."""
     low, high = servo.pulse_range()
     margin = round(SERVO_LIMIT_MARGIN_DEG * PULSES_PER_DEG)
     code = next(code for code, rate in baud_rates().items() if rate == baud_rate)

@@ -69,7 +69,7 @@ class DynamixelServo(BusServo, _Keys):
 
     @property
     def facts(self) -> ModelFacts:
-        """What its model is and can do."""
+        """The facts of its model."""
         return servo_models()[self.model]
 
     @property
@@ -83,7 +83,7 @@ class DynamixelServo(BusServo, _Keys):
         }
 
     def strain(self, effort: float) -> float:
-        """Of max_current_ma, where the model measures current."""
+        """Share of max_current_ma, where the model measures current."""
         if self.max_current_ma is None or not self.facts.measures_current:
             return 0.0
         return effort * self.facts.stall_a * 1e3 / self.max_current_ma

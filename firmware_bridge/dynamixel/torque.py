@@ -123,12 +123,12 @@ class SoftStart:
         return all(write_verified(line, servo_id, *each) for each in wanted)
 
     def note_torque_on(self, index: int, now_s: float) -> None:
-        """Torque came on now."""
+        """Begin the soft start of a servo whose torque was switched on."""
         self._due_s[index] = now_s + SOFT_START_S
         self._n_left[index] = _REPEATS
 
     def cancel(self) -> None:
-        """Torque is off everywhere."""
+        """End all soft starts: torque is off everywhere."""
         self._due_s[:] = np.inf
         self._n_left[:] = 0
 
@@ -232,7 +232,7 @@ class TorqueSwitch:
         return write_verified(line, servo_id, _GOAL, struct.pack("<i", place))
 
     def disable(self, line: Line, index: int) -> bool:
-        """Torque off; whether it was read back."""
+        """Switch torque off; return whether the servo confirmed it."""
         limp = write_verified(line, self._servos[index].joint.servo_id, _TORQUE, b"\0")
         if limp:
             self._cache.enabled[index] = False
@@ -328,5 +328,5 @@ class LineRelease:
         return sorted(found)
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         self._line.transport.close()

@@ -273,7 +273,7 @@ class FeetechBus:
         return self._torque.keep(self.line, index)
 
     def disable_torque(self, index: int) -> bool:
-        """Torque off, read back."""
+        """Switch torque off, and read back whether it is."""
         return self._torque.disable(self.line, index)
 
     def disable_all(self) -> NDArray[np.bool_]:

@@ -66,7 +66,7 @@ class Dialect:
 
     @property
     def positions_per_deg(self) -> float:
-        """Of the position registers."""
+        """Steps of the position registers a degree."""
         return self.n_positions / self.reach_deg
 
     def encode(self, name: str, value: int) -> bytes:
@@ -114,12 +114,12 @@ class ServoModel:
 
     @property
     def pulses_per_deg(self) -> float:
-        """Of the position registers."""
+        """Steps of the position registers a degree."""
         return self.dialect.positions_per_deg
 
     @property
     def current_unit_ma(self) -> float | None:
-        """Of present_current; None: it counts load alone."""
+        """Milliamperes a step of present_current; None: the register counts load alone."""
         return self.dialect.current_unit_ma
 
 
@@ -131,7 +131,7 @@ def baud_rates() -> Mapping[int, int]:
 
 @cache
 def servo_models() -> Mapping[str, ServoModel]:
-    """Every known model by its name, `STS3215` for one."""
+    """Return every known model by its name, such as `STS3215`."""
     tables = _tables()
     dialects = {name: _dialect(name, raw) for name, raw in tables["dialects"].items()}
     return MappingProxyType(

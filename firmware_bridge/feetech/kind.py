@@ -32,7 +32,7 @@ class FeetechKind(BusKind):
         return CAPABILITIES
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":
-        """At its port; without one in memory."""
+        """Open the bus at its port; without one in memory."""
         from firmware_bridge.feetech.bus import FeetechBus
         from firmware_bridge.feetech.mounting import mounted_servos
 
@@ -47,14 +47,14 @@ class FeetechKind(BusKind):
         return FeetechBus(servos, opener, strict=strict, period_s=1.0 / wiring.rate_hz)
 
     def slowness(self, wiring: Wiring, rate_hz: float) -> str | None:
-        """By the bytes of a tick."""
+        """Return why the rate is too high for the bytes of a tick; empty: it is not."""
         from firmware_bridge.feetech.bus import budget
         from firmware_bridge.feetech.mounting import mounted_servos
 
         return budget(mounted_servos(wiring), wiring.settings.baud_rate, rate_hz)
 
     def answers_at(self, transport: "Transport") -> bool:
-        """By a read of every id's model number."""
+        """Whether any id answers a read of its model number."""
         from firmware_bridge.feetech.line import Line
 
         return bool(Line(transport).scan())
@@ -79,7 +79,7 @@ class FeetechKind(BusKind):
             yield from examine(line, mounted_servos(wiring), wiring.rate_hz)
 
     def memories(self, wiring: Wiring) -> Sequence[Mapping[str, int] | None]:
-        """Of each servo its EEPROM."""
+        """Read the EEPROM of each servo."""
         from firmware_bridge.feetech.mounting import identify_all, mounted_servos
         from firmware_bridge.feetech.provisioning import unhurried_line
 

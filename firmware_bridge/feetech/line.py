@@ -137,7 +137,7 @@ class Group:
         self.reset()
 
     def reset(self) -> None:
-        """Forget who was silent."""
+        """Forget which servos were silent."""
         self._silent = dict.fromkeys(self.ids, 0)
         self._n_requests = 0
         self._all_well = True

@@ -62,7 +62,7 @@ class ServoIdentity:
 
     @property
     def return_delay_s(self) -> float:
-        """How long it waits before it answers."""
+        """Seconds that the servo waits before it answers."""
         return self.eeprom["return_delay_time"] * RETURN_DELAY_UNIT_S
 
     def speed_register(self, deg_s: float, dialect: Dialect) -> int:

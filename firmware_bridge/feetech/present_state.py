@@ -81,7 +81,7 @@ class PresentState:
         return np.asarray((self._currents & 0x7FFF) * self._current_unit_ma, np.float64)
 
     def take_identity(self, index: int, found: ServoIdentity, now_s: float) -> None:
-        """Its own limits and return delay, as its EEPROM says."""
+        """Store a servo's own limits and return delay from its EEPROM."""
         self.cache.take_identity(index, found, found.eeprom["max_temperature"], now_s)
         self._seen = b""
 
@@ -148,6 +148,6 @@ class PresentState:
         self.cache.hardware = read_only(cache.hardware | now)
 
     def forget_trouble(self, index: int) -> None:
-        """It has been restarted: what it reports from now on counts."""
+        """Clear the errors of a servo that was restarted."""
         self.cache.set_one("hardware", index, 0)
         self._seen = b""

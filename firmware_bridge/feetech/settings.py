@@ -28,12 +28,12 @@ class FeetechServo(BusServo, _Keys):
 
     @property
     def facts(self) -> ServoModel:
-        """What its model is and can do."""
+        """The facts of its model."""
         return servo_models()[self.model]
 
     @property
     def bounds(self) -> Mapping[str, float | None]:
-        """Of its model, in its widest variant."""
+        """Limits of its model, in its widest variant."""
         facts = self.facts
         return {
             "hottest_degc": facts.hottest_degc,

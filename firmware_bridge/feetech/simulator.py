@@ -150,7 +150,7 @@ class SimulatedServo:
 
     @property
     def place(self) -> int:
-        """Its position register."""
+        """The value of its position register."""
         shaft = float(self._motors.position[self.index])
         return round((shaft - CENTER_PULSE) / self._scale) + self.dialect.center
 
@@ -172,7 +172,7 @@ class SimulatedServo:
         self._settle()
 
     def read(self, address: int, size: int) -> bytes:
-        """What a read gets."""
+        """Return the bytes that a read of its registers gets."""
         if address + size > STATE:
             self._refresh()
         return bytes(self.table[address : address + size])
@@ -309,11 +309,11 @@ class SimulatedChain:
 
     @property
     def next_delivery_s(self) -> float:
-        """When it has something to say."""
+        """The time of the next bytes to the computer; infinity: none."""
         return min((reply.end_s for reply in self._replies), default=_FOREVER)
 
     def advance(self, now_s: float) -> None:
-        """Let time pass."""
+        """Move all servos on to `now_s`."""
         if now_s <= self._now_s:
             return
         for at_s, fault in [each for each in self._faults if each[0] <= now_s]:
@@ -330,7 +330,7 @@ class SimulatedChain:
             servo.protect()
 
     def receive(self, data: bytes, now_s: float, baud_rate: int) -> None:
-        """The computer writes `data` at `now_s`, at its rate."""
+        """Take bytes that the computer writes at `now_s`, at its baud rate."""
         self.advance(now_s)
         if not self.plugged:
             return
@@ -352,7 +352,7 @@ class SimulatedChain:
         self._heard = self._heard[done:][-_TABLE_SIZE:]
 
     def deliver(self, now_s: float) -> bytes:
-        """What has reached the computer by now."""
+        """Return the bytes that have reached the computer by `now_s`."""
         due = [reply for reply in self._replies if reply.end_s <= now_s]
         self._replies = [reply for reply in self._replies if reply.end_s > now_s]
         return b"".join(reply.data for reply in sorted(due, key=lambda each: each.end_s))

@@ -40,7 +40,7 @@ def write_verified(line: Line, servo_id: int, address: int, data: bytes) -> bool
 
 
 def torque_verified(line: Line, servo_id: int, *, on: bool) -> bool:
-    """The same for torque."""
+    """Switch torque on or off, and return whether a read confirms it."""
     for _ in range(_WRITE_TRIES):
         line.tell(codec.torque((servo_id,), on=on))
         status = line.read(servo_id, TORQUE_ENABLE, 1)
@@ -76,7 +76,7 @@ class TorqueSwitch:
         self._goal = self._dialect.registers["goal_position"].address
 
     def note_identity(self, index: int, found: ServoIdentity, now_s: float) -> None:
-        """What a servo reported of itself counts from now on."""
+        """Store a servo's own settings, which count from now on."""
         self._identities[index] = found
         self._present.take_identity(index, found, now_s)
 
@@ -126,7 +126,7 @@ class TorqueSwitch:
         return bool(self.driven[index])
 
     def disable(self, line: Line, index: int) -> bool:
-        """Torque off; whether it was read back."""
+        """Switch torque off; return whether the servo confirmed it."""
         self.driven[index] = self.doubted[index] = False
         self._full_at_s[index] = np.inf
         limp = torque_verified(line, self._servos[index].joint.servo_id, on=False)
@@ -264,5 +264,5 @@ class LineRelease:
         return sorted(found)
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         self._line.transport.close()

@@ -66,7 +66,7 @@ class AccelerationLimit:
         self._wanted = positions_deg.copy()
 
     def rest_one(self, index: int, position_deg: float) -> None:
-        """One joint starts again from standstill."""
+        """Start one joint again from standstill."""
         self._velocity[index] = 0.0
         self._wanted[index] = position_deg
 

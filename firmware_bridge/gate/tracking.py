@@ -56,7 +56,7 @@ class TrackingRule:
             )
 
     def allowed_deg(self, joint: Joint) -> float:
-        """How far this joint may be from its goal."""
+        """Return how far a joint may be from its goal, in degrees."""
         if self.error_deg is not None:
             return self.error_deg
         share_deg = _ERROR_SHARE * (joint.max_deg - joint.min_deg)
@@ -78,7 +78,7 @@ class TrackingMonitor:
 
     @property
     def rule(self) -> TrackingRule:
-        """What is allowed."""
+        """The rule in use."""
         return self._rule
 
     def suspend_until(self, index: int, until_s: float) -> None:
@@ -150,7 +150,7 @@ class _Travel:
         self._time_s = -math.inf
 
     def suspend_until(self, index: int, until_s: float) -> None:
-        """Nothing that one servo does until then counts."""
+        """Ignore the motion of one servo until `until_s`."""
         self._suspended_until_s[index] = until_s
         self._all_count_s = max(self._all_count_s, until_s)
         self.still[index] = False

@@ -33,19 +33,19 @@ class PortRetry:
         self._wait_s = self.due_s = 0.0
 
     def note_lost(self, time_s: float) -> None:
-        """It went now."""
+        """Note that the port was lost now."""
         self.is_open = False
         self.n_lost += 1
         self._wait_s = _FIRST_WAIT_S
         self.due_s = time_s + _FIRST_WAIT_S
 
     def note_failed(self, time_s: float) -> None:
-        """It was tried in vain."""
+        """Note that opening the port failed."""
         self._wait_s = min(2.0 * self._wait_s, _LONGEST_WAIT_S)
         self.due_s = time_s + self._wait_s
 
     def note_open(self) -> None:
-        """It is back."""
+        """Note that the port is open again."""
         self.is_open = True
 
 
@@ -141,7 +141,7 @@ class Bridge:
 
     @property
     def capabilities(self) -> BusCapabilities:
-        """What its servos can do."""
+        """The capabilities of its servos."""
         return self._servos.gate.capabilities
 
     @property
@@ -229,7 +229,7 @@ class Bridge:
         return self._servos.health()
 
     def health_records(self) -> list[dict[str, object]]:
-        """The same for JSON, quickly made: None for what was never heard."""
+        """Return `servo_health` as objects for JSON: None for what was never read."""
         return self._servos.health_records()
 
     def start(self, may_continue: Callable[[], bool] = lambda: True) -> None:
@@ -379,7 +379,7 @@ class Bridge:
         self._easing = None
 
     def _act(self, time_s: float) -> tuple[Array, Limited]:
-        """What a face sends that is not driven: (wanted, sent)."""
+        """Return the goals of a face that is not driven: (wanted, sent)."""
         if self._state is FaceState.EASING:
             return self._ease(time_s)
         if self._state is FaceState.FROZEN:
@@ -393,7 +393,7 @@ class Bridge:
         return self._targets.held_deg, self._servos.limiter.unchanged()
 
     def _drive(self, time_s: float, wanted_deg: Array, level: StaleLevel) -> tuple[Array, Limited]:
-        """What a driven face sends: (wanted, sent)."""
+        """Return the goals of a driven face: (wanted, sent)."""
         limiter, scale = self._servos.limiter, self._servos.scale
         if level is StaleLevel.LIMP:
             self._jog.clear()

@@ -51,7 +51,7 @@ class Heartbeat(Protocol):
     """The sender of reports to a supervisor: `Lifeline`."""
 
     def beat(self) -> None:
-        """The loop is alive."""
+        """Report that the loop is alive."""
 
     def stopped(self, level: StopLevel, *, ends: bool = False, requested_by: str = "") -> None:
         """A person stopped the face."""
@@ -282,7 +282,7 @@ class LifeCycle:
         return self._requested_level is None and not self._n_signals
 
     def _do_tick_duties(self, time_s: float) -> None:
-        """Heartbeats, stops, and what there is to tell."""
+        """Send heartbeats, obey stops, and report changes."""
         if self._lifeline is not None:
             self._lifeline.beat()
         if self._n_signals and not self._by_signal:

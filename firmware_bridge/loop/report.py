@@ -36,7 +36,7 @@ class BridgeSettings:
 
     @property
     def period_s(self) -> float:
-        """From one tick to the next."""
+        """Seconds from one tick to the next."""
         return 1.0 / self.rate_hz
 
 

@@ -243,7 +243,7 @@ class ServoGroup:
         return limited
 
     def drop_waiting(self, time_s: float) -> None:
-        """A person stops the face: a servo whose turn has not come gets none."""
+        """Cancel the servos that wait for torque: a person stopped the face."""
         ready = self._bus.feedback().ready if self._any_blind else None
         if ready is not None:
             for index in np.flatnonzero(self.supervision.driven & ~ready).tolist():
@@ -289,7 +289,7 @@ class ServoGroup:
             self._bus.widen(wide)
 
     def send(self, limited: Limited, time_s: float) -> None:
-        """Goals to those that are driven; then hear how all are, and help one of them."""
+        """Send goals to driven servos, read all, and let supervision act on one of them."""
         goals_deg = limited.positions_deg
         limp = None if self.supervision.all_driven else ~self.supervision.driven
         if limp is None:
@@ -311,7 +311,7 @@ class ServoGroup:
             self._start_here(enabled)
 
     def rest(self, time_s: float) -> None:
-        """A tick of a face that is limp in a silence: hear how all are, and who has not let go."""
+        """Run a tick of a face that is limp in a silence: read all, and keep torque off."""
         self.feedback = self._bus.feedback()
         self._health = self._bus.look_after()
         self.supervision.keep_off(time_s, self.gate)
@@ -380,7 +380,7 @@ class ServoGroup:
 
 
 def _stop_is_repeated(ask: Callable[[int], str], index: int) -> str:
-    """Empty as soon as the servo agrees; else its last refusal."""
+    """Call `ask` several times until the servo agrees; return "" or its last refusal."""
     refusal = ""
     for _ in range(_REQUESTED):
         refusal = ask(index)

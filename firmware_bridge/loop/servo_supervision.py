@@ -61,13 +61,13 @@ class TorquePort(Protocol):
         """Let it hold its place; why it does not, empty: it does."""
 
     def disable(self, index: int) -> bool:
-        """Let it go limp; whether it confirmed."""
+        """Switch torque off; return whether the servo confirmed it."""
 
     def reboot(self, index: int) -> None:
-        """Restart it."""
+        """Restart one servo, which comes back limp."""
 
     def give_up(self, index: int, because: str) -> None:
-        """Never again."""
+        """Leave a servo limp for good. because: the reason, for people."""
 
 
 class ServoSupervision:
@@ -226,7 +226,7 @@ class ServoSupervision:
         )
 
     def _act_on(self, i: int, health: Health, time_s: float, port: TorquePort) -> tuple[bool, bool]:
-        """Whether anything was done, and whether the servo holds now."""
+        """Handle one servo; return whether anything was done, and whether it holds now."""
         state = self.states[i]
         if state == ServoState.DRIVEN:
             return self._check_driven(i, health, time_s, port), False

@@ -72,7 +72,7 @@ class Jog:
         self._until_s = time_s + JOG_LASTS_S
 
     def move(self, index: int, position_deg: float, time_s: float) -> None:
-        """One joint goes there. Only while armed."""
+        """Jog one joint to a position; only while armed."""
         self._goals_deg[index] = position_deg
         self._returns[index] = False
         self._until_s = time_s + JOG_LASTS_S

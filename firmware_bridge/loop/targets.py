@@ -265,14 +265,14 @@ class FollowedTargets:
         return True
 
     def follow(self) -> None:
-        """From now on the fresh target is what is wanted."""
+        """Go back from a held position to the fresh targets."""
         assert self._fresh_deg is not None
         self._heard_s = max(self._heard_s, self._fresh_s)
         self.held_deg = self._fresh_deg
         self.was_spoken_to = True
 
     def silence_s(self, time_s: float) -> float:
-        """How old the newest target is that was followed."""
+        """Return the age of the newest target that was followed, in s."""
         return max(0.0, time_s - self._heard_s)
 
     def wanted(self, silence_s: float, level: StaleLevel) -> Array:

@@ -88,7 +88,7 @@ class TorqueGate:
 
     @property
     def capabilities(self) -> BusCapabilities:
-        """What the servos can do."""
+        """The capabilities of the servos."""
         return self._bus.capabilities
 
     def disable(self, index: int) -> bool:
@@ -123,7 +123,7 @@ class TorqueGate:
         self._switched_off.add(index)
 
     def switch_on(self, index: int) -> None:
-        """A person takes that back, and that it was given up."""
+        """Allow torque again to a servo that was switched off or given up."""
         self._switched_off.discard(index)
         self._given_up.pop(index, None)
 
@@ -152,7 +152,7 @@ class TorqueOff:
 
     @property
     def let_go(self) -> list[int]:
-        """Who was, by index."""
+        """The servos that confirmed, by index."""
         return [int(index) for index in np.flatnonzero(self._confirmed)]
 
     def forget(self) -> None:
@@ -161,7 +161,7 @@ class TorqueOff:
         self._since_s = None
 
     def begin(self) -> None:
-        """Switch everybody off now."""
+        """Send torque off to all servos now."""
         self.forget()
         self._confirmed = self._gate.disable_all()
 
@@ -183,7 +183,7 @@ class TorqueOff:
         return self._since_s is not None and time_s - self._since_s > _LONGEST_S
 
     def report(self, *, at_rest: bool, plugged: bool) -> StopReport:
-        """What is known now."""
+        """Return the report of what is known by now."""
         names = [joint.name for joint in self._joints]
         why = "does not answer" if plugged else PORT_GONE
         can = {name: self._gate.capabilities.of(n) for n, name in enumerate(names)}

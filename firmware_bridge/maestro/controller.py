@@ -49,11 +49,11 @@ class Maestro:
         self.errors = 0
 
     def tell(self, *commands: tuple[int, Sequence[int]]) -> None:
-        """Say these in one write."""
+        """Send several commands in one write."""
         self.transport.write(b"".join(self.packet(*each) for each in commands))
 
     def packet(self, code: int, data: Sequence[int] = ()) -> bytes:
-        """One command as this Maestro takes it."""
+        """Return one command with this Maestro's number and CRC."""
         return command(code, data, device=self._device, crc=self.has_crc)
 
     def position_us(self, channel: int) -> float:
@@ -148,7 +148,7 @@ class PulseCommands:
 
 
 def _row_ends(channels: Sequence[int]) -> list[int]:
-    """Where channels, sorted, do not follow one another."""
+    """Return where sorted channels do not follow one another."""
     rows = enumerate(pairwise(sorted(channels)), start=1)
     return [n for n, (before, after) in rows if after != before + 1]
 
@@ -179,7 +179,7 @@ class MaestroController:
             raise
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         if self._maestro is not None:
             self._seen |= self._maestro.errors
             self._maestro.transport.close()
@@ -212,7 +212,7 @@ class MaestroController:
         return True  # one that starts anew is another device on USB: its port is lost
 
     def sending(self, index: int) -> float:
-        """What the Maestro says."""
+        """Return the pulse that the Maestro reports for a channel, in us."""
         return self._reached().position_us(self._channels[index])
 
     def remarks(self) -> Sequence[str]:

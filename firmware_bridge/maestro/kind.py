@@ -56,7 +56,7 @@ class MaestroKind(BusKind):
         return replace(CAPABILITIES, watchdog=timeout_s > 0.0, in_memory=settings.port is None)
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":  # noqa: ARG002 - a servo that is missing cannot be told from one that is there
-        """On its command port; without one in memory."""
+        """Open the bus at its command port; without one in memory."""
         from firmware_bridge.maestro.controller import MaestroController
         from firmware_bridge.pulse_bus import KeptPulses, PulseBus
 
@@ -78,7 +78,7 @@ class MaestroKind(BusKind):
         KeptPulses(wiring.kept).allow_neutral(wiring.servos)
 
     def is_at(self, port: str) -> bool:
-        """By the numbers of its plug."""
+        """Whether the port's USB numbers are a Maestro's."""
         return usb_product(port) in _USB_PRODUCTS
 
     def port_release(self, port: str, wiring: Wiring | None) -> Callable[[], PortRelease]:
@@ -90,7 +90,7 @@ class MaestroKind(BusKind):
         return lambda: MaestroRelease(opener(), port, settings, knows=wiring is not None)
 
     def examine(self, wiring: Wiring) -> Iterator[Finding]:
-        """The controller, and what it sends; no servo answers."""
+        """Examine the controller and its pulses; servos do not answer."""
         from firmware_bridge.maestro.controller import Maestro, check_channels
         from firmware_bridge.maestro.protocol import TIMEOUT_ERROR, describe_errors
 

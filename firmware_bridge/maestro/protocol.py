@@ -69,7 +69,7 @@ def crc7(message: bytes | bytearray) -> int:
 
 
 def command(code: int, data: Sequence[int] = (), *, device: int | None = None, crc: bool) -> bytes:
-    """One command. device: number of the one that is meant; None: every one that receives it."""
+    """Return the bytes of one command. device: the number of a Maestro; None: all on the line."""
     head = (code,) if device is None else (POLOLU, device, code & 0x7F)
     message = bytes((*head, *data))
     return message + bytes((crc7(message),)) if crc else message
@@ -81,5 +81,5 @@ def split(value: int) -> tuple[int, int]:
 
 
 def describe_errors(bits: int) -> list[str]:
-    """What the bits of GET_ERRORS mean."""
+    """Return the bits of GET_ERRORS in words."""
     return [words for n, words in enumerate(ERRORS) if bits >> n & 1]

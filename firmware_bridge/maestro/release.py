@@ -58,7 +58,7 @@ class MaestroRelease:
         return range(self._n_channels)
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         self._maestro.transport.close()
 
     def _tell(self, channels: Sequence[int]) -> None:

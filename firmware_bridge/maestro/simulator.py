@@ -79,7 +79,7 @@ class Shaft:
         self._speed_us_s, self._sags_us_s = speed_us_s, sags_us_s
 
     def move(self, pulse_us: float, seconds: float) -> None:
-        """Let time pass at one pulse; 0: none."""
+        """Move for some seconds at one pulse; 0: none."""
         if pulse_us:
             reach_us = self._speed_us_s * seconds
             self.place_us += min(max(pulse_us - self.place_us, -reach_us), reach_us)
@@ -112,7 +112,7 @@ class _Channel:
             self.position = self.target
 
     def move(self, seconds: float) -> None:
-        """Let time pass."""
+        """Move the channel on by some time."""
         if self.position != self.target:
             reach = self.speed * seconds / SPEED_UNIT_S if self.speed else float("inf")
             self.position += min(max(self.target - self.position, -reach), reach)
@@ -157,7 +157,7 @@ class SimulatedMaestro:
 
     @property
     def next_delivery_s(self) -> float:
-        """When it has something to say."""
+        """The time of the next bytes to the computer; infinity: none."""
         return self._answers[0][0] if self._answers else _FOREVER
 
     def advance(self, now_s: float) -> None:
@@ -202,7 +202,7 @@ class SimulatedMaestro:
                 self._obey(message, now_s)
 
     def deliver(self, now_s: float) -> bytes:
-        """What it has answered by now."""
+        """Return the bytes that it has answered by `now_s`."""
         answers = b""
         while self._answers and self._answers[0][0] <= now_s:
             answers += self._answers.popleft()[1]

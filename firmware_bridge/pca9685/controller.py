@@ -113,7 +113,7 @@ class Pca9685:
         return counts * self._timing.count_us
 
     def remarks(self) -> Sequence[str]:
-        """What a person must know who starts the face."""
+        """Remarks for the person who starts the face."""
         return [] if self._guard is not None else [NO_GUARD]
 
     @property
@@ -185,7 +185,7 @@ def check_identity(chip: I2cChip) -> None:
 
 
 def clock_remark(clock_hz: float) -> str:
-    """What a clock costs that was not measured; empty: it was."""
+    """Return a remark on a clock that was not measured; empty: it was."""
     if clock_hz != NOMINAL_CLOCK_HZ:
         return ""
     return "clock_hz is that of the data sheet; boards differ by some per cent, pulses with them"

@@ -38,8 +38,8 @@ _OFD_LOCK: Final = struct.Struct("hhqqi4x")
 #: Address, flags, and the bytes to write or how many to read.
 Message = tuple[int, int, bytes | bytearray | int]
 _GONE: Final = {
-    errno.EREMOTEIO: "nobody acknowledges",
-    errno.ENXIO: "nobody acknowledges",
+    errno.EREMOTEIO: "no chip acknowledges",
+    errno.ENXIO: "no chip acknowledges",
     errno.ETIMEDOUT: "the bus is stuck; a chip holds SDA or SCL low",
 }
 
@@ -51,7 +51,7 @@ class Transfers(Protocol):
         """Messages with one STOP after the last; what was read, one after the other."""
 
     def close(self) -> None:
-        """Give it back."""
+        """Close the bus."""
 
 
 class I2cChip:
@@ -61,7 +61,7 @@ class I2cChip:
         self._transfers, self._address, self.name = transfers, address, name
 
     def write(self, messages: Sequence[bytes | bytearray]) -> None:
-        """Each begins with its register; they take effect together."""
+        """Write messages that take effect together; each begins with its register."""
         self._transfer([(self._address, 0, message) for message in messages])
 
     def exchange(self, messages: Sequence[bytes | bytearray], register: int) -> bytes:
@@ -71,12 +71,12 @@ class I2cChip:
         return self._transfer([*written, (address, 0, bytes((register,))), (address, READ, 1)])
 
     def read(self, register: int, n_bytes: int = 1) -> bytes:
-        """From one register on."""
+        """Read bytes from one register on."""
         address = self._address
         return self._transfer([(address, 0, bytes([register])), (address, READ, n_bytes)])
 
     def close(self) -> None:
-        """Give the bus back."""
+        """Close the bus."""
         with contextlib.suppress(OSError):
             self._transfers.close()
 
@@ -101,7 +101,7 @@ class DeviceTransfers:
         self._bus, self._message = bus, message
 
     def fileno(self) -> int:
-        """Of the bus; -1: it is closed."""
+        """File descriptor of the bus; -1: it is closed."""
         return -1 if self._bus.fd is None else self._bus.fd
 
     def transfer(self, messages: Sequence[Message]) -> bytes:

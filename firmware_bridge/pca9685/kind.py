@@ -40,7 +40,7 @@ class Pca9685Kind(BusKind):
     simulator_module = "firmware_bridge.pca9685.simulator"
 
     def capabilities(self, settings: "BusSettings") -> BusCapabilities:
-        """Pulses go on until they are switched off; nothing comes back."""
+        """The capabilities: pulses go on until they are switched off; nothing is reported."""
         assert isinstance(settings, Pca9685Settings)
         return BusCapabilities(
             hold=True,
@@ -53,7 +53,7 @@ class Pca9685Kind(BusKind):
         )
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":  # noqa: ARG002 - no servo can be asked whether it is there
-        """By smbus2; without a port in memory."""
+        """Open the bus by smbus2; without a port in memory."""
         from firmware_bridge.pca9685.i2c import is_terminal
         from firmware_bridge.pca9685.oe_guard import OeGuard
         from firmware_bridge.pulse_bus import KeptPulses, PulseBus
@@ -94,7 +94,7 @@ class Pca9685Kind(BusKind):
         return lambda: BoardRelease(opener_of(wiring)())
 
     def examine(self, wiring: Wiring) -> Iterator[Finding]:
-        """Bus, chip, and what its pulses can do."""
+        """Examine bus, chip, and the range of its pulses."""
         from firmware_bridge.pca9685.doctor import examine
 
         yield from examine(wiring, opener_of(wiring), self.slowness(wiring, wiring.rate_hz))
@@ -116,7 +116,7 @@ class BoardRelease:
             raise
 
     def tell_all(self, addresses: Sequence[int]) -> None:  # noqa: ARG002 - one byte is for all
-        """Pulses off."""
+        """Switch all pulses off."""
         from firmware_bridge.pca9685.registers import ALL_OFF
 
         self._chip.write([ALL_OFF])
@@ -131,12 +131,12 @@ class BoardRelease:
         return addresses or range(N_CHANNELS)
 
     def close(self) -> None:
-        """Give the bus back."""
+        """Close the bus."""
         self._chip.close()
 
 
 def opener_of(wiring: Wiring) -> Callable[[], "I2cChip"]:
-    """What opens the chip of a face."""
+    """Return the function that opens the chip of a face."""
     from firmware_bridge.pca9685.i2c import open_chip
 
     return partial(open_chip, wiring.settings.port, wiring.settings.address)
@@ -169,7 +169,7 @@ def _has_guard(settings: Pca9685Settings) -> bool:
 
 
 def _bits_s(port: str) -> int:
-    """The rate of a bus as the device tree says it."""
+    """Return the clock of an I2C bus in bits/s, by the device tree."""
     number = Path(port).name.removeprefix("i2c-")
     try:
         cells = Path(f"/sys/class/i2c-adapter/i2c-{number}/of_node/clock-frequency").read_bytes()

@@ -154,7 +154,7 @@ class Pin(Protocol):
     """One output of the computer."""
 
     def set(self, *, high: bool) -> None:
-        """Drive it."""
+        """Drive the pin high or low."""
 
 
 class _GpioPin:
@@ -185,7 +185,7 @@ class _StandIn:
 
 
 def open_pin(chip: str, line: int) -> Pin:
-    """The pin, high. Raises PortError that says what to do."""
+    """Open the pin, driven high. Raises PortError that says what to do."""
     with _in_words():
         return _StandIn(chip) if is_stand_in(chip) else _GpioPin(chip, line)
 

@@ -106,7 +106,7 @@ class Timing:
 
     @property
     def period_us(self) -> float:
-        """From pulse to pulse."""
+        """Microseconds from pulse to pulse."""
         return CYCLE * self.count_us
 
     @property

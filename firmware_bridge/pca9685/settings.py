@@ -43,7 +43,7 @@ class Pca9685Settings(BusSettings):
 
     @property
     def timing(self) -> Timing:
-        """Of its pulses."""
+        """The timing of its pulses."""
         return Timing.at(self.clock_hz, self.frequency_hz)
 
     @model_validator(mode="before")

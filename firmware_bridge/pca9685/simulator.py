@@ -64,7 +64,7 @@ class ChipFault(TimedFault):
         )
 
     def n_begun(self, now_s: float) -> int:
-        """How often it has begun by a time."""
+        """Return how often the fault has begun by a time."""
         since_s = now_s - self.at_s
         return 0 if since_s < 0.0 else 1 + int(since_s / self.every_s if self.every_s else 0.0)
 
@@ -110,7 +110,7 @@ class HobbyServo:
             self.goal_deg = (pulse.width_us - self.neutral_us) / self.us_per_deg
 
     def advance(self, time_s: float) -> float:
-        """Where it stands."""
+        """Move on to `now_s`, and return where it stands."""
         reach_deg = max(0.0, time_s - self._at_s) * self.top_speed_deg_s
         self._at_s = max(self._at_s, time_s)
         if self.goal_deg is not None:
@@ -169,7 +169,7 @@ class SimulatedPca9685:
         return self.plugged and not self._suffers("stuck") and not self._suffers("nack")
 
     def transfer(self, messages: Sequence[Message], time_s: float) -> tuple[int, bytes]:
-        """Error number and what was read."""
+        """Run one transfer; return its error number and the bytes read."""
         self.advance(time_s)
         if not self.plugged:
             return errno.ENODEV, b""
@@ -331,7 +331,7 @@ class SimulatedPca9685:
             servo.pulse(pulse)
 
     def _cut(self, channels: Sequence[int]) -> None:
-        """End what these send just now."""
+        """Cut the present pulses of these channels."""
         for channel in channels:
             pulse = self._under_way.get(channel)
             if pulse is None or pulse.start_s + pulse.width_us * 1e-6 <= self._now_s:
@@ -361,7 +361,7 @@ class MemoryTransfers:
         return found
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: memory is never open."""
 
 
 class TerminalChip:
@@ -383,7 +383,7 @@ class TerminalChip:
         return 0.0 if self._answers else float("inf")
 
     def advance(self, time_s: float) -> None:
-        """Let time pass."""
+        """Move the servos on to `now_s`."""
         self.chip.advance(time_s)
 
     def receive(self, data: bytes, time_s: float, _baud_rate: int) -> None:
@@ -398,7 +398,7 @@ class TerminalChip:
             self._answers += ANSWER.pack(number, len(found)) + found
 
     def deliver(self, _time_s: float) -> bytes:
-        """The answers by now."""
+        """Return the answers by `now_s`."""
         answers, self._answers = self._answers, b""
         return answers
 
@@ -441,7 +441,7 @@ class PinFifo:
         self._is_high = True
 
     def is_high(self) -> bool:
-        """Just now."""
+        """Whether the pin is high now."""
         with contextlib.suppress(BlockingIOError):
             self._is_high = os.read(self._fd, 4096)[-1:] != b"0"
         return self._is_high

@@ -32,7 +32,7 @@ class HeartbeatMonitor:
         self._since_s = self._looked_s = 0.0
 
     def begin(self, now_s: float) -> None:
-        """A new process starts."""
+        """Start counting for a new process."""
         self._since_s = self._looked_s = now_s
 
     def look(self, now_s: float, beat_s: float | None) -> float:
@@ -70,7 +70,7 @@ class Child:
 
     @property
     def pid(self) -> int | None:
-        """Its number; None while there is no process."""
+        """The process id; None while there is no process."""
         return None if self._process is None else self._process.pid
 
     @property
@@ -79,7 +79,7 @@ class Child:
         return self._watch is not None and self._watch.beat_s is not None
 
     def filenos(self) -> list[int]:
-        """What becomes readable when it says something or ends."""
+        """Descriptors that are readable when it sends something or ends."""
         if self._process is None or self._watch is None:
             return []
         return [self._pidfd] if self._watch.closed else [self._pidfd, self._watch.fileno()]
@@ -125,7 +125,7 @@ class Child:
         return status
 
     def send(self, number: signal.Signals) -> None:
-        """A signal, if it runs."""
+        """Send a signal to the process, if it runs."""
         if self._process is not None:
             with contextlib.suppress(ProcessLookupError):
                 self._process.send_signal(number)
@@ -155,7 +155,7 @@ class RestartDelay:
         self._wait_s = _RESTART_S
 
     def after(self, ran_s: float) -> float:
-        """The wait after a process that ran for `ran_s`."""
+        """Return the seconds to wait after a process that ran for `ran_s`."""
         wait_s = _RESTART_S if ran_s > _WELL_S else self._wait_s
         self._wait_s = min(2.0 * wait_s, _LONGEST_RESTART_S)
         return wait_s
@@ -189,20 +189,20 @@ class RestartedChild:
             self.kill("hangs: no heartbeat from it")
 
     def kill(self, why: str) -> None:
-        """Kill it, once."""
+        """Kill the process, once, and log why."""
         if not self.is_killed:
             self.is_killed = True
             _LOG.warning("%s %s; it is killed", self.child.name, why)
             self.child.send(signal.SIGKILL)
 
     def note_end(self, status: int, now_s: float) -> None:
-        """It ended with this status: note when it may start again."""
+        """Note that it ended with a status, and when it may start again."""
         how = f"signal {-status}" if status < 0 else f"status {status}"
         _LOG.warning("%s died (%s)", self.child.name, how)
         self.due_s = now_s + self._delay.after(now_s - self._started_s)
 
     def next_s(self, now_s: float) -> float:
-        """When there is something to decide although nothing comes."""
+        """Return the next time at which a restart or kill may be due."""
         if self.child.pid is None:
             return self.due_s
         return float("inf") if self.is_killed else self.child.hung_at_s(now_s)

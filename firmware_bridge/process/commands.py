@@ -33,7 +33,7 @@ from firmware_bridge.stopping import (
 _FURTHEST_FIRST: Final = (StopLevel.LIMP, StopLevel.SOFT, StopLevel.FREEZE)
 #: Orders that wait for the next tick; more than as many clients as may be connected can send.
 _MOST_ORDERS: Final = 64
-_NO_DRIVER: Final = "nobody drives the servos just now; ask again"
+_NO_DRIVER: Final = "no bridge drives the servos just now; ask again"
 
 
 class CommandError(ValueError):
@@ -71,7 +71,7 @@ class CommandQueue:
 
     @property
     def values(self) -> dict[str, float]:
-        """What every setting was last set to."""
+        """The last value of every setting."""
         return {name: setting.value for name, setting in self._settings.items()}
 
     def stop(self, level: StopLevel, requested_by: str = "", *, ends: bool = False) -> None:

@@ -72,7 +72,7 @@ def face_at(path: Path) -> RunningFace:
             pid, _ = peer(client)
     except OSError as error:
         why = error.strerror or str(error)
-        raise ControlError(f"{path}: nobody answers there: {why}; is a face running?") from error
+        raise ControlError(f"{path}: no face answers there: {why}; is a face running?") from error
     named = read_socket_name(path)
     return RunningFace(path.stem if named is None else named[0], pid, path)
 

@@ -146,7 +146,7 @@ class ControlSocket:
 
     @property
     def path(self) -> Path:
-        """Where it listens."""
+        """The path of the socket."""
         return self._path
 
     def fileno(self) -> int:
@@ -178,7 +178,7 @@ class ControlSocket:
                 self._answer(client, word, status)
 
     def attend(self, refusal: Callable[[Order], str]) -> None:
-        """From now on orders are taken: as `CommandQueue.attend`."""
+        """From now on orders are taken, as by `CommandQueue.attend`."""
         self._commands.attend(refusal)
 
     def take_orders(self) -> list[Order]:

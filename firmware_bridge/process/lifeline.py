@@ -126,7 +126,7 @@ class Lifeline:
         self._say(b"F" + _INDEX.pack(index) + reason.encode("utf-8", "replace")[:_LONGEST_REASON])
 
     def switched(self, index: int, *, on: bool) -> None:
-        """A person switched a servo, by its place in the face, off or on."""
+        """Report that a person switched a servo, by its index, off or on."""
         self._say(b"W" + _SWITCHED.pack(index, on))
 
     def began(self, zero_s: float) -> None:

@@ -151,7 +151,7 @@ class LogLines(logging.Handler):
         return max(0.0, min(due_s) - self._clock()) if due_s else None
 
     def _queue_counts(self, now_s: float) -> None:
-        """Of lines whose time is over: write how often they came again, or forget them."""
+        """Write how often each suppressed line was repeated, once its time is over."""
         if self._n_lost and now_s >= self._lost_until_s:
             text = f"({self._n_lost} lines were lost: too many at once)"
             level = {"levelno": logging.WARNING, "levelname": "WARNING"}

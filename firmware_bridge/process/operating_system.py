@@ -75,7 +75,7 @@ class ServiceNotice:
         self._alive_s = float("-inf")
 
     def ready(self) -> None:
-        """The servos are driven."""
+        """Notify systemd that the servos are driven."""
         if not self._ready:
             self._ready = True
             self._notify("READY=1")
@@ -88,7 +88,7 @@ class ServiceNotice:
             self._notify("WATCHDOG=1")
 
     def _notify(self, state: str) -> None:
-        """See sd_notify(3)."""
+        """Send one notification; see sd_notify(3)."""
         if not self._address:
             return
         address = self._address
@@ -101,4 +101,4 @@ class ServiceNotice:
         except (OSError, ValueError) as error:
             if not self._has_warned:
                 self._has_warned = True
-                _LOG.warning("systemd is not told: NOTIFY_SOCKET=%s: %s", self._address, error)
+                _LOG.warning("systemd is not notified: NOTIFY_SOCKET=%s: %s", self._address, error)

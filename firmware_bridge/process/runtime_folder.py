@@ -207,7 +207,7 @@ def make_room(path: Path) -> None:
 
 
 def inode_of(path: Path) -> tuple[int, int] | None:
-    """Which file lies there; None: none."""
+    """Return device and inode of a path; None: no file."""
     try:
         found = path.lstat()
     except OSError:

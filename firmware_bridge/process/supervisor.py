@@ -167,7 +167,7 @@ class Supervisor:
         return self.report
 
     def due_s(self, now_s: float) -> float:
-        """When `step` has something to do although nothing comes."""
+        """Return the next time at which `step` must run even without a message."""
         due = [self._bridge.next_s(now_s)] if self._phase is not _Phase.RELEASING else []
         if not (self._ends and self._speech.child.pid is None):
             due.append(self._speech.next_s(now_s))
@@ -323,7 +323,7 @@ class Supervisor:
         return f"{self._phase.value}: ask again once the face is driven"
 
     def _obey_start(self, order: StartFace, now_s: float, *, is_stopped_now: bool) -> None:
-        """Through the ordinary start of a bridge, with all its checks."""
+        """Start the face through the ordinary start of a bridge, with all its checks."""
         if is_stopped_now or not self._is_kept:
             why_not = "not obeyed, a stop came with it"
             _LOG.info("start requested by %s: %s", order.requested_by, why_not)
@@ -436,7 +436,7 @@ class Supervisor:
                 self._conclude(self._report_of(self._release), status)
 
     def _give_up_s(self) -> float:
-        """How long a port that is gone is waited for."""
+        """Return for how many seconds a lost port is waited for."""
         if not self._ran_well:
             return self._release_s + _START_TIMEOUT_S
         if not self._is_ending:

@@ -73,7 +73,7 @@ class TorqueRelease:
         return self.done
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         if self._port is not None:
             self._port.close()
             self._port = None

@@ -34,7 +34,7 @@ class LearntLatency:
         return min(max(self._high_s + _MARGIN_S, _LEAST_REST_S), _MOST_S)
 
     def learn(self, delay_s: float) -> None:
-        """A reply came `delay_s` after its computed time."""
+        """Learn from a reply that came `delay_s` after its computed time."""
         share = _RISE if delay_s > self._high_s else _FALL
         self._high_s += share * (min(delay_s, _MOST_S) - self._high_s)
         self.slack_s = min(max(self._high_s + _MARGIN_S, _LEAST_S), _MOST_S)

@@ -27,7 +27,7 @@ class PositionServo(Protocol):
 
     @property
     def name(self) -> str:
-        """As the YAML has it."""
+        """Its name in the YAML."""
 
     @property
     def center_pulse(self) -> int:
@@ -35,11 +35,11 @@ class PositionServo(Protocol):
 
     @property
     def pulses_per_deg(self) -> float:
-        """Of the position registers."""
+        """Steps of the position registers a degree."""
 
     @property
     def current_unit_ma(self) -> float | None:
-        """Of the register of the current; None: it is not measured."""
+        """Milliamperes a step of the current register; None: it is not measured."""
 
 
 Model = TypeVar("Model", bound=PositionServo, covariant=True)

@@ -47,7 +47,7 @@ class Plan:
 
 
 def differences(found: Mapping[str, int], wanted: Mapping[str, int]) -> list[Difference]:
-    """What must be written, in the order of `wanted`."""
+    """Return the registers that must be written, in the order of `wanted`."""
     return [
         Difference(name, found[name], value)
         for name, value in wanted.items()

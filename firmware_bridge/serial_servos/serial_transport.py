@@ -33,7 +33,7 @@ class SerialTransport:
 
     @property
     def clock(self) -> Clock:
-        """The computer's."""
+        """The computer's clock."""
         return self._clock
 
     @property
@@ -85,7 +85,7 @@ class SerialTransport:
         return data
 
     def discard_input(self) -> bytes:
-        """Take what is there."""
+        """Return and remove the bytes that have arrived."""
         try:
             return os.read(self._fd, _CHUNK)
         except BlockingIOError:

@@ -20,7 +20,7 @@ class ServoIdentity(Protocol):
 
     @property
     def return_delay_s(self) -> float:
-        """How long it waits before it answers."""
+        """Seconds that the servo waits before it answers."""
 
 
 #: Until a servo has been asked: as if freshly switched on in a warm room, 25 degC under 70.

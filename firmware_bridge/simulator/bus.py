@@ -137,7 +137,7 @@ class SimulatedBus:
         return Feedback(now_s, places_deg, self._effort, errors, self._nothing)
 
     def remarks(self) -> Sequence[str]:
-        """Nothing is unusual here."""
+        """No remarks: nothing is unusual here."""
         return ()
 
     def look_after(self) -> Health:
@@ -204,15 +204,15 @@ class SimulatedBus:
         return np.ones(self._goals_deg.shape, dtype=np.bool_)
 
     def reboot(self, index: int) -> None:
-        """Restart: limp."""
+        """Restart a servo, which comes back limp."""
         self.disable_torque(index)
 
     def reopen(self) -> None:
-        """Memory is never unplugged."""
+        """Do nothing: memory is never unplugged."""
 
     @property
     def _places_deg(self) -> Array:
-        """As far as they say where they stand."""
+        """Places as reported: NaN for servos that report none."""
         return np.where(self._has_place, self._positions_deg, np.nan)
 
     def _set_torque_of(self, index: int, *, on: bool) -> None:

@@ -136,7 +136,7 @@ class SimulatedChain:
 
     @property
     def counts(self) -> WireCounts:
-        """What went over the wire so far."""
+        """Counts of instructions and bytes on the wire so far."""
         return self._wire.counts
 
     @property

@@ -33,7 +33,7 @@ class RegisterMemory:
         self.bytes[register.address : register.end] = register.encode(value)
 
     def shown(self, address: int, size: int) -> bytes:
-        """What a read gets; the present must be up to date."""
+        """Return the bytes of a read; present values must be up to date."""
         data = bytes(self.bytes[address : address + size])
         for block in self._indirect:
             if address < block.data + block.count and address + size > block.data:
@@ -41,7 +41,7 @@ class RegisterMemory:
         return data
 
     def reset_indirect(self) -> None:
-        """Every indirect address shows its own data byte."""
+        """Map every indirect address to its own data byte."""
         for block in self._indirect:
             for n in range(block.count):
                 struct.pack_into("<H", self.bytes, block.addresses + 2 * n, block.data + n)

@@ -199,7 +199,7 @@ class _Reader:
 
 
 def _shown(value: object) -> str:
-    """A value as a person would recognise it, never long."""
+    """Return a value as short text for a message."""
     if value is None:
         return "nothing"
     if isinstance(value, list):

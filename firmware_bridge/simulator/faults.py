@@ -152,7 +152,7 @@ class FaultInjector:
         self._low_v, self._high_v, self._hottest = low / 10.0, high / 10.0, hot
 
     def advance(self, now_s: float) -> None:
-        """Everything that is due by `now_s`."""
+        """Apply all faults that are due by `now_s`."""
         while self._coming and self._coming[0][0] <= now_s:
             when_s, _, n_before, begins, fault = heapq.heappop(self._coming)
             self._motors.advance(when_s)
@@ -173,7 +173,7 @@ class FaultInjector:
         heapq.heappush(self._coming, (when_s, self._n, n_before, begins, fault))
 
     def _expect_again(self, fault: Fault, n_before: int) -> None:
-        """The next of what comes every so often."""
+        """Schedule the next occurrence of a repeated fault."""
         when_s = fault.from_s + (n_before + 1) * fault.every_s
         if fault.every_s > 0.0 and when_s <= fault.until_s:
             self._expect(when_s, n_before, fault, begins=True)

@@ -20,7 +20,7 @@ class SimulatedKind(DynamixelKind):
     at_port = "dynamixel"
 
     def capabilities(self, _settings: "BusSettings") -> BusCapabilities:
-        """Of servos that are moved by a clock alone."""
+        """The capabilities of servos that are moved by a clock alone."""
         return IN_MEMORY
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":  # noqa: ARG002 - nobody is missing

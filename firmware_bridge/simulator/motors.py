@@ -134,7 +134,7 @@ class MotorModel(Protocol):
 
     @property
     def stall_a(self) -> float:
-        """Current when it is held."""
+        """Current at stall, in A."""
 
     @property
     def current_unit_ma(self) -> float | None:
@@ -228,7 +228,7 @@ class Motors:
         return np.asarray(status + _NOT_FOLLOWING * late)
 
     def set_course(self, index: int, course: Course) -> None:
-        """What bounds the way to the next goal."""
+        """Set what bounds the way of one servo to its next goal."""
         self.top_speed[index] = course.top_speed
         self.acceleration[index] = course.acceleration
         self.shape[index] = course.shape

@@ -29,10 +29,10 @@ class SimulatedDevice(Protocol):
 
     @property
     def next_delivery_s(self) -> float:
-        """When it has something to say; infinity: nothing."""
+        """The time of the next bytes to the computer; infinity: none."""
 
     def advance(self, now_s: float) -> None:
-        """Let time pass."""
+        """Move the device on to `now_s`."""
 
     def receive(self, data: bytes, now_s: float, baud_rate: int) -> None:
         """Hear bytes at a rate."""
@@ -96,7 +96,7 @@ class MemoryTransport:
         return data
 
     def discard_input(self) -> bytes:
-        """What has been delivered by now."""
+        """Return and remove the bytes that have been delivered."""
         self._check()
         return self._chain.deliver(self._clock.now())
 
@@ -168,7 +168,7 @@ class PortLink:
         return Path(target).parent == _TERMINALS and not os.path.lexists(target)
 
     def _target(self) -> str | None:
-        """Where the link leads; None where there is none."""
+        """Return the target of the link; None without a link."""
         try:
             return os.readlink(self._path)
         except (OSError, ValueError):

@@ -111,7 +111,7 @@ class SimulatedServo:
 
     @property
     def return_delay_s(self) -> float:
-        """How long it waits before it answers."""
+        """Seconds that the servo waits before it answers."""
         return self._memory[9] * RETURN_DELAY_UNIT_S
 
     @property
@@ -159,7 +159,7 @@ class SimulatedServo:
         self.deaf_until_s = time_s
 
     def start_up(self, now_s: float) -> None:
-        """Once booted: torque, if the start-up configuration wants it."""
+        """Boot: switch torque on if the start-up configuration says so."""
         if self.deaf_until_s <= now_s:
             self.holds_at_start = False
             self._drive.set_torque(on=not self._drive.broken)
@@ -199,7 +199,7 @@ class SimulatedServo:
         return self._error(), data
 
     def write(self, parameters: bytes) -> int:
-        """All of it or nothing; the status error."""
+        """Write all bytes or none; return the status error."""
         if len(parameters) < 3:
             return StatusError.DATA_LENGTH
         address, data = parameters[0] | parameters[1] << 8, parameters[2:]
@@ -269,7 +269,7 @@ class SimulatedServo:
         return StatusError.DATA_RANGE if wrong else 0
 
     def _set(self, name: str, value: int) -> None:
-        """One register of a write, with all that goes with it."""
+        """Set one register, with all effects of a write."""
         drive = self._drive
         if name == "torque_enable":
             drive.set_torque(on=bool(value))

@@ -84,7 +84,7 @@ class Wire:
         return arrived
 
     def clear(self) -> None:
-        """Lose what is under way."""
+        """Drop the bytes under way."""
         self._out.clear()
 
     def host_speaks(self, data: bytes, now_s: float, byte_s: float) -> tuple[bytes, float]:

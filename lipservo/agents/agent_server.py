@@ -196,7 +196,7 @@ class AgentServer:
         return handshake(opening, self._settings, len(self._clients))
 
     async def _attend(self, connection: ServerConnection) -> None:
-        """One client, from its first message to its last."""
+        """Serve one client, from its first message to its last."""
         assert connection.request is not None
         outbox = Outbox()
         session: StreamSession | ControlSession
@@ -258,7 +258,7 @@ class AgentServer:
                 yield message
 
     async def _tell(self) -> None:
-        """Hand on what the playout tells, and where it is."""
+        """Pass on the playout's events and positions."""
         sent_s = 0.0
         while True:
             now_s = time.monotonic()

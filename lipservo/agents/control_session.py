@@ -218,7 +218,7 @@ async def _stop_result(
 
 
 async def _called(pool: Executor, call: Callable[[], Mapping[str, object]]) -> Mapping[str, object]:
-    """What the face answers. call: speaks to it in a thread."""
+    """Return the face's answer. call: speaks to it in a thread."""
     answer = await asyncio.get_running_loop().run_in_executor(pool, call)
     if "error" in answer:
         raise MessageError("refused", str(answer["error"]))

@@ -412,11 +412,11 @@ class Outbox:
         self._filled.set()
 
     def error(self, code: str, message: str, **about: object) -> None:
-        """Tell the client what went wrong."""
+        """Send the client an error."""
         self.put({"type": "error", "code": code, "message": message, **about})
 
     def close(self) -> None:
-        """The client has gone: nothing is kept for it any more."""
+        """Drop all events: the client has disconnected."""
         self._is_closed = True
         self._events.clear()
 

@@ -68,7 +68,7 @@ class StreamSession:
         self._over: deque[str] = deque(maxlen=_MOST_OVER)
 
     async def hear(self, message: str | bytes) -> None:
-        """Do what one message asks for."""
+        """Handle one message of the client."""
         about = self._open.stream_id if self._open is not None else None
         try:
             if isinstance(message, bytes):

@@ -58,7 +58,7 @@ class AgentStream:
 
     @property
     def rate_hz(self) -> int:
-        """Of what the client sends."""
+        """The sample rate of the client's audio, in Hz."""
         return self.speech.sample_rate_hz
 
     @property
@@ -93,7 +93,7 @@ class AgentStream:
                     raise
 
     def tell(self, event: PlayoutEvent) -> None:
-        """Hand the client what the playout says of the stream."""
+        """Send the client an event of the stream."""
         self.n_played = max(self.n_played, event.n_played)
         if event.kind == "mark":
             self.n_marks -= 1
@@ -155,7 +155,7 @@ class OwnSpeech:
         return self.is_dropped or (whole and self.n_ended >= n_streams)
 
     def take(self, event: PlayoutEvent) -> None:
-        """What the playout says of one of its streams."""
+        """Note an event of the playout on one of its streams."""
         if event.kind == "started" and self.began_s is None:
             self.began_s = event.position_s
             self.tell("started")
@@ -166,7 +166,7 @@ class OwnSpeech:
         self.heard_s = event.position_s - (self.began_s or event.position_s)
 
     def tell(self, kind: str) -> None:
-        """Hand the client what became of it."""
+        """Send the client what became of this speech."""
         about = {"stream": self.stream_id, "id": self.request_id}
         duration_s = 0.0 if self.spoken is None else self.spoken.duration_s
         times = {"played_s": round(self.heard_s, 3), "duration_s": round(duration_s, 3)}
@@ -192,7 +192,7 @@ class OpenStreams:
 
     @property
     def playing(self) -> list[AgentStream]:
-        """What the playout has, in order."""
+        """The streams that the playout has, in order."""
         return list(self._playing.values())
 
     def open(self, owner: Outbox, start: Start, now_s: float) -> AgentStream:
@@ -263,14 +263,14 @@ class OpenStreams:
         This client speaks nothing.
         """
         if not any(each.owner is owner for each in self._playing.values()):
-            raise MessageError("no_stream", "pause: nothing of this client is said or waits")
+            raise MessageError("no_stream", "pause: nothing of this client is spoken or waits")
         if self._paused is None:
             self._check_requests()
             self._playout.requests.append(PlayoutRequest("pause"))
             self._paused = owner, now_s
 
     def resume(self, owner: Outbox) -> None:
-        """What this client paused goes on. Raises MessageError."""
+        """Go on with what this client paused. Raises MessageError."""
         if self._paused is not None and self._paused[0] is owner:
             self._check_requests()
             self._playout.requests.append(PlayoutRequest("resume"))
@@ -287,7 +287,7 @@ class OpenStreams:
         return own
 
     def forget(self, own: OwnSpeech) -> None:
-        """It was refused."""
+        """Remove speech of this face that was refused."""
         self._own.pop(own.stream_id, None)
 
     def leave(self, owner: Outbox) -> None:
@@ -299,7 +299,7 @@ class OpenStreams:
             self.interrupt(owner)
 
     def end_all(self) -> None:
-        """The server ends: silence."""
+        """End all streams: the server ends."""
         for owner in {each.owner for each in self._all()}:
             self.interrupt(owner)
 
@@ -377,11 +377,11 @@ class OpenStreams:
                 own = "the face says something of its own"
                 raise MessageError("busy", f"{own}; interrupt it, {_LATER}")
         if len(streams) >= self._settings.most_streams:
-            most = f"{self._settings.most_streams} streams are said or wait already"
+            most = f"{self._settings.most_streams} streams are spoken or wait already"
             raise MessageError("too_many_streams", most)
         self._check_requests()
         if any(each.owner is owner and each.stream_id == start.stream for each in streams):
-            raise MessageError("stream_open", "a stream of that id is said or waits already")
+            raise MessageError("stream_open", "a stream of that id is spoken or waits already")
 
     def _check_requests(self) -> None:
         if len(self._playout.requests) >= _MOST_REQUESTS:

@@ -86,7 +86,7 @@ class CalibrationSetup:
         return positive if self.sees_forward or positive not in _FORWARD_WORDS else ""
 
     def procedure(self, seed: int = 0) -> Procedure:
-        """What is captured of this face."""
+        """The capture procedure of this face."""
         servos = self.servos
         return Procedure(
             self.model,

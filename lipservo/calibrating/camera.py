@@ -134,7 +134,7 @@ class AvCamera:
         return due_s
 
     def _ways(self) -> Iterator[tuple[str, dict[str, Any]]]:
-        """What to open, the best way first."""
+        """Return the ways to open a camera, the best first."""
         if self._wanted.startswith(GENERATED):
             yield self._wanted.removeprefix(GENERATED), {"format": "lavfi"}
             return

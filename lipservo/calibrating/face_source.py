@@ -89,7 +89,7 @@ def reader_of(markers: Path, setup: CalibrationSetup, mesh: MeshOptions) -> Read
 def tracker_source(
     setup: CalibrationSetup, source: str, axes: str, mesh: MeshOptions
 ) -> Iterator[MakeTracker]:
-    """What makes the tracker once the servos are held. All that can be missing is missed before.
+    """Yield what makes the tracker once servos are held; report missing files and extras before.
 
     source: `camera`, or as `tracker_of` takes it. Raises UserError.
     """

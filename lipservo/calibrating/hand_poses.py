@@ -139,7 +139,7 @@ def _bounds(servos: MouthServos, poses: Mapping[str, Array]) -> tuple[Array, Arr
 
 
 def pose_lines(before: Calibration, after: Calibration) -> list[str]:
-    """What became of the poses, for a person."""
+    """Describe what became of the poses, for a person."""
     lines = []
     for name, positions_deg in after.hand_poses.items():
         places = zip(after.servo_names, positions_deg, strict=True)

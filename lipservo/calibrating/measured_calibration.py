@@ -82,14 +82,14 @@ class CalibrationResult:
         return CalibrationResult(calibration, fit, fit.warnings)
 
     def seen_by(self, setup: CalibrationSetup) -> "CalibrationResult":
-        """The same; its file says what was not measured."""
+        """Return the result with its file noting what the tracker cannot see, as protrusion."""
         if setup.sees_forward:
             return self
         origin = replace(self.calibration.origin, not_measured=PROTRUSION)
         return replace(self, calibration=replace(self.calibration, origin=origin))
 
     def with_following(self, following: Following) -> "CalibrationResult":
-        """The same, with lags."""
+        """Return the result with the servos' lags."""
         return replace(self, calibration=replace(self.calibration, following=following))
 
     def with_memories(self, memories: Sequence[ServoMemory | None]) -> "CalibrationResult":
@@ -152,7 +152,7 @@ def jaw_check(setup: CalibrationSetup, calibration: Calibration) -> float | None
 def with_lags(
     setup: CalibrationSetup, face: HeldFace, result: CalibrationResult
 ) -> CalibrationResult:
-    """The same, with the lags of servos that are held."""
+    """Return the result with the lags of servos that are held."""
     return result.with_following(_measured_following(setup, face, result.calibration))
 
 

@@ -45,7 +45,7 @@ class PageWatch:
         self.watch = Watch(self.progress, self.arrived, self.seen)
 
     def progress(self, what: str, done: int, total: int) -> None:
-        """Poses, then chirps."""
+        """Send the page the progress of poses, then of chirps, with the minutes left."""
         spent_s = time.monotonic() - self._began_s
         if not done:
             self._began_s, spent_s = time.monotonic(), 0.0

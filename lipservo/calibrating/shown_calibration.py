@@ -78,7 +78,7 @@ def _closing_line(calibration: Calibration, lips: LearntLips) -> str:
         stops = f"contact: closing stops at a gap of {lips.own_gap_mm:.1f} mm between the dots"
         return f"{stops}{pressed}"
     return (
-        "contact: nobody saw whether the lips meet; closed is taken as the narrowest gap seen, "
+        "contact: not observed; closed is taken as the narrowest gap seen, "
         f"{lips.own_gap_mm:.1f} mm between the dots{pressed}"
     )
 
@@ -116,7 +116,7 @@ def _summary(calibration: Calibration) -> str:
         made = "" if slope is None else f"{max(slope, 0.0):.0%} of an opening is made{kept}, "
         return (
             f"estimated, not measured: on {errors.n_frames} frames left out the map is "
-            f"{errors.lip_rms_mm:.2f} mm from the shapes asked for, on the face as it was learnt; "
+            f"{errors.lip_rms_mm:.2f} mm from the wanted shapes, on the face as it was learnt; "
             f"{made}closed lips are {errors.closed_gap_mm:.1f} mm apart; "
             f"{errors.clipped_share:.0%} of the frames reach a limit"
         )
@@ -163,7 +163,7 @@ def following_lines(calibration: Calibration) -> list[str]:
 
 
 def _worst_markers(each_rms_mm: Mapping[str, float]) -> list[str]:
-    """The three that are farthest off."""
+    """Return a line on the three markers that are farthest off."""
     worst = sorted(each_rms_mm.items(), key=lambda item: -item[1])[:3]
     listed = ", ".join(f"{name} {rms_mm:.2f} mm" for name, rms_mm in worst)
     return [f"farthest off: {listed}"] if worst else []

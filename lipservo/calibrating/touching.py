@@ -29,7 +29,7 @@ class _Efforts:
     marker_names: tuple[str, ...] = ()
 
     def arrived(self, _pose: int, _reached_deg: Array) -> None:
-        """A pose stands."""
+        """Do nothing: efforts are read by `measure`."""
 
     def measure(self) -> Array:
         """Of (0, 3) markers."""

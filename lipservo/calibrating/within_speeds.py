@@ -49,7 +49,7 @@ class WithinSpeeds:
 def within_speeds(
     model: FaceWithAnimPhos, calibration: Calibration, settings: FaceSettings
 ) -> WithinSpeeds:
-    """By twenty seconds of speech."""
+    """Simulate twenty seconds of speech within the servos' speeds."""
     speeds = [settings.servos[name].max_speed_deg_s for name in calibration.servo_names]
     speeds_deg_s = np.array(speeds)
     if calibration.following is not None:
@@ -151,7 +151,7 @@ def _reached_share(
 
 
 def speed_line(found: WithinSpeeds) -> str:
-    """For a person."""
+    """Return the result in one line, for a person."""
     reached = found.reached_closures
     closures = (
         ""

@@ -117,7 +117,7 @@ class LazyGroup(TyperGroup):
                 formatter.write_dl(rows)
 
     def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
-        """Return the names that begin so."""
+        """Return the commands and options whose names begin with `incomplete`."""
         from typer._click.shell_completion import CompletionItem
 
         return [

@@ -94,7 +94,7 @@ Output = Annotated[
 Phonemes = Annotated[
     Path | None,
     typer.Option(
-        help="What is said when, so that nobody need recognise it: TextGrid, speech marks.",
+        help="Phonemes and their times, in place of recognition: TextGrid, speech marks.",
         show_default=False,
     ),
 ]

@@ -144,7 +144,7 @@ def _text(path: Path) -> str:
 
 
 def calibration_values(config: str | None) -> dict[str, Any]:
-    """The same as `lipservo calibrate show --json`, with the file's name. Raises FaceError."""
+    """Return the JSON of `lipservo calibrate show`, with the file's name. Raises FaceError."""
     from calibration.files.calibration_file import parse_calibration
     from lipservo.calibrating.shown_calibration import shown_values
     from lipservo.runtime.servos.assembly import load_settings

@@ -118,7 +118,7 @@ class FaceLink:
         return self.trouble is None and self.status_age_s < STATUS_OLD_S + STATUS_EVERY_S
 
     def certainty(self) -> dict[str, Any]:
-        """How sure what is known is; up: the face answers and its servo side ticks."""
+        """Return the age of the status; up: the face answers and its servo side ticks."""
         is_new = self.status_age_s < float("inf")
         return {
             "up": self.answers and not self.moment.servos_gone,
@@ -131,7 +131,7 @@ class FaceLink:
 
     @contextlib.asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
-        """Look and ask until the block ends."""
+        """Poll the face until the block ends."""
         tasks = [asyncio.create_task(each) for each in (self._look(), self._ask_status())]
         try:
             yield
@@ -203,12 +203,12 @@ class FaceLink:
         return {"accepted": answer.get("accepted"), **known}
 
     async def interrupt(self) -> None:
-        """Silence now: what the face says or plays is dropped."""
+        """Interrupt: drop all that the face says or plays."""
         async with self._speech_side() as face:
             await face.interrupt()
 
     async def change(self, values: Mapping[str, float]) -> Answer:
-        """Other values of settings: all of them, or none."""
+        """Change settings: all of them, or none."""
         if not values:
             raise FaceError("refused", "name at least one setting")
         for name, value in values.items():
@@ -217,7 +217,7 @@ class FaceLink:
         return await self._returned(lambda path: change_settings(path, dict(values)))
 
     async def servo(self, name: str, what: str) -> Answer:
-        """One servo: off, on or reboot."""
+        """Order one servo off, on or restarted."""
         if what not in set(ServoSwitch):
             raise FaceError("refused", f"{shown(what)}: there are off, on, reboot")
         return await self._returned(lambda path: switch_servo(path, name, ServoSwitch(what)))
@@ -258,7 +258,7 @@ class FaceLink:
             return await face.say(text)
 
     async def play(self, file: str) -> Answer:
-        """A sound file of the folder that the face plays from."""
+        """Play a sound file of the folder that the face plays from."""
         async with self._speech_side() as face:
             return await face.play(file)
 
@@ -299,7 +299,7 @@ class FaceLink:
         return answer
 
     def _called(self, call: Callable[[Path], Answer]) -> Answer:
-        """In a thread: where the face was last, or wherever it is by now."""
+        """Call the face where it was last, or else where it is by now; in a thread."""
         path = self.control_path
         try:
             if path is None:

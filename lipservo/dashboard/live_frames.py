@@ -87,7 +87,7 @@ class BoardReader:
         self.layout = board.layout
 
     def read(self, number: int, since_start_s: float, now_s: float) -> Moment:
-        """What has been written by now."""
+        """Read what has been written by now."""
         speech = self._board.speech_since(self._speech.number)
         peaks = b""
         if self._speech.number:
@@ -105,7 +105,7 @@ class BoardReader:
         )
 
     def close(self) -> None:
-        """Give the memory back."""
+        """Release the shared memory."""
         self._board.__exit__()
 
 
@@ -222,7 +222,7 @@ def expression_of(moment: Moment) -> NDArray[np.int16]:
 
 
 def encode(moment: Moment, layout: BoardLayout) -> bytes:
-    """One frame."""
+    """Return one frame as bytes."""
     if moment.speech is None:
         coefficients = np.zeros(layout.n_components, "<f4")
     else:

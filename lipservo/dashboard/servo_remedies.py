@@ -119,7 +119,7 @@ def _doubt(why: str | None) -> dict[str, Any]:
 
 
 def _released(words: str) -> dict[str, Any]:
-    remedy = "nobody knows more than that: switch the servos' power off before you touch them"
+    remedy = "no more is known: switch the servos' power off before you touch them"
     return {"trouble": {"meaning": words, "remedy": remedy}}
 
 

@@ -81,7 +81,7 @@ class SoundLines:
         return sorted(found, key=_name)[:_MOST_LISTED]
 
     def path_of(self, name: str) -> Path:
-        """A line that is there."""
+        """Return the path of an existing line."""
         path = self.place_of(name)
         try:
             is_file = stat.S_ISREG(path.lstat().st_mode)
@@ -92,14 +92,14 @@ class SoundLines:
         return path
 
     def remove(self, name: str) -> None:
-        """Delete it."""
+        """Delete a line."""
         try:
             self.path_of(name).unlink()
         except OSError as error:
             raise FaceError("refused", f"{shown(name)}: {error.strerror}") from error
 
     def place_of(self, name: str) -> Path:
-        """Where a line of that name is to be."""
+        """Return the path for a line of that name."""
         return self._place() / checked_name(name)
 
     def _place(self) -> Path:
@@ -241,7 +241,7 @@ class _ComingFile:
                 raise FaceError("exists", f"{shown(self._place.name)}: is there already") from error
 
     def close(self) -> None:
-        """Nothing is left under the other name."""
+        """Remove the unfinished file."""
         with self._lock:
             try:
                 self._file.close()

@@ -152,7 +152,7 @@ class _Voice:
         self._file.mux(self._stream.encode(sound))
 
     def end(self) -> None:
-        """What the encoder holds back."""
+        """Flush the encoder."""
         self._file.mux(self._stream.encode(None))
 
 

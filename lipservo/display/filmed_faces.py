@@ -89,11 +89,11 @@ class Beside:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Of both together."""
+        """Size of both pictures side by side, in pixels."""
         return sum(each.size[0] for each in self._both), self._both[0].size[1]
 
     def draw(self, frame: object) -> Picture:
-        """Left and right."""
+        """Draw both displays, left and right."""
         return np.hstack([each.draw(frame) for each in self._both])  # type: ignore[arg-type]
 
 

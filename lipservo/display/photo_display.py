@@ -95,7 +95,7 @@ class PhotoDisplay:
 
     @property
     def mesh(self) -> Mesh:
-        """What is warped, at rest."""
+        """The mesh that is warped, at rest."""
         return self._mesh
 
     @property

@@ -198,7 +198,7 @@ def _with_depth(points: list[Array]) -> Array | None:
 
 
 def _check_size_and_pose(face_px: float, rotation: Array) -> None:
-    """Raises PhotoError."""
+    """Refuse a face that is too small or turned too far. Raises PhotoError."""
     if face_px < LEAST_FACE_PX:
         raise PhotoError(
             f"the face is {face_px:.0f} pixels wide, {LEAST_FACE_PX:.0f} are needed; take a larger "
@@ -241,7 +241,7 @@ def _worn(
 
 
 def lip_gaps(face: FaceModel) -> LipGaps:
-    """Of a model; its own lip gap alone where its layout has no inner lips."""
+    """Return the lip gaps of a model; its own one alone without inner lips in its layout."""
     landmarks = face.layout.landmarks
     found = [
         (n / (len(_LIP_PAIRS) + 1), landmarks.index(upper), landmarks.index(lower))

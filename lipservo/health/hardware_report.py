@@ -67,7 +67,7 @@ def about_face(settings: FaceSettings) -> Report:
 
 
 def labels(settings: FaceSettings) -> list[str]:
-    """What the joints are called in a report."""
+    """Return the joints' labels in a report."""
     return [f"servo_{n}" for n in range(1, len(settings.servos) + 1)]
 
 
@@ -171,7 +171,7 @@ def limp_loop(bus: ServoBus, rate_hz: float, seconds: float, clock: Clock) -> Re
 
 
 def spread(values: Sequence[float]) -> dict[str, float] | None:
-    """Median, 99th percentile and worst; None of nothing."""
+    """Return median, 99th percentile and worst; None without values."""
     if not values:
         return None
     found = np.percentile(values, [50.0, 99.0, 100.0])
@@ -248,7 +248,7 @@ def _ms(n_ticks: int, rate_hz: float) -> float:
 
 
 def as_text(report: Mapping[str, Any]) -> str:
-    """The same for people: one line for each figure, sections by their names."""
+    """Return a report as text: one line for each figure, sections by their names."""
     findings = [
         f"{each['severity']}: {each['what']}" + (f" -> {each['remedy']}" if each["remedy"] else "")
         for each in report["findings"]

@@ -86,7 +86,10 @@ class _Counted:
     def news(
         self, record: Mapping[str, list[float]], names: list[str], number: float
     ) -> Counter[tuple[str, str]]:
-        """By servo and quantity. A log that begins in the middle of a run tells nothing new."""
+        """Return how much each count rose since the last record, by servo and quantity.
+
+        The first record of a log that begins in the middle of a run counts as no rise.
+        """
         now = {
             (name, key): value
             for key in _COUNTS

@@ -84,7 +84,7 @@ def logged_faces(environment: Mapping[str, str]) -> dict[str, list[Path]]:
 
 
 def places_searched(environment: Mapping[str, str]) -> str:
-    """For the line that says that nothing was found."""
+    """Return the folders searched, for the message that no log was found."""
     own = _own_state(environment)
     if environment.get("LIPSERVO_STATE"):
         return f"{own}/health"

@@ -59,7 +59,7 @@ def render(sound: Path, script: Script, output: Path, how: Rendering) -> Rendere
 
 
 def rendered_line(sound: Path, script: Script, how: Rendering) -> tuple[Performance, Rendered]:
-    """The same, not yet written: `output` is the sound still. Raises UserError."""
+    """Render a line without writing it: `output` is the sound still. Raises UserError."""
     speaker = load_speaker(how.model, how.offline)
     line, heard_notes = spoken_line(sound, script)
     began_s = time.perf_counter()

@@ -70,8 +70,8 @@ def spoken_line(sound: Path, script: Script) -> tuple[Line, tuple[str, ...]]:
         score = goodness_of_pronunciation(samples, events)
         if score < LEAST_SCORE:
             raise AlignmentError(
-                f"{sound}: this text is not what is said there: it scores {score:.2f}, what is "
-                f"said scores above {LEAST_SCORE}; check the text"
+                f"{sound}: this text is not spoken there: it scores {score:.2f}, spoken "
+                f"texts score above {LEAST_SCORE}; check the text"
             )
         if score < DOUBTFUL_SCORE:
             notes.append(f"the text fits badly (score {score:.2f})")
@@ -82,7 +82,7 @@ def spoken_line(sound: Path, script: Script) -> tuple[Line, tuple[str, ...]]:
         posteriors = whole_posteriors(load_shipped_weights(), samples)
     phones = joined_phones(events, duration_s)
     if all(event.phoneme == SILENCE for event in phones):
-        notes.append("nobody speaks: the mouth stays at rest")
+        notes.append("no speech: the mouth stays at rest")
     return Line(phones, samples, posteriors), tuple(notes)
 
 

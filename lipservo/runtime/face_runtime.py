@@ -167,15 +167,15 @@ class _Run:
         self._listens_on: str | None = None
 
     def serve(self, url: str | None) -> None:
-        """Voice agents are waited for there."""
+        """Serve voice agents at `url`."""
         self._listens_on = url
 
     def status(self, bridge: Bridge) -> Status:
-        """The whole face, now."""
+        """The status of the whole face now."""
         return self._whole({**face_status(bridge), **self._requested.about})
 
     def describe(self, bridge: Mapping[str, object]) -> Mapping[str, object]:
-        """The same for JSON, of what the bridge knows."""
+        """Return the status for JSON, given the bridge's part."""
         return self._whole(bridge).as_dict()
 
     def _whole(self, bridge: Mapping[str, object]) -> Status:
@@ -219,6 +219,6 @@ class _Run:
         return observers
 
     def observe(self, _tick: StreetTick) -> None:
-        """Between two ticks: hand what was set to the speech side."""
+        """Pass changed settings to the speech side between two ticks."""
         if changes := self.commands.take_changes():
             self._speech.side.change(changes)

@@ -100,7 +100,7 @@ class MotionOptions:
         return {name: round(named[name], 6) for name in STYLES_OF[self.strategy]}
 
     def live_settings(self) -> dict[str, Setting]:
-        """What may change while a face runs."""
+        """The settings that may change while a face runs."""
         values = self.style_settings
         return {
             name: Setting(values[name], 0.0, most)
@@ -183,7 +183,7 @@ def motion_options(
 
 
 def _refuse_what_is_late(chosen: ChosenMotion, of_the_face: MotionSettings) -> None:
-    """What goes against --low-latency, typed or in the face's YAML. Raises UserError."""
+    """Refuse options, typed or in the YAML, that --low-latency excludes. Raises UserError."""
     found = [] if chosen.lookahead_ms is None else ["--lookahead-ms"]
     ours = (None, LIVE_STRATEGY, UNIT_STRATEGY)
     for name, possible in (("strategy", ours), ("engine", (None, DEFAULT_RECOGNIZER))):

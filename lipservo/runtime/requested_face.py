@@ -31,17 +31,17 @@ class RequestedFace:
 
     @cached_property
     def face(self) -> Face:
-        """With its model and calibration. Raises ModelError, CalibrationError."""
+        """Load the face with model and calibration. Raises ModelError, CalibrationError."""
         return assembled_face(self.settings, self._folder, self.request.model)
 
     @property
     def speaker(self) -> Speaker:
-        """Who speaks its texts."""
+        """The synthesiser and voice of its texts."""
         return speaker_of(self.settings.sound, self._folder)
 
     @property
     def about(self) -> dict[str, object]:
-        """What every answer of the face says besides its state."""
+        """The part of every answer that is not its state."""
         about = {"name": self.settings.name, "port": self.settings.servo_port}
         return {**about_run(self.request), **about}
 
@@ -74,7 +74,7 @@ class RequestedFace:
         )
 
     def live_board(self) -> LiveBoard:
-        """A new one for it."""
+        """Create a live board for it."""
         return LiveBoard.create(
             BoardLayout(
                 name=self.settings.name,
@@ -96,7 +96,7 @@ class RequestedFace:
         return self.request
 
     def trace_header(self, speech: SpeechStatus) -> dict[str, object]:
-        """The first line of its trace."""
+        """Return the first line of its trace."""
         return {
             "source": speech.sound,
             "face": self.settings.name,

@@ -194,13 +194,13 @@ class RunRequest:
 
 
 def about_run(request: RunRequest) -> dict[str, object]:
-    """What a face says of its request in every answer."""
+    """Return what every answer says of the request."""
     sounds = None if request.voice is None else request.voice.sounds
     return {"config": request.config, "sounds": sounds}
 
 
 def request_json(request: RunRequest) -> str:
-    """The request on one line."""
+    """Return the request as JSON on one line."""
     return json.dumps(asdict(request), default=str)
 
 

@@ -266,7 +266,7 @@ class SpeechQueue:
             self._kept = [each for each in self._kept if not each.is_over]
             if len(self._kept) >= MOST_WAITING:
                 raise QueueFullError(
-                    f"{name}: {MOST_WAITING} texts, sounds or performances are said or wait "
+                    f"{name}: {MOST_WAITING} texts, sounds or performances are spoken or wait "
                     "already; wait, or interrupt them"
                 )
 
@@ -313,10 +313,10 @@ class SpeechQueue:
         try:
             stream = next(spoken.pieces, None)
         except UserError as error:
-            _LOG.error("%s; what came before it is said", error)
+            _LOG.error("%s; what came before it is spoken", error)
             return False
         except Exception as error:  # of one of them; the others are said
-            _LOG.error("%s: %s; what came before it is said", type(error).__name__, error)
+            _LOG.error("%s: %s; what came before it is spoken", type(error).__name__, error)
             return False
         if stream is not None and stream is not spoken.streams[-1]:
             spoken.streams.append(stream)

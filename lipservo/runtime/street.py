@@ -34,7 +34,7 @@ class Street:
         return self.side.start(now_s)
 
     def tick(self, time_s: float, late: int) -> StreetTick:
-        """Everything that happens at monotonic grid time `time_s`."""
+        """Run all that is due at monotonic grid time `time_s`."""
         self.side.advance(time_s)
         report = self.bridge.tick(time_s, late)
         feedback = self.bridge.feedback

@@ -84,7 +84,7 @@ class Summary:
     joints_held_back: Mapping[str, float] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, object]:
-        """For JSON."""
+        """Return the figures by name, for JSON."""
         return asdict(self)
 
 

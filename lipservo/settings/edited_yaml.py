@@ -75,7 +75,7 @@ def edited(path: Path, values: Mapping[Place, float | str]) -> EditedYaml:
 
 
 def lines_by_hand(place: Place, value: float | str) -> str:
-    """What a person would write."""
+    """Return the lines that a person should add to the YAML."""
     return _block(list(place), _written(value), 0, "\n")
 
 

@@ -222,7 +222,7 @@ class FaceSettings(Strict):
 
     @property
     def capabilities(self) -> BusCapabilities:
-        """What its servos can do."""
+        """The capabilities of its servos."""
         if self.buses:
             can = {name: face.capabilities for name, face in self.alone.items()}
             return mixed_capabilities(can, self.bus_of)

@@ -45,7 +45,7 @@ def read_key() -> str:
 
 
 def read_line(question: str) -> str:
-    """One line. Raises NoAnswerError at the end of a script."""
+    """Read one line. Raises NoAnswerError at the end of a script."""
     sys.stderr.write(f"{question}: ")
     sys.stderr.flush()
     line = sys.stdin.readline()

@@ -92,7 +92,7 @@ def say_simulated() -> None:
 
 
 def machine_class() -> str:
-    """What kind of machine measured: processor architecture, cores, Python."""
+    """Return the machine in words: processor architecture, cores, Python."""
     return f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
 
 

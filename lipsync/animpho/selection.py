@@ -40,7 +40,7 @@ class SelectionStrategy(Protocol):
 
     @property
     def name(self) -> str:
-        """As it is called on the command line."""
+        """Its name on the command line."""
 
     def first(self, units: AnimPhoUnits, phoneme: str) -> Choice:
         """The start of a chain, out of the closed mouth."""

@@ -136,7 +136,7 @@ class PublishedSynthesizer:
         return np.tile(frame.coefficients, (len(times_s), 1))
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
-        """The phoneme believed at a time, for displays."""
+        """The phoneme at a time as known now, for displays."""
         return self._timeline.event_at(time_s)
 
     def _end_of_plan_s(self) -> float:

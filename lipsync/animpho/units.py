@@ -49,7 +49,7 @@ class IndexLists:
         return self.indices[self.starts[row] : self.starts[row + 1]]
 
     def transposed(self, n_rows: int) -> "IndexLists":
-        """The same table read by columns; n_rows is the number of columns here."""
+        """Return the table read by columns; n_rows is the number of columns here."""
         return IndexLists.from_pairs(self.indices, self.rows(), n_rows)
 
     def rows(self) -> Indices:
@@ -208,7 +208,7 @@ class FaceInOtherLayout(FaceWithAnimPhos):
 
     @property
     def checksum(self) -> str:
-        """That of the model it was made from."""
+        """Checksum of the model that it was made from."""
         return self.own_checksum
 
 

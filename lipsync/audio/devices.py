@@ -60,7 +60,7 @@ class OpenStream(Protocol):
         """The clock of its time stamps, in seconds."""
 
     def start(self) -> None:
-        """Begin to call back."""
+        """Start the stream's callbacks."""
 
     def abort(self) -> None:
         """End at once, whatever waits to be played; errors are ignored."""
@@ -244,7 +244,7 @@ class DeviceWatch:
 
     @property
     def is_lost(self) -> bool:
-        """No stream is open, or the one that is has stopped."""
+        """Whether no stream is open, or the open one has stopped."""
         return self._stream is None
 
     @property

@@ -283,7 +283,7 @@ class _Capture:
         return converted
 
     def rest(self) -> Samples:
-        """What was held back; the device is gone. Once."""
+        """Return once the sound that was held back when the device went."""
         if self._resampler is None:
             return np.zeros(0, dtype=np.float32)
         rest: Samples = self._resampler.resample_chunk(np.zeros(0, np.float32), last=True)

@@ -111,7 +111,7 @@ class SteadyClock:
         return self._zero_s + sound_s
 
     def arrived(self, now_s: float, until_s: float) -> None:
-        """Changes nothing: sound that no device captures is never late."""
+        """Do nothing: sound that no device captures is never late."""
 
     def captured_s(self, sound_s: float) -> float:
         """The sound of a file counts as captured when it would be heard."""

@@ -152,7 +152,7 @@ class Playout:
 
     @property
     def name(self) -> str:
-        """What is heard while the robot is silent."""
+        """The name of the sound that is heard while the robot is silent."""
         return "own voice" if self._microphone is None else self._microphone.name
 
     @property
@@ -455,7 +455,7 @@ class Playout:
         return self._position_s
 
     def _note_silence(self, cut_s: float) -> None:
-        """Nothing of what was committed after `cut_s` is heard."""
+        """Report that nothing committed after `cut_s` is heard."""
         self._quiet_from_s = cut_s + _ECHO_S
         self._known.cut(cut_s)
         if cut_s < self.committed_s:
@@ -467,7 +467,7 @@ class Playout:
             self.events.append(PlayoutEvent(kind, name, self._position_s, n_played))
 
     def _clear(self) -> None:
-        """What is committed is still heard; the rest is not."""
+        """Drop all that is not committed; what is committed is still heard."""
         for playing in self._playing:
             if playing.stream.is_over:
                 continue
@@ -512,7 +512,7 @@ def _start_sample(unit: SpokenUnit) -> int:
 
 
 def _is_ready(playing: PlayingStream) -> bool:
-    """Whether a stream may begin, or go on."""
+    """Whether a stream has enough sound to begin, or to go on."""
     stream = playing.stream
     is_going_on = bool(playing.segments) and not playing.is_starved
     return is_going_on or stream.ended or stream.is_filled or stream.waiting_s >= _WAITING_S

@@ -183,7 +183,7 @@ class PlayoutStream:
             )
         waiting = list(self.started_words)  # at once: the live loop takes them meanwhile
         if sum(len(each.words) for each in waiting) + len(words) > _MOST_WORDS:
-            raise PlayoutTextError(f"{_MOST_WORDS} words wait to be said; tell the others later")
+            raise PlayoutTextError(f"{_MOST_WORDS} words wait to be spoken; send the others later")
         before = self.spoken.get(spoken.kind)
         whole = spoken if before is None else before.revised(spoken)
         if words:
@@ -220,7 +220,7 @@ class PlayoutStream:
             self.started_words.append(StartedWords(spoken.kind, tuple(words), is_new=False))
 
     def mark(self, name: str) -> None:
-        """Tell when all that was pushed until now has been heard."""
+        """Report when all that was pushed until now has been heard."""
         self._marks.append((self._n_received, name))
         self._is_marked = True
 
@@ -255,7 +255,7 @@ class PlayoutStream:
             self._blocks.appendleft(block)
 
     def drop(self) -> None:
-        """The taker's: forget all that was not taken, whatever is being pushed meanwhile."""
+        """Drop all that was not taken, for the thread that takes blocks."""
         self._dropped = self._ended = True
         self._blocks.clear()
 
@@ -383,7 +383,7 @@ class PlayingStream:
     is_followed: bool = False
 
     def add(self, start_s: float, n_samples: int) -> None:
-        """One more block, at a place on the timeline."""
+        """Add a block at a place on the timeline."""
         last = self.segments[-1] if self.segments else None
         if last is not None and abs(last.end_s - start_s) < 1e-6 and not self._is_filled_up(last):
             last.end_s, last.n_end = start_s + BLOCK_S, n_samples
@@ -392,7 +392,7 @@ class PlayingStream:
         self.n_taken = n_samples
 
     def take_back(self, start_s: float, n_before: int) -> None:
-        """The block that was added last, at `start_s`, is none; n_before: samples before it."""
+        """Remove the block that was added last, at `start_s`; n_before: samples before it."""
         last = self.segments[-1]
         last.end_s, last.n_end = start_s, n_before
         if last.end_s - last.start_s < 1e-6:
@@ -405,7 +405,7 @@ class PlayingStream:
         return segment.n_end - segment.n_before < n_long - 1.5
 
     def n_played(self, position_s: float) -> int:
-        """Samples that were heard when the timeline has got there."""
+        """Return the samples heard by a position of the timeline."""
         n = 0
         for segment in self.segments:
             if segment.start_s > position_s:
@@ -546,7 +546,7 @@ class KnownPhonemes:
         self._going_on = None
 
     def after(self, from_s: float) -> list[KnownStretch]:
-        """Those that end after `from_s`, in order, not overlapping."""
+        """Return the stretches that end after `from_s`, in order, not overlapping."""
         return [stretch for stretch in self._stretches if stretch[1] > from_s]
 
     def forget(self, committed_s: float) -> None:

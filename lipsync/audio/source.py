@@ -164,7 +164,7 @@ class SilentSource:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """Nothing to give back."""
+        """Release nothing."""
 
 
 class SilenceAfter:

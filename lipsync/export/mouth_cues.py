@@ -74,7 +74,7 @@ def cues_tsv(cues: Sequence[MouthCue]) -> str:
 
 
 def cues_json(cues: Sequence[MouthCue], sound_name: str, duration_s: float) -> str:
-    """`metadata` and `mouthCues`, a cue a line."""
+    """Return the cues as JSON: `metadata` and `mouthCues`, a cue a line."""
     rows = (
         f'    {{ "start": {_seconds(cue.start_cs)}, "end": {_seconds(cue.end_cs)}, '
         f'"value": "{cue.shape}" }}'

@@ -120,7 +120,7 @@ class BrowFlashes:
         self._flash = 0.0
 
     def step(self, voice: VoiceFrame, is_speaking: bool, is_idle: bool) -> float:
-        """One cue later; nothing begins where the face is idle."""
+        """Advance by one cue; nothing begins where the face is idle."""
         self._since_s += CUE_PERIOD_S
         if is_speaking and voice.is_speech and voice.pitch_hz > 0.0:
             pitch = bounded(voice.pitch_z, -MOST_Z, MOST_Z)

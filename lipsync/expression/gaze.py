@@ -25,13 +25,13 @@ def drawn_magnitude_deg(random: Random) -> float:
 
 
 def drawn_direction_rad(random: Random) -> float:
-    """Within one of the eight bins, uniform."""
+    """Draw a direction uniformly within one of the eight bins."""
     nearest = bisect(_DIRECTIONS, random.random() * _DIRECTIONS[-1])
     return math.radians(_BIN_DEG * (nearest + random.random() - 0.5))
 
 
 def duration_s(magnitude_deg: float) -> float:
-    """How long a movement of that size takes."""
+    """Return the seconds that a movement of that size takes."""
     return _SHORTEST_S + _S_PER_DEG * magnitude_deg
 
 
@@ -127,12 +127,12 @@ def _gamma(random: Random, mean_s: float, sd_s: float) -> float:
 
 
 def talking_habit(mutual_share: float = 0.41) -> GazeHabit:
-    """Of who talks."""
+    """Return the gaze habit of a person who talks."""
     return GazeHabit(mutual_share, 93.9 / 30, 94.9 / 30, 27.8 / 30, 24.0 / 30)
 
 
 def listening_habit(mutual_share: float = 0.75) -> GazeHabit:
-    """Of who listens."""
+    """Return the gaze habit of a person who listens."""
     return GazeHabit(mutual_share, 237.5 / 30, 47.1 / 30, 13.0 / 30, 7.1 / 30)
 
 
@@ -184,7 +184,7 @@ class Gaze:
         self._habit = habit
 
     def look(self, at_least_s: float = _FIRST_LOOK_S) -> None:
-        """At the partner, now."""
+        """Look at the partner now, for `at_least_s` seconds."""
         self.is_mutual = True
         self._is_due = True
         self._offset_deg = STRAIGHT_AHEAD

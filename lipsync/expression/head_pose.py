@@ -57,7 +57,7 @@ class ProsodyAccents:
         self._nod_deg = 0.0
 
     def step(self, voice: VoiceFrame, is_speaking: bool) -> float:
-        """Degrees of pitch, positive upwards, one cue later."""
+        """Advance by one cue; return degrees of pitch, positive upwards."""
         prominence = 0.0
         if is_speaking and voice.is_speech:
             loudness = bounded(voice.loudness_z, -MOST_Z, MOST_Z)
@@ -193,7 +193,7 @@ class IdlePosture:
         return self.follow()
 
     def follow(self) -> tuple[float, float, float]:
-        """One cue later: what has begun goes on, nothing begins."""
+        """Advance by one cue: what has begun goes on, nothing begins."""
         return self._pitch.step(), self._yaw.step(), self._roll.step()
 
     def settle(self) -> None:

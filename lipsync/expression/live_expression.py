@@ -40,12 +40,12 @@ def head_gain(arousal: float) -> float:
 
 
 def blink_gain(arousal: float) -> float:
-    """How often it blinks, 0.85 to 1.15."""
+    """Return the factor of the blink rate, 0.85 to 1.15."""
     return 1.0 + 0.15 * bounded(arousal, -1.0, 1.0)
 
 
 def gaze_pace(arousal: float) -> float:
-    """How quickly one fixation follows the other, 0.8 to 1.2."""
+    """Return the factor of the rate of fixations, 0.8 to 1.2."""
     return 1.0 + 0.2 * bounded(arousal, -1.0, 1.0)
 
 

@@ -147,18 +147,18 @@ OPEN = Amount(0.0, PARTING_S, 0.0, 0.0, 0.0)
 
 def planned(
     now: Amount,
-    moments_s: Mapping[int, float],
+    tightest_s: Mapping[int, float],
     track: PhonemeTrack,
     time_s: float,
     known_until_s: float,
 ) -> Amount:
     """What the amount does from `time_s` on. Once begun, a closure is completed before it ends.
 
-    moments_s: for each phoneme that closes, when after its onset it is tightest.
+    tightest_s: for each phoneme that closes, when after its onset it is tightest.
     """
     if now.goal == 1.0 and time_s < now.start_s + now.duration_s:
         return now
-    if _is_due(now.touched_s, moments_s, track, time_s, known_until_s):
+    if _is_due(now.touched_s, tightest_s, track, time_s, known_until_s):
         goal, duration_s, touched_s = 1.0, CLOSING_S, time_s + CLOSING_S
     else:
         goal, duration_s, touched_s = 0.0, PARTING_S, now.touched_s
@@ -169,7 +169,7 @@ def planned(
 
 def _is_due(
     touched_s: float,
-    moments_s: Mapping[int, float],
+    tightest_s: Mapping[int, float],
     track: PhonemeTrack,
     time_s: float,
     known_until_s: float,
@@ -177,13 +177,13 @@ def _is_due(
     """Whether the lips should be closing or closed, by all that is known."""
     return any(
         from_s - CLOSING_S <= time_s + _ROUNDING_S and time_s < until_s - _ROUNDING_S
-        for from_s, until_s in closures(touched_s, moments_s, track, time_s, known_until_s)
+        for from_s, until_s in closures(touched_s, tightest_s, track, time_s, known_until_s)
     )
 
 
 def closures(
     touched_s: float,
-    moments_s: Mapping[int, float],
+    tightest_s: Mapping[int, float],
     track: PhonemeTrack,
     time_s: float,
     known_until_s: float,
@@ -200,9 +200,9 @@ def closures(
             end_s = math.inf
         if start_s > known_until_s + _ROUNDING_S:
             return
-        if track.phonemes[i] in moments_s:
+        if track.phonemes[i] in tightest_s:
             # In the recordings an M lasts long; a short one is tightest in its middle, not its end.
-            moment_s = min(start_s + moments_s[track.phonemes[i]], (start_s + end_s) / 2.0)
+            moment_s = min(start_s + tightest_s[track.phonemes[i]], (start_s + end_s) / 2.0)
             from_s, until_s = moment_s - HOLD_S / 2.0, moment_s + HOLD_S / 2.0
             if track.phonemes[i] == _HUMMED:
                 from_s = min(from_s, start_s + HOLD_S)
@@ -362,7 +362,7 @@ class FinishedSynthesizer:
 
     @property
     def strength(self) -> float:
-        """As it was set last."""
+        """The strength that was set last."""
         return self._strength.goal
 
     @property
@@ -434,8 +434,8 @@ class FinishedSynthesizer:
         until_s = now_s + self._known_s
         track, lips, teeth = self._inner.track, finish.bilabial, finish.labiodental
         closing = [
-            (gap_mm, list(closures(amount.touched_s, moments_s, track, now_s, until_s)))
-            for amount, moments_s, gap_mm in (
+            (gap_mm, list(closures(amount.touched_s, tightest_s, track, now_s, until_s)))
+            for amount, tightest_s, gap_mm in (
                 (teeth, self._labiodental_s, self._labiodental_gap_mm),
                 (lips, self._bilabial_s, BILABIAL_GAP_MM),
             )

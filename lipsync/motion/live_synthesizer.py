@@ -221,7 +221,7 @@ class ExpectedMotion:
         return self._soft.mixed(faces, self._believed, self._track, times_s, known_until_s)
 
     def _extrapolated(self, expectation: Array) -> Array:
-        """The expectation, and a little more of where it is going."""
+        """Return the expectation moved on along its present way."""
         before = self._expectations[0]
         self._expectations.append(expectation)
         return expectation + LEAD * (expectation - before)

@@ -23,7 +23,7 @@ class StillMotion:
 
     @property
     def phonemes_planned(self) -> int:
-        """Those that were shown so far, without silences."""
+        """The number of phonemes shown so far, without silences."""
         return self._n_shown
 
     @property
@@ -42,7 +42,7 @@ class StillMotion:
         self._timeline.apply(update)
 
     def frame_at(self, time_s: float) -> Frame:
-        """The mouth at rest."""
+        """Return the mouth at rest."""
         event = self._timeline.event_at(time_s)
         if event is not None and event.phoneme != SILENCE and event.start_s > self._newest_s:
             self._newest_s = event.start_s
@@ -50,7 +50,7 @@ class StillMotion:
         return Frame(time_s, self._rest)
 
     def window_after(self, frame: Frame) -> FaceWindow:
-        """Nothing but the frame."""
+        """Return a window of the frame alone."""
         return frame_alone(frame)
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:

@@ -95,12 +95,12 @@ def span_at(
 
 def guessed_s(phonemes: list[int], times_s: list[float]) -> float:
     """How long the phone of a context probably lasts: its usual duration, at the speaker's pace."""
-    usual_s = took_s = 0.0
+    usual_s = elapsed_s = 0.0
     for phoneme, begun_s, ended_s in zip(phonemes[:2], times_s[:2], times_s[1:3], strict=True):
         if phoneme not in (UNKNOWN, _SILENCE) and math.isfinite(begun_s):
             usual_s += _USUAL_S[phoneme]
-            took_s += begun_s - ended_s
-    pace = took_s / usual_s if usual_s else 1.0
+            elapsed_s += begun_s - ended_s
+    pace = elapsed_s / usual_s if usual_s else 1.0
     pace = min(_MOST_PACE, max(1.0 / _MOST_PACE, pace))
     return _USUAL_S[phonemes[2]] * math.sqrt(pace)
 

@@ -49,12 +49,12 @@ class PlannedMotion:
 
     @property
     def phonemes_planned(self) -> int:
-        """All of them."""
+        """The number of phonemes: all are planned."""
         return len(self._timeline.events)
 
     @property
     def lookahead_s(self) -> float:
-        """Everything is heard beforehand."""
+        """0: the sound is known beforehand."""
         return 0.0
 
     @property

@@ -321,7 +321,7 @@ class StateModel:
 
     @property
     def n_components(self) -> int:
-        """Of its own basis, p."""
+        """The number p of components of its own basis."""
         return len(self.basis)
 
     def sentence_of(self, frame: int) -> tuple[int, int]:

@@ -84,7 +84,7 @@ class Performance:
 
     @property
     def duration_s(self) -> float:
-        """From the first face to the last."""
+        """Seconds from the first face to the last."""
         return (len(self.coefficients) - 1) / RATE_HZ
 
     def check_face(self, face: FaceModel, name: str) -> None:
@@ -251,7 +251,7 @@ def _no_room(error: OSError) -> PerformanceError:
 
 
 def _chunks(place: Path, performance: Path) -> Iterator[bytes]:
-    """Of a sound beside its performance. Raises PerformanceError."""
+    """Yield chunks of the sound beside a performance. Raises PerformanceError."""
     try:
         if not place.is_file():  # a pipe would be waited for without end
             raise FileNotFoundError(ENOENT, "no such file")

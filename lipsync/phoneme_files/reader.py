@@ -113,7 +113,7 @@ def events_of(known: VendorUnits, name: str) -> tuple[PhonemeEvent, ...]:
     if last.end_s is None and events and events[-1].phoneme == SILENCE:
         del events[-1]
     if all(event.phoneme == SILENCE for event in events):
-        raise LabelError(f"{name}: nothing but silence; give one in which something is said")
+        raise LabelError(f"{name}: nothing but silence; give one with phonemes")
     return tuple(events)
 
 
@@ -130,7 +130,7 @@ def _append(
 
 
 def _parsed(content: bytes, name: str) -> object:
-    """The document, or its lines by name."""
+    """Return the JSON document, or its lines by name."""
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:

@@ -67,7 +67,7 @@ class ArousalTracker:
         return self.arousal
 
     def push_silence(self) -> float:
-        """A frame without speech."""
+        """Advance by a frame without speech."""
         self.arousal -= _FRAME_S / _DECAY_S * self.arousal
         self._fused -= _FRAME_S / _DECAY_S * self._fused
         return self.arousal

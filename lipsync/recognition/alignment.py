@@ -93,7 +93,7 @@ def align(
     """
     words = words_of(text)
     if not words:
-        raise AlignmentError("the text holds no words; give what is said in the sound")
+        raise AlignmentError("the text holds no words; give the words of the sound")
     check_aligner()
     from pocketsphinx import Decoder
 

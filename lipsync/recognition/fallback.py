@@ -83,7 +83,7 @@ class Pace:
 
     @property
     def is_too_slow_to_be_tried(self) -> bool:
-        """Whether it is known to need more than `_TRIED_SHARE`."""
+        """Whether it needs more than half of the time: too much beside the level in use."""
         return len(self._shares) >= _FEWEST_TRIED and self.share > _TRIED_SHARE
 
     def note(self, cost_s: float, sound_s: float) -> None:
@@ -221,7 +221,7 @@ class Trial:
         level.begin(self._waiting[0].start_s)
 
     def add(self, blocks: Iterable[AudioBlock]) -> None:
-        """The sound that has just come."""
+        """Add the newest sound to the backlog."""
         self._waiting.extend(blocks)
 
     def go_on(self, timer_s: Callable[[], float]) -> None:

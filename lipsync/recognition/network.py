@@ -279,7 +279,7 @@ def _float(array: NDArray[np.generic]) -> NDArray[np.float32]:
 
 
 def _mistake(weights: NetworkWeights) -> str:
-    """What does not fit together, or nothing."""
+    """Return what does not fit together in weights; "" if all fits."""
     n_channels = len(weights.entry.bias)
     n_outputs = len(weights.delays) * len(weights.phonemes)
     shapes: list[tuple[NDArray[np.float32], tuple[int, ...]]] = [

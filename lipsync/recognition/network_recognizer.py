@@ -239,7 +239,7 @@ class NetworkRecognizer:
         return FramePosteriors(FRAMES_PER_S, self._n_heard - len(values), delays, values)
 
     def _n_completed(self, n_samples: int) -> int:
-        """How many frames so many more samples complete."""
+        """Return how many frames `n_samples` more samples complete."""
         n_before = _n_frames(self._n_samples)
         self._n_samples += n_samples
         return _n_frames(self._n_samples) - n_before
@@ -286,7 +286,7 @@ def frames_of_delay(latency_s: float) -> int:
 
 
 def _n_frames(n_samples: int) -> int:
-    """Whole windows in so many samples."""
+    """Return the whole windows in `n_samples` samples."""
     return max(0, (n_samples - WINDOW) // HOP + 1)
 
 

@@ -172,7 +172,7 @@ class TextDecoder:
         n_waiting = self._words.n_words - self.place + len(words)
         if n_waiting > MOST_WORDS:
             raise TextError(
-                f"{n_waiting} words wait to be said; at most {MOST_WORDS}, tell the others later"
+                f"{n_waiting} words wait to be spoken; at most {MOST_WORDS}, tell the others later"
             )
         n_behind = min(len(words), int(behind_s * _WORDS_PER_S))
         is_timed = any(word.start_s is not None for word in words)
@@ -436,7 +436,7 @@ class _WordGraph:
         return int(self._words.words[-1])
 
     def append(self, words: Sequence[PronouncedWord], frames_per_s: int) -> None:
-        """More words; those that the window has left behind are dropped."""
+        """Append words; drop those that the window has left behind."""
         end_state = int(self._words.silences[-1])
         parts = [self._words.part(self._first_word, self.n_words)]
         for number, word in enumerate(words, self.n_words):

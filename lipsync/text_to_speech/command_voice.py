@@ -47,11 +47,11 @@ class CommandVoice:
         self._process = _process()
 
     def languages(self) -> tuple[str, ...]:
-        """None: a program speaks what it speaks."""
+        """Return no languages: a program speaks its own."""
         return ()
 
     def voices(self) -> tuple[str, ...]:
-        """None: every program is one."""
+        """Return no voices: every program is one."""
         return ()
 
     def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:

@@ -39,7 +39,7 @@ class EspeakProcess:
 
     @property
     def pid(self) -> int | None:
-        """Of the process that speaks just now."""
+        """The id of the process that speaks just now; None: none."""
         return self._process.pid
 
     def languages(self) -> tuple[str, ...]:
@@ -65,7 +65,7 @@ _starting: Final = threading.Lock()
 
 
 def espeak() -> EspeakProcess:
-    """The one of this process, started at the first call."""
+    """Return this process's espeak-ng, started at the first call."""
     with _starting:
         return _started_once()
 

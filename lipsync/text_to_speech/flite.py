@@ -55,11 +55,11 @@ class Flite:
         self._command = found
 
     def languages(self) -> tuple[str, ...]:
-        """American English alone."""
+        """The languages it speaks: American English alone."""
         return (_LANGUAGE,)
 
     def voices(self) -> tuple[str, ...]:
-        """What `flite -lv` lists, as `kal`, `rms` and `slt`."""
+        """The voices that `flite -lv` lists, such as `kal`, `rms` and `slt`."""
         listed = self._run("-lv").partition(":")[2].split()
         return tuple(sorted(set(listed) - {_TALKING_CLOCK}))
 
@@ -115,7 +115,7 @@ class Flite:
 
 
 def segments(printed: str, duration_s: float) -> list[TimedPhones]:
-    """What `-psdur` prints, `pau:0.193 p:0.271 ...`, as far as the sound goes.
+    """Parse the output of `-psdur`, `pau:0.193 p:0.271 ...`, as far as the sound goes.
 
     The last pause is longer or shorter than the sound, by up to 0.12 s; it ends with the sound.
     Raises SynthesisError for another print.

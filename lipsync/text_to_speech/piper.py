@@ -45,11 +45,11 @@ class Piper:
         self._process = _process()
 
     def languages(self) -> tuple[str, ...]:
-        """None: a model speaks one."""
+        """Return no languages: a model speaks one."""
         return ()
 
     def voices(self) -> tuple[str, ...]:
-        """None: every model is one."""
+        """Return no voices: every model is one."""
         return ()
 
     def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:

@@ -80,7 +80,7 @@ def spoken_words(text: str) -> tuple[PronouncedWord, ...]:
     if words := pronounced(text):
         return words
     raise PronunciationError(
-        f"text {text[:40]!r} has no word that English pronounces; give what is said, or no text"
+        f"text {text[:40]!r} has no word that English pronounces; give its words, or no text"
     )
 
 
@@ -167,7 +167,7 @@ def _phones(ipa: Sequence[str]) -> tuple[str, ...]:
 
 
 def _by_espeak(text: str, language: str) -> Iterator[PronouncedWord]:
-    """Its phonemes, cut where it says that its words begin."""
+    """Return espeak-ng's phonemes of a text, cut into words."""
     from lipsync.text_to_speech.synthesis import SynthesisError, Voice
     from lipsync.text_to_speech.synthesizers import speak_in_pieces, synthesizer_for
 

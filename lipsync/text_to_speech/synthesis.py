@@ -69,7 +69,7 @@ class SynthesizedSpeech:
 
     @property
     def duration_s(self) -> float:
-        """How long it sounds."""
+        """Seconds of sound."""
         return len(self.samples) / self.sample_rate_hz
 
 
@@ -122,7 +122,7 @@ def checked_text(text: str, longest: int) -> str:
         )
     written = readable(text)
     if not written.strip():
-        raise UnspeakableTextError("the text is empty; write what is to be said")
+        raise UnspeakableTextError("the text is empty; write what to speak")
     return written
 
 

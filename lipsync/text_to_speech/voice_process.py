@@ -43,7 +43,7 @@ class VoiceProcess:
 
     @property
     def pid(self) -> int | None:
-        """Of the process that speaks just now."""
+        """The id of the process that speaks just now; None: none."""
         return None if self._child is None else self._child.pid
 
     def request(self, request: Request) -> tuple[dict[str, Any], bytes]:

@@ -70,7 +70,7 @@ class MeanFace:
 
 
 def load_mean_face() -> MeanFace:
-    """The one that comes with the package; OSError or ValueError where it is damaged."""
+    """Load the mean face of the package. Raises OSError or ValueError where it is damaged."""
     place = resources.files("lipsync.models") / f"{SHIPPED_FACE}.npz"
     with place.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
         return MeanFace(
@@ -341,7 +341,7 @@ class HeadSurface:
 
     @cached_property
     def stiffness(self) -> sparse.csr_array:
-        """Of its shell."""
+        """The stiffness matrix of its shell."""
         return shell_stiffness(self.places_mm, self.triangles)
 
     @cached_property
@@ -360,7 +360,7 @@ class HeadSurface:
 
 
 def head_surface(mean: MeanFace) -> HeadSurface:
-    """The surface that is drawn."""
+    """Make the surface that is drawn."""
     return HeadSurface(mean.vertices_mm, mean.triangles, skin_colours(mean))
 
 

@@ -400,7 +400,7 @@ _NECK_ROWS = 40
 
 
 def neck() -> Part:
-    """From inside the head downwards."""
+    """Make the neck, from inside the head downwards."""
     profile = np.array(_PROFILE)
     steps = np.linspace(0, len(profile) - 1, _NECK_ROWS)
     height, radius, grey = PchipInterpolator(np.arange(len(profile)), profile)(steps).T

@@ -44,7 +44,7 @@ class FaceTracker(Protocol):
 
     @property
     def name(self) -> str:
-        """What it is, for reports."""
+        """The tracker's name, for reports."""
 
     def faces(self, picture: Picture) -> tuple[Array, ...]:
         """Return the points of each face, the largest face first; none where there is none.
@@ -90,7 +90,7 @@ class LitertTracker:
 
     @property
     def name(self) -> str:
-        """The file and what runs it."""
+        """The names of model file and library."""
         return self._name
 
     def faces(self, picture: Picture) -> tuple[Array, ...]:

@@ -160,7 +160,7 @@ def test_a_rate_that_no_face_takes_is_told(served):
 
 
 def test_where_nobody_answers_it_is_one_line():
-    with pytest.raises(FaceError, match="nobody answers there") as error:
+    with pytest.raises(FaceError, match="no face answers there") as error:
         lipservo.connect("ws://127.0.0.1:9").__enter__()
     assert error.value.code == "not_answering"
 

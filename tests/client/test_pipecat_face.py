@@ -92,7 +92,7 @@ def test_without_a_face_the_sound_goes_to_the_transport():
 
     assert kinds(down).count(TTSAudioRawFrame) == 5
     (error,) = [frame for frame in up if isinstance(frame, ErrorFrame)]
-    assert "nobody answers" in error.error
+    assert "no face answers" in error.error
 
 
 def test_sound_that_may_not_be_interrupted_is_said_to_its_end():

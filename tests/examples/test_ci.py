@@ -1,5 +1,6 @@
 """The recipes of examples/ci do what they say: the shell steps of the workflow, and the image's."""
 
+import json
 import os
 import re
 import shlex
@@ -94,12 +95,13 @@ def test_what_the_image_installs_and_starts_serves_page_and_port(installed, tmp_
                 f"http://127.0.0.1:{page}/api/status", headers={"Authorization": f"Bearer {token}"}
             )
             give_up_s = time.monotonic() + PATIENCE_S
-            answer = b""
-            while b'"driven"' not in answer and time.monotonic() < give_up_s:
+            status = {}
+            while status.get("state") != "driven" and time.monotonic() < give_up_s:
                 with urllib.request.urlopen(request, timeout=PATIENCE_S) as reply:
-                    answer = reply.read()
+                    status = json.load(reply)
                 time.sleep(0.1)
-            assert b'"state":"driven"' in answer
+            assert status["name"] == "simulated head"
+            assert status["state"] == "driven"
             socket.create_connection(("127.0.0.1", int(agents)), PATIENCE_S).close()
         finally:
             face.send_signal(signal.SIGTERM)

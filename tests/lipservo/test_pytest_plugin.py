@@ -33,6 +33,22 @@ def test_a_test_speaks_through_a_face_and_gets_what_its_servos_were_sent(alone):
     alone.runpytest_subprocess().assert_outcomes(passed=1)
 
 
+PLAYS = """
+def test_plays(simulated_face):
+    simulated_face.play(bytes(2 * 4800), 24000)
+    places = simulated_face.encoders_deg()
+    assert len(places) == 10 and abs(places["jaw"]) < 30
+    assert set(simulated_face.stop()["confirmed"]) == set(places)
+    assert simulated_face.end()
+"""
+
+
+def test_a_test_plays_a_sound_reads_encoders_and_stops(alone):
+    alone.makepyfile(PLAYS)
+
+    alone.runpytest_subprocess().assert_outcomes(passed=1)
+
+
 OWN = """
 import pytest
 

@@ -12,7 +12,7 @@ NEEDS_LINUX = "servos and running faces need Linux; `lipservo doctor` says what 
 
 
 def without_posix(*arguments):
-    script = ROOT / "tests" / "support" / "without_posix.py"
+    script = ROOT / "tests" / "project" / "without_posix.py"
     return subprocess.run(
         [sys.executable, str(script), *arguments], capture_output=True, text=True, check=False
     )

@@ -87,7 +87,7 @@ def stuff(body: bytes) -> bytes:
 
 
 def unstuff(body: bytes) -> bytes:
-    """Undo `stuff`."""
+    """Remove the bytes that `stuff` inserted."""
     return body.replace(_STUFFED, _PATTERN)
 
 
@@ -142,7 +142,7 @@ def sync_write(address: int, size: int, data: Iterable[tuple[int, bytes]]) -> by
 
 
 def status(servo_id: int, error: int = 0, data: bytes = b"") -> bytes:
-    """What a servo answers. The simulator's half of the codec."""
+    """Make the status packet of a servo; for the simulator."""
     return packet(servo_id, Instruction.STATUS, bytes((error,)) + data)
 
 
@@ -437,7 +437,7 @@ class SpanRead:
         self._wider: dict[int, SpanRead] = {}
 
     def widened(self, size: int) -> "SpanRead":
-        """The same question for `size` bytes, the further ones before its own where there are such.
+        """Return a read of `size` bytes that includes this one, beginning earlier where possible.
 
         Every control table begins at 0; where it ends differs.
         """
@@ -450,7 +450,7 @@ class SpanRead:
         return self._wider[size]
 
     def cut(self, statuses: Sequence[Status], address: int) -> list[Status]:
-        """Our own bytes of answers that begin at `address`."""
+        """Return the bytes of this span from statuses that begin at `address`."""
         own = slice(self.address - address, self.address - address + self.size)
         return [Status(each.servo_id, each.error, each.data[own]) for each in statuses]
 
@@ -492,7 +492,7 @@ class SpanRead:
         return statuses
 
     def salvage_fast(self, stream: bytes) -> list[Status]:
-        """The parts of a disturbed common frame that arrived whole."""
+        """Return the statuses of a disturbed common frame that arrived whole."""
         start = stream.find(self._fast_head)
         if start < 0:
             return []

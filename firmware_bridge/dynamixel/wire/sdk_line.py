@@ -71,7 +71,7 @@ class SdkTransport:
         self.call(lambda: self.handler.writePort(data))
 
     def read(self, deadline_s: float) -> bytes:
-        """Whatever the SDK's port holds; it does not wait."""
+        """Return the bytes that the SDK's port holds; it does not wait."""
         del deadline_s
         return bytes(self.call(lambda: self.handler.readPort(4096)))
 
@@ -81,7 +81,7 @@ class SdkTransport:
         return b""
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         if self.handler.is_open:
             release(self.handler.ser.fileno())
             self.handler.closePort()
@@ -103,7 +103,7 @@ class SdkLine(Line):
         return Status(servo_id, error, struct.pack("<HB", number, 0)) if not result else None
 
     def ping_all(self) -> list[Status]:
-        """Everybody there is."""
+        """Return a status of every servo that answers a broadcast ping."""
         found, _ = self._sdk.call(lambda: self._packets.broadcastPing(self._sdk.handler))
         return [
             Status(each, 0, struct.pack("<HB", *model_and_firmware))
@@ -113,7 +113,7 @@ class SdkLine(Line):
     def read(
         self, servo_id: int, address: int, size: int, extra_wait_s: float = 0.0
     ) -> Status | None:
-        """`size` bytes of one servo."""
+        """Read `size` bytes of one servo."""
         del extra_wait_s
         ask = self._packets.readTxRx
         data, result, error = self._sdk.call(
@@ -142,7 +142,7 @@ class SdkLine(Line):
         """A sync write, made anew by the SDK."""
         (frame,) = FrameParser().feed(request)
         if frame.instruction != Instruction.SYNC_WRITE:
-            raise ValueError(f"dynamixel-sdk is not asked to send instruction {frame.instruction}")
+            raise ValueError(f"dynamixel-sdk is not used to send instruction {frame.instruction}")
         address, size = struct.unpack_from("<HH", frame.parameters)
         group = GroupSyncWrite(self._sdk.handler, self._packets, address, size)
         for at in range(4, len(frame.parameters), size + 1):

@@ -37,7 +37,7 @@ class SpanGroup:
         self.reset()
 
     def reset(self) -> None:
-        """Forget who was silent."""
+        """Forget which servos were silent."""
         self._proven = False
         self._ever_proven = False
         self._n_refused = 0

@@ -59,7 +59,7 @@ def lateness_figures(
 
 
 def _lateness_p99_ms(rate_hz: float, seconds: float, work: Tick) -> tuple[float, float]:
-    """Of all ticks, and the median of the windows."""
+    """Return p99 of all ticks, and the median of the windows' p99, ms."""
     clock = MonotonicClock()
     whole, windows = Histogram(), [Histogram() for _ in range(_WINDOWS)]
     start_s = clock.now()

@@ -55,7 +55,7 @@ class AuditedWire(Protocol):
     has_watchdog: bool
 
     def orders(self, data: bytes) -> Iterator[SeenOrder]:
-        """Of one write of the computer."""
+        """Parse the orders in one write of the computer."""
 
     def is_set_up(self, servo: Any, wanted: MountedServo[Any]) -> bool:
         """Whether a simulated servo is as torque may come on."""
@@ -70,7 +70,7 @@ class DynamixelWire:
         self._parser = FrameParser()
 
     def orders(self, data: bytes) -> Iterator[SeenOrder]:
-        """Of one write of the computer."""
+        """Parse the orders in one write of the computer."""
         if _GOAL_BYTES not in data and _TORQUE_BYTES not in data and not self._parser.pending:
             return  # the address is in no packet of it
         for frame in self._parser.feed(data):

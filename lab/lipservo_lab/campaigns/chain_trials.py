@@ -49,7 +49,7 @@ _MUST_NOT: Final = (
 
 
 def face(n_servos: int, model: Any = None) -> list[MountedServo[Any]]:
-    """Servos as in `face_sim`, every other one mounted the other way round."""
+    """Return a face of servos as in `face_sim`, every other one mounted mirrored."""
     model = model or dynamixel_models()["XL330-M288"]
     return [
         MountedServo(
@@ -82,7 +82,7 @@ class ChainStage:
 
     @property
     def joints(self) -> Sequence[Joint]:
-        """In the order of the servos."""
+        """The joints, in the order of the servos."""
         return [servo.joint for servo in self.servos]
 
     def look(self, bridge: Bridge) -> None:

@@ -63,22 +63,22 @@ class Stage(Protocol):
 
     @property
     def bus(self) -> ServoBus:
-        """What the bridge drives."""
+        """The bus that the bridge drives."""
 
     @property
     def clock(self) -> ManualClock:
-        """What moves the servos."""
+        """The clock that moves the servos."""
 
     @property
     def joints(self) -> Sequence[Joint]:
-        """In the order of the servos."""
+        """The joints, in the order of the servos."""
 
     @property
     def auditor(self) -> "StopWitness":
-        """What looks at the wire."""
+        """The auditor that watches the wire."""
 
     def look(self, bridge: Bridge) -> None:
-        """After every tick."""
+        """Check the robot after a tick."""
 
     def look_at_last(self) -> None:
         """Check the robot before servos are let go, where no person has stopped the face."""
@@ -214,7 +214,7 @@ class StopInTheFault:
         """Take no orders to single servos."""
 
     def take_orders(self) -> Sequence[Order]:
-        """None."""
+        """Return no orders."""
         return ()
 
     def report_end(self, report: Mapping[str, object]) -> None:

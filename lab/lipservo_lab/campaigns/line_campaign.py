@@ -91,7 +91,7 @@ class DisturbedTransport:
                 return data
 
     def discard_input(self) -> bytes:
-        """What has arrived by now."""
+        """Return and remove the bytes that have arrived."""
         now_s = self.clock.now()
         self._chain.advance(now_s)
         while self._chain.next_delivery_s <= now_s:
@@ -196,7 +196,7 @@ class QuestionedChain:
         self._count = 0
 
     def bytes_of(self, servo_id: int, *names: str) -> bytes:
-        """What these registers of one servo hold now."""
+        """Return the present bytes of some registers of one servo."""
         servo = self.chain.servos[IDS.index(servo_id)]
         return b"".join(MODEL.registers[name].encode(servo[name]) for name in names)
 

@@ -69,7 +69,7 @@ class Corpus:
         return self.keep({u.name for u in self.utterances if u.phones})
 
     def keep(self, names: set[str]) -> "Corpus":
-        """Only the sentences named."""
+        """Return the corpus with only the sentences named."""
         chosen = tuple(u for u in self.utterances if u.name in names)
         return Corpus(self.name, self.layout, chosen, self.head_reference_mm, self.skipped)
 

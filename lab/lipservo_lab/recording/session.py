@@ -47,12 +47,12 @@ class Screen:
         self._line(f"    {sentence.text}\n", "bold")
 
     def say(self, line: str) -> None:
-        """What is going on, and what can be pressed."""
+        """Show what is going on, and which keys can be pressed."""
         if not self._is_quiet:
             self._line(line, "")
 
     def warn(self, line: str) -> None:
-        """What is wrong with a take."""
+        """Show what is wrong with a take."""
         self._line(f"! {line}", "yellow")
 
     def meter(self, level_db: float, brightness: float) -> None:
@@ -98,7 +98,7 @@ class SoundClock:
 
     @property
     def is_ready(self) -> bool:
-        """Whether anything has come."""
+        """Whether any sound has come."""
         return bool(self._zeros_s)
 
     @property
@@ -130,7 +130,7 @@ class Microphone(Protocol):
 
     @property
     def is_lost(self) -> bool:
-        """The device is gone."""
+        """Whether the device is gone."""
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
         """The blocks not handed out before that end at or before sound time `until_s`."""
@@ -140,7 +140,7 @@ class Pictures(Protocol):
     """What is used of `CameraFeed`."""
 
     def take_frames(self) -> list[Frame]:
-        """What has come since the last call."""
+        """Return the pictures since the last call."""
 
 
 @dataclass(frozen=True, slots=True)

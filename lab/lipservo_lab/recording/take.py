@@ -162,11 +162,11 @@ class Take:
         self._brightness: list[float] = []
 
     def add_blocks(self, blocks: Sequence[AudioBlock]) -> None:
-        """What was heard, in order."""
+        """Append sound, in order."""
         self._blocks += [b for b in blocks if b.end_s > self._begins_s]
 
     def add_frames(self, frames: Sequence[Frame]) -> None:
-        """What was seen, in order."""
+        """Append pictures, in order."""
         self._pending += [(taken_s - self._zero_s, picture) for taken_s, picture in frames]
         # A take ends before the key that ends it: what may be cut off is not written yet.
         until_s = self._blocks[-1].end_s - KEY_S if self._blocks else 0.0
@@ -207,7 +207,7 @@ class Take:
         self._writer.close()
 
     def _samples(self) -> NDArray[np.float32]:
-        """From the first picture to the end."""
+        """Return the samples from the first picture to the end."""
         if self._first_s is None or not self._blocks:
             return np.zeros(0, np.float32)
         samples = np.concatenate([block.samples for block in self._blocks])

@@ -279,7 +279,7 @@ def _refined(points: Array, triangles: Indices) -> tuple[Array, Indices]:
 
 
 def _fitted_normals(points: Array, tree: cKDTree) -> Array:
-    """Of the plane through each point's neighbours; either side."""
+    """Return normals of the plane through each point's neighbours; either side."""
     _, near = tree.query(points, k=_NEIGHBOURS)
     around = points[near] - points[near].mean(axis=1, keepdims=True)
     _, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))

@@ -40,7 +40,7 @@ class CorpusWriter:
             (place / name).mkdir()
 
     def add(self, made: RegisteredTake, sound: TakeSound) -> None:
-        """One sentence."""
+        """Write one sentence."""
         name = made.take.name
         whole = np.rint(made.points_mm * _TO_PICTURE_AXES * _UNITS_PER_MM)
         small = np.abs(whole).max() <= np.iinfo(np.int16).max

@@ -86,7 +86,7 @@ def _there(path: Path) -> Path | None:
 
 
 def _in_order(name: str) -> tuple[tuple[int, str], ...]:
-    """scan_9 before scan_10."""
+    """Sort key that puts scan_9 before scan_10."""
     parts = re.split(r"(\d+)", name)
     return tuple((int(part), "") if part.isdigit() else (-1, part) for part in parts)
 

@@ -89,7 +89,7 @@ def read_answers(path: Path, identity: str) -> Answers:
 
 
 def first_record(identity: str) -> Record:
-    """What a file begins with."""
+    """Return the first record of a file of answers."""
     return {"kind": "study", "study": identity, "at": now()}
 
 
@@ -155,7 +155,7 @@ class AnswerFile:
         os.close(self._file)
 
     def rater(self, name: str) -> RaterRecord:
-        """Raises UnknownRaterError."""
+        """Return a rater's record. Raises UnknownRaterError."""
         try:
             return self.raters[name]
         except KeyError:

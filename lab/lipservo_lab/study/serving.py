@@ -77,7 +77,7 @@ class StudyDesk:
         self._minutes = minutes
 
     def about(self) -> Mapping[str, Any]:
-        """What the first page shows."""
+        """Return what the first page shows."""
         return {
             "identity": self.study.identity,
             "title": self.study.title,

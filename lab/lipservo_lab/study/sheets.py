@@ -266,12 +266,12 @@ def write_study(folder: Path, study: Study, key: Key) -> None:
 
 
 def read_study(folder: Path) -> Study:
-    """What raters get. Raises StudyError."""
+    """Read what raters get. Raises StudyError."""
     return _read(folder / STUDY_FILE, _STUDY)
 
 
 def read_key(folder: Path) -> Key:
-    """What they do not. Raises StudyError."""
+    """Read what raters must not see. Raises StudyError."""
     return _read(folder / KEY_FILE, _KEY)
 
 

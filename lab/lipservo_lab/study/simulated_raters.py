@@ -113,7 +113,7 @@ class _Rater:
         self._always = int(numbers.integers(1, POINTS + 1))
 
     def answer(self, item: Item) -> tuple[int | str, float]:
-        """What is answered, and after how many seconds."""
+        """Return the answer, and after how many seconds it comes."""
         numbers = self._all.numbers
         shown_s = sum(self._all.study.duration_s[clip] for clip in item.clips)
         seconds = round(shown_s + numbers.gamma(2.0, _READS_S / 2.0), 2)

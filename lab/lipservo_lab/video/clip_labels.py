@@ -64,7 +64,7 @@ class ClipLabels:
         return replace(self, phones=phones, words=words)
 
     def tiers(self) -> dict[str, tuple[Interval, ...]]:
-        """As `write_tiers` wants them."""
+        """Return the tiers for `write_tiers`."""
         phones = tuple((p.phoneme, p.start_s, p.end_s or p.start_s) for p in self.phones)
         return {"words": self.words, "phones": phones}
 
@@ -83,7 +83,7 @@ def label_clip(samples: NDArray[np.float32], text: str | None) -> ClipLabels:
         score = goodness_of_pronunciation(samples, aligned.phones, _weights())
         if score < LEAST_SCORE:
             raise AlignmentError(
-                f"the text is not what is said: it scores {score:.1f}, what is said scores above "
+                f"the text is not spoken: it scores {score:.1f}, spoken texts score above "
                 f"{LEAST_SCORE}; correct the text"
             )
         labels = ClipLabels(aligned.phones, aligned.words, "text", round(score, 2))
@@ -91,7 +91,7 @@ def label_clip(samples: NDArray[np.float32], text: str | None) -> ClipLabels:
         (p.end_s or p.start_s) - p.start_s for p in labels.phones if p.phoneme != SILENCE
     )
     if spoken_s < _LEAST_SPEECH_S:
-        raise LabelingError(f"{spoken_s:.1f} s of speech; nobody speaks, or too softly")
+        raise LabelingError(f"{spoken_s:.1f} s of speech; no speech, or too soft")
     return labels
 
 

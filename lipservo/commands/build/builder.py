@@ -177,7 +177,7 @@ def _found(
 
     kind, port = part.kind, part.port
     if port is None:
-        raise UserError("no port: give --port; the servos there are asked who they are")
+        raise UserError("no port: give --port; the servos there are found by their answers")
     tools = kind.workshop()
     recorded = {} if ranges is None else by_id(read_ranges(ranges))
     if not tools.CLEARS_MIDDLE:  # servos go on to show their place as it was recorded

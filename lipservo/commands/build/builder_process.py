@@ -51,7 +51,7 @@ def builder_process(
 
 
 def _find(request: Request, page: "PageLine") -> None:
-    """Who answers at the port, and what another program has written into them."""
+    """Find the servos that answer at the port, and their stored settings."""
     from firmware_bridge.bus_kinds import bus_kind
 
     tools, port = bus_kind(request["kind"]).workshop(), request["port"]
@@ -69,7 +69,7 @@ def _find(request: Request, page: "PageLine") -> None:
 
 
 def _nudge(request: Request, page: "PageLine") -> None:
-    """One servo moves by 3 degrees and back."""
+    """Move one servo by 3 degrees and back."""
     from firmware_bridge.bus_kinds import bus_kind
     from lipservo.runtime.servos.new_face import nudge
 
@@ -135,7 +135,7 @@ def _jog(request: Request, _page: "PageLine") -> None:
 
 
 def _set_up(request: Request, _page: "PageLine") -> None:
-    """The servos' own limits, as the YAML has them now."""
+    """Write the YAML's limits into the servos."""
     from lipservo.commands.build.setup_servos import setup_servos
 
     with open(os.devnull) as null_device:
@@ -230,7 +230,7 @@ def _finish(
 
 
 def _speak(request: Request, _page: "PageLine") -> None:
-    """The face as `daemon` runs it."""
+    """Run the face as `daemon` does."""
     from lipservo.commands.run.dashboard_beside import with_sounds
     from lipservo.commands.run.run import ANY_PORT, daemon
 

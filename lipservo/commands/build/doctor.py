@@ -226,7 +226,7 @@ def _consent(question: str, *, yes: bool) -> None:
     if yes:
         return
     if not sys.stdin.isatty():
-        raise UserError(f"{question}? Nobody is there to be asked: give --yes")
+        raise UserError(f"{question}? No terminal to confirm on: give --yes")
     if not typer.confirm(question, default=False, err=True):
         raise UserError("nothing was done, and nothing written")
 

@@ -40,7 +40,7 @@ class _Work:
         ]
 
     def say(self, line: str) -> None:
-        """A result for people."""
+        """Print a result for people."""
         if not self.as_json:
             RESULTS.print(line)
 

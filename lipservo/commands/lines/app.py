@@ -17,7 +17,7 @@ class LinesGroup(LazyGroup):
         {
             "render": Command(f"{_HERE}.render:render", "Render a sound to a performance."),
             "perform": Command(f"{_HERE}.perform:perform", "Play a performance on a face."),
-            "align": Command(f"{_HERE}.phones:align", "Find when each phone of a text is said."),
+            "align": Command(f"{_HERE}.phones:align", "Find when each phone of a text is spoken."),
             "recognize": Command(f"{_HERE}.phones:recognize", "Print the phonemes of a sound."),
             "render-folder": Command("", "Render every sound of a folder.", _LAB),
             "align-folder": Command("", "Align all texts of a folder.", _LAB),

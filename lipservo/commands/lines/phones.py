@@ -53,7 +53,7 @@ def _is_tiers(head: bytes) -> bool:
 
 def align(
     sound: Annotated[Path, typer.Argument(help="Sound file.")],
-    text: Annotated[str, typer.Argument(help="What is said, or a text file that holds it.")],
+    text: Annotated[str, typer.Argument(help="The spoken text, or a text file that holds it.")],
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Write X.TextGrid or X.json.")
     ] = None,
@@ -87,8 +87,8 @@ def _align_one(sound: Path, text: str, output: Path | None, *, as_json: bool) ->
     score = goodness_of_pronunciation(samples, alignment.phones)
     if score < LEAST_SCORE:
         raise AlignmentError(
-            f"{sound}: this text is not what is said there: it scores {score:.2f}, what is said "
-            f"scores above {LEAST_SCORE}; check the text"
+            f"{sound}: this text is not spoken there: it scores {score:.2f}, spoken texts "
+            f"score above {LEAST_SCORE}; check the text"
         )
     if score < DOUBTFUL_SCORE:
         MESSAGES.print(

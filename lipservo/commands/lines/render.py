@@ -21,12 +21,12 @@ def render(
     output: Annotated[Path, typer.Option("--output", "-o", help="File to write (.perf).")],
     text: Annotated[
         str | None,
-        typer.Option(help="What is said, or a text file that holds it.", show_default=False),
+        typer.Option(help="The spoken text, or a text file that holds it.", show_default=False),
     ] = None,
     textgrid: Annotated[
         Path | None,
         typer.Option(
-            help="When which phone is said: a TextGrid, or another file of docs/text.md.",
+            help="Phones and their times: a TextGrid, or another file of docs/text.md.",
             show_default=False,
         ),
     ] = None,

@@ -28,7 +28,7 @@ def chosen_motion(
     unit_share: UnitShare = None,
     low_latency: LowLatency = False,
 ) -> ChosenMotion:
-    """What was typed of these options."""
+    """Return the options that the user gave."""
     style = (lookahead_ms, strength, smoothness, unit_share)
     return ChosenMotion(engine, weights, strategy, *style, low_latency)
 

@@ -265,13 +265,13 @@ def _sound(
 
 
 def motion_of(chosen: ChosenMotion, config: str) -> MotionOptions:
-    """What was typed before what the face's YAML says."""
+    """Return the user's options, completed by the face's YAML."""
     settings, folder = load_settings(config)
     return motion_options(chosen, settings.motion, folder)
 
 
 def avatars_of(config: str, osc: str | None, live_link: str | None) -> AvatarTargets:
-    """What was typed before what the face's YAML says."""
+    """Return the user's options, completed by the face's YAML."""
     written = load_settings(config)[0].avatars
     return AvatarTargets(osc or written.osc, live_link or written.live_link)
 

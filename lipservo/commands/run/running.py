@@ -64,6 +64,6 @@ def _answered(face: RunningFace, ask_one: Callable[[RunningFace], Answer]) -> An
     except TimeoutError:
         return {"error": "hangs: does not answer"}
     except PermissionError:
-        return {"error": "may not be asked; use sudo"}
+        return {"error": "may not be queried; use sudo"}
     except OSError:
         return {"error": "has just ended"}

@@ -100,7 +100,7 @@ def say(
 
 
 def _text_in(path: Path) -> Sound:
-    """A file's sound, and what it says. Raises LabelError."""
+    """Return a file's sound and its text. Raises LabelError."""
     from lipsync.phoneme_files.reader import sound_beside
 
     return Sound("file", str(sound_beside(path)), phonemes=str(path))

@@ -16,7 +16,7 @@ def set_value(
         str,
         typer.Argument(
             help="What: strength, stage, smoothness, unit_share, lip_gap_offset_mm, expression, "
-            "look_yaw_deg, look_pitch_deg, look_weight (0: at nobody), affect_valence, "
+            "look_yaw_deg, look_pitch_deg, look_weight (0: at no target), affect_valence, "
             "affect_arousal, affect_tau_s."
         ),
     ],

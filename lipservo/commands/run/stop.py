@@ -203,7 +203,7 @@ def _status_of(face: RunningFace) -> dict[str, Any]:
     except TimeoutError:
         return {**found, "state": "hangs: does not answer; `lipservo stop --limp` ends it"}
     except PermissionError:
-        return {**found, "state": "may not be asked; use sudo"}
+        return {**found, "state": "may not be queried; use sudo"}
     except OSError:
         return {**found, "state": "has just ended"}
     return {"state": "runs", **found, **answer, "pid": face.pid}

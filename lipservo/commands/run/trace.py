@@ -34,7 +34,7 @@ Second = Annotated[Path, typer.Argument(metavar="B", help="The one to compare wi
 
 @app.callback()
 def about() -> None:
-    """Look at what `--trace` wrote."""
+    """Inspect files that `--trace` wrote."""
 
 
 @app.command()

@@ -28,7 +28,7 @@ def daemons_voice(
     """
     if listen == "none":
         if agents != VoiceOptions():
-            raise typer.BadParameter("--listen none: nobody is there for the options of agents")
+            raise typer.BadParameter("--listen none: options of agents need a listener")
         return voice
     return replace(agents, output=None if voice is None else voice.output)
 

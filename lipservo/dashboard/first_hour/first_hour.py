@@ -129,7 +129,7 @@ class FirstHour:
             }
 
     def control_path(self) -> Path:
-        """Where the step that runs is stopped. Raises UserError where none drives servos."""
+        """Return the control socket of the step. Raises UserError where none drives servos."""
         path = self._socket()
         if path is None:
             raise UserError("No step of the first hour drives servos now")
@@ -148,7 +148,7 @@ class FirstHour:
             except BusError as error:
                 raise FaceError("refused", str(error)) from error
             if port is None and not chosen.board_key:
-                raise FaceError("refused", "which port? Servos there are asked who they are")
+                raise FaceError("refused", "which port? Servos there are found by their answers")
             self._port, self._kind = port, chosen.name
             self._found, self._named, self._wired = None, {}, []
         if not chosen.board_key:
@@ -358,7 +358,7 @@ class FirstHour:
 
     def _check_port(self) -> None:
         if self._port is None:
-            raise FaceError("refused", "which port? Servos there are asked who they are")
+            raise FaceError("refused", "which port? Servos there are found by their answers")
 
     def _check_idle(self) -> None:
         if self._step is not None and self._step.runs:
@@ -384,7 +384,7 @@ class FirstHour:
                 self._graded = graded
             if step.was_left:
                 self._note = (
-                    "nobody had this page open, so the servos were let go; what was kept is kept"
+                    "no browser had this page open: the servos were let go; kept values stay"
                 )
 
     def _simulate(self) -> str:

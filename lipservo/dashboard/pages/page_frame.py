@@ -60,6 +60,8 @@ def page_frame(
     rest the page asks by itself.
     """
     ui.page_title(f"{PLACES[here]} · {(status or {}).get('name') or 'lipservo'}")
+    # The framework writes no language into its page; readers of screens need it.
+    ui.add_head_html('<script>document.documentElement.lang = "en"</script>')
     ui.add_head_html(f'<link rel="stylesheet" href="{STATIC_URL}/dashboard.css">')
     places = {path: title for path, title in PLACES.items() if path != FIRST_HOUR}
     if facts.get("firstHour"):
@@ -73,7 +75,7 @@ def page_frame(
     # Not `async`, they would wait for the framework's.
     for script in (*_ALWAYS, *scripts):
         ui.add_body_html(f'<script type="module" async src="{STATIC_URL}/{script}"></script>')
-    with ui.element("main").classes("face-page").mark(f"page {PLACES[here]}"):
+    with ui.element("div").classes("face-page").mark(f"page {PLACES[here]}"):
         yield
 
 
@@ -116,7 +118,7 @@ def _head(here: str, status: Mapping[str, Any], places: Mapping[str, str]) -> st
     )
     return (
         '<div id="face-head"><header>'
-        f'<div class="who"><strong id="face-name">{name}</strong>{where}'
+        f'<div class="who"><h1 id="face-name">{name}</h1>{where}'
         '<span id="face-state" role="status">…</span></div>'
         f"<nav>{ways}</nav>"
         f'<button id="face-stop" type="button" onclick="{_EARLY_STOP}"'

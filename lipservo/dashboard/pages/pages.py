@@ -136,7 +136,7 @@ def _legend() -> str:
 
 async def _servos(_status: Status, _config: str | None) -> None:
     """How each servo is, torque and reboot, and moving one by hand."""
-    with card("Health", "asked of one servo after the other, so a value may be a second old"):
+    with card("Health", "read from one servo after the other, so a value may be a second old"):
         html("<face-servo-table></face-servo-table>")
     with card("Move by hand", classes="jog"):
         html(f"<face-jog data-warning='{escape(WARNING)}'></face-jog>")

@@ -55,7 +55,7 @@ def make_api(link: FaceLink, hour: FirstHour | None = None) -> FastAPI:
 
     @app.get("/metrics", response_class=Response)
     async def metrics() -> Response:
-        """For Prometheus."""
+        """Return the metrics for Prometheus."""
         return Response(metrics_text(collector), media_type=CONTENT_TYPE)
 
     @app.get("/docs", response_class=HTMLResponse, include_in_schema=False)

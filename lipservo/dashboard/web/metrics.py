@@ -52,7 +52,7 @@ class FaceCollector(Collector):
         is_fresh = bool(certainty["face_answers"])
         yield _gauge("lipservo_up", "1: the face answers and its servo side ticks", certainty["up"])
         for side in ("servos", "speech"):
-            description = f"1: the {side} side has told nothing for a second"
+            description = f"1: the {side} side has reported nothing for a second"
             yield _gauge(f"lipservo_{side}_gone", description, certainty[f"{side}_gone"])
         if link.status is not None:
             yield _gauge(
@@ -105,7 +105,7 @@ class FaceCollector(Collector):
 
 
 def metrics_text(collector: Collector) -> bytes:
-    """In the text format."""
+    """Return the metrics in Prometheus' text format."""
     registry = CollectorRegistry(auto_describe=False)
     registry.register(collector)
     return generate_latest(registry)

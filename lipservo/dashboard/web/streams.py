@@ -42,7 +42,7 @@ class FrameHub:
         self.n_dropped = 0
 
     def tick(self) -> None:
-        """There is something new."""
+        """Send clients the newest frame."""
         waiting, self._next = self._next, None
         if waiting is not None:
             waiting.set_result((self._layout(), self._message()))
@@ -93,7 +93,7 @@ class FrameHub:
 
 
 async def _until_gone(socket: WebSocket) -> None:
-    """What clients say is heard and forgotten."""
+    """Discard a client's messages until it disconnects."""
     while (await socket.receive())["type"] != "websocket.disconnect":
         pass
 

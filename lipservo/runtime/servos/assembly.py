@@ -35,7 +35,7 @@ from lipsync.face.model import load_face as load_face_model
 
 
 def prevent_rules(face: FaceSettings) -> list[PreventRule]:
-    """What the face's joints must not do together."""
+    """Return the rules between the face's joints."""
     return [
         PreventRule(rule.factors(face.servos), rule.above, rule.because) for rule in face.prevent
     ]

@@ -181,7 +181,7 @@ class HeldFace:
         return self.stands_deg
 
     def hold(self, seconds: float) -> None:
-        """Stay for a while."""
+        """Hold the pose for some seconds."""
         until_s = self._clock.now() + seconds
         while self._clock.now() < until_s:
             self._tick()

@@ -66,7 +66,7 @@ class Outcome:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether everybody confirmed."""
+        """Whether every servo confirmed."""
         return not (self.problem or self.unconfirmed)
 
     def as_dict(self) -> dict[str, Any]:

@@ -127,13 +127,13 @@ class TurnedRange:
         self.begin()
 
     def begin(self) -> None:
-        """Forget what was seen."""
+        """Forget the range so far."""
         nothing = np.full(len(self._names), np.nan)
         self._here_deg, self._least_deg, self._most_deg = nothing, nothing, nothing
         self._obstacles: Mapping[str, str] = {}
 
     def note(self, pose: LimpPose) -> None:
-        """One look; who is held or silent is left out."""
+        """Add a reading; held or silent servos are left out."""
         free = [name not in pose.obstacles for name in self._names]
         here_deg = np.where(free, pose.positions_deg, np.nan)
         self._here_deg, self._obstacles = here_deg, pose.obstacles
@@ -146,7 +146,7 @@ class TurnedRange:
         return dict(zip(self._names, ends_deg, strict=True))
 
     def lines(self) -> list[str]:
-        """For people, one a joint."""
+        """Return the ranges for people, one line a joint."""
         return [
             f"{name}: {here:.1f} deg, turned from {least:.1f} to {most:.1f}"
             if math.isfinite(least)
@@ -157,7 +157,7 @@ class TurnedRange:
         ]
 
     def table(self) -> "Table":
-        """The same while it goes on."""
+        """Return a table of the range so far."""
         from rich.table import Table
 
         table = Table("joint", "now", "least", "most", "", box=None)

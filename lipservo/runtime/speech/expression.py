@@ -116,7 +116,7 @@ class ExpressionServo:
 
 
 def expression_servos(face: FaceSettings) -> list[ExpressionServo]:
-    """Those of a face's YAML, in its order."""
+    """Return the expression servos of a face, in the YAML's order."""
     return [
         ExpressionServo(
             index,

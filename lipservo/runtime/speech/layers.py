@@ -59,7 +59,7 @@ class ServoLayers:
 
     @property
     def owners(self) -> Mapping[str, Layer]:
-        """Whose each servo is, by its name; empty before the first pose."""
+        """The layer that owns each servo, by the servo's name; empty before the first pose."""
         if (self._owners < 0).any():
             return {}
         owners = (Layer(int(owner)) for owner in self._owners)

@@ -101,7 +101,7 @@ def performed_line(performance: Performance, path: Path) -> PerformedLine:
 def line_of(
     performance: Performance, name: str, samples: Samples, sample_rate_hz: int
 ) -> PerformedLine:
-    """The same of a sound (n,) that is decoded already."""
+    """Return the line of a sound (n,) that is decoded already."""
     sound_s = len(samples) / sample_rate_hz
     return _line(performance, name, lambda: iter([samples]), sound_s, sample_rate_hz)
 

@@ -76,7 +76,7 @@ class RecognizedPhonemes:
 
     @property
     def heard_until_s(self) -> float:
-        """Sound has been heard until then."""
+        """The sound time until which sound was recognised, in s."""
         return self._heard_until_s
 
     @property
@@ -147,7 +147,7 @@ class SpokenPhonemes:
 
     @property
     def heard_until_s(self) -> float:
-        """Sound has been committed until then."""
+        """The sound time until which sound was committed, in s."""
         return self._playout.committed_s
 
     @property
@@ -228,7 +228,7 @@ def with_known(update: PhonemeUpdate, stretches: Iterable[KnownStretch]) -> Phon
 
 
 def _cut(events: Iterable[PhonemeEvent], from_s: float, until_s: float) -> list[PhonemeEvent]:
-    """What of the events lies between."""
+    """Return the events between two times, cut at both."""
     found = []
     for event in events:
         start_s, end_s = max(event.start_s, from_s), min(_end_s(event), until_s)

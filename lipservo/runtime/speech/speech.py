@@ -352,7 +352,7 @@ class Speech:
         return self._clock.sound_s(display_s) - self.delay.total_s
 
     def advance(self, now_s: float) -> None:
-        """Hear and publish all that is due at monotonic `now_s`."""
+        """Recognise, move and publish all that is due at monotonic `now_s`."""
         self._hear(now_s)
         heard_s = self._clock.sound_s(now_s)
         if self._cut_off.is_closing and heard_s - self.delay.synthesis_s < self._cut_off.until_s:

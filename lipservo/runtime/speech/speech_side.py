@@ -126,7 +126,7 @@ class OwnVoice:
         self.playout.be_quiet(self._quiet_s)
 
     def fall_silent(self) -> None:
-        """The face is stopped: what was not heard never will be."""
+        """Drop all speech that was not heard: the face is stopped."""
         self.playout.requests.append(PlayoutRequest("interrupt"))
         self.playout.advance(self.playout.position_s)
 
@@ -178,7 +178,7 @@ class SpeechBoard:
         self._shown_until_s = 0.0
 
     def tell(self, now_s: float, speech: Speech) -> None:
-        """What is shown at monotonic `now_s`."""
+        """Write what is shown at monotonic `now_s`."""
         sound_s = speech.sound_time_s(now_s)
         phoneme, frame = speech.shown_at(max(0.0, sound_s))
         expression = speech.expression
@@ -210,7 +210,7 @@ class SpeechBoard:
         return self._width.rounded(frame.coefficients, self._rounding)
 
 
-#: Full speed is told three times, a tenth of a second apart, since nobody acknowledges it.
+#: Full speed is told three times, a tenth of a second apart, since no chip acknowledges it.
 _MARGIN_S: Final = 0.3
 
 

@@ -151,7 +151,7 @@ class LiveBoard:
 
     @classmethod
     def create(cls, layout: BoardLayout) -> Self:
-        """A new one, empty."""
+        """Create an empty board."""
         text = json.dumps(asdict(layout)).encode()
         if len(text) > _ABOUT_BYTES - _ABOUT_HEAD.size:
             raise ValueError("names of servos are too long for a live board")
@@ -180,7 +180,7 @@ class LiveBoard:
         return self._fd
 
     def write_servos(self, **values: object) -> None:
-        """One tick of the servo side; `BoardLayout.servo_type` has the names."""
+        """Write one tick of the servo side; `BoardLayout.servo_type` has the names."""
         self._servos.write(values)
 
     def write_speech(self, peaks: Sequence[float] = (), **values: object) -> None:
@@ -194,7 +194,7 @@ class LiveBoard:
         return self._servos.newer_than(number)
 
     def speech_since(self, number: int) -> list[tuple[int, Record]]:
-        """The same of the speech side."""
+        """Return the records of the speech side since a number."""
         return self._speech.newer_than(number)
 
     def __enter__(self) -> Self:
@@ -234,11 +234,11 @@ class ServoBoard:
         self._numbers = {state: FACE_STATES.index(state.value) for state in FaceState}
 
     def observe(self, tick: "StreetTick") -> None:
-        """See one tick of the street."""
+        """Write one tick of the street."""
         self.tell(tick.report)
 
     def tell(self, report: TickReport) -> None:
-        """One tick."""
+        """Write the record of one tick."""
         feedback = self._bridge.feedback
         n_ticks, n_late, n_stale = self._bridge.tick_counts
         self._board.write_servos(

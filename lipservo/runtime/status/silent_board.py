@@ -45,7 +45,7 @@ class SilentBoard:
             yield cls(board, n_components)
 
     def tell(self, bridge: Bridge, report: TickReport) -> None:
-        """One tick of the bridge, always the same one."""
+        """Write one tick of the bridge, always the same one."""
         self._servos = self._servos or ServoBoard(self._board, bridge)
         self._servos.tell(report)
         self._board.write_speech(

@@ -69,7 +69,7 @@ class StatusBoard:
 
     @classmethod
     def create(cls) -> Self:
-        """A new one, empty."""
+        """Create an empty board."""
         fd = os.memfd_create("lipservo-status")
         os.ftruncate(fd, _SIZE)
         return cls(fd)
@@ -85,7 +85,7 @@ class StatusBoard:
         return self._fd
 
     def add_settings(self, changed: Mapping[str, float]) -> None:
-        """From now on these are wanted too."""
+        """Add settings to the requested ones."""
         self._settings.write({**self.settings(), **changed})
 
     def settings(self) -> dict[str, float]:

@@ -44,4 +44,4 @@ class TickObserver(Protocol):
     """An observer of every tick; must return at once."""
 
     def observe(self, tick: StreetTick) -> None:
-        """See one tick."""
+        """Handle one tick."""

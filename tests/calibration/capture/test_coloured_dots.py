@@ -95,7 +95,7 @@ def test_dots_that_merge_are_told_apart_and_told(folder):
     readings = DotsFolder(folder, told.append).all_readings()
     places = {(pose, name): place for pose, name, place in readings}
     assert places[2, "inner_lip_13"][1] - places[2, "inner_lip_14"][1] == pytest.approx(4.0, abs=1)
-    assert told == ["pose_2.png: dots that touch, told apart by shape: 2"]
+    assert told == ["pose_2.png: dots that touch, separated by shape: 2"]
 
 
 def test_pictures_of_different_size_are_refused(folder):

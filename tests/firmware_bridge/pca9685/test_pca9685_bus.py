@@ -399,7 +399,7 @@ def test_smbus2_is_handed_the_messages_that_the_chip_takes(tmp_path, monkeypatch
             open_chip(str(path), 0x40)
         open_chip(str(path), 0x41).close()
         chip.nacks = 2
-        with pytest.raises(PortGone, match="nobody acknowledges; check power, SDA and SCL"):
+        with pytest.raises(PortGone, match="no chip acknowledges; check power, SDA and SCL"):
             opened.read(0x00)
     finally:
         opened.close()

@@ -127,7 +127,7 @@ def test_without_anybody_who_drives_the_servos_orders_are_refused():
 
     for word in ("servo jaw off", "servo jaw on", "jog arm", "jog jaw 3", "jog end"):
         assert command_answer(word, commands, str) == {
-            "error": "nobody drives the servos just now; ask again"
+            "error": "no bridge drives the servos just now; ask again"
         }
     assert commands.take_orders() == []
 

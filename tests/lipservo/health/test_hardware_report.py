@@ -116,7 +116,7 @@ def test_of_nothing_there_is_no_spread():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--report", "x.json", "--port", "/dev/null"), "is there to be asked: give --yes"),
+        (("--report", "x.json", "--port", "/dev/null"), "No terminal to confirm on: give --yes"),
         (("--report", "x", "--port", "/dev/null"), "call the report x.json"),
         (("--report", "x.json"), "no port: give --port"),
         (("--report", "no/x.json", "--port", "x", "--yes"), "there is no folder no"),

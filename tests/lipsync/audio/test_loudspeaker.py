@@ -211,3 +211,12 @@ def test_a_watched_device_is_found_again_by_the_thread(monkeypatch):
             time.sleep(0.01)
     assert speaker.n_losses == 1
     assert all(stream.is_closed for stream in card.outputs)
+
+
+def test_the_volume_is_of_what_the_device_gets(monkeypatch):
+    card = install_sound_card(monkeypatch, channels=(1,))
+    with LoudspeakerOutput(volume=0.25, clock=card.clock, is_watched=False) as speaker:
+        speaker.write(ramp(480))
+        played = play(card, 1)
+
+    np.testing.assert_allclose(played[:, 0], 0.25 * ramp(480), rtol=1e-6)

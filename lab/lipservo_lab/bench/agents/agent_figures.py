@@ -66,7 +66,7 @@ class Turn:
     cut_s: float | None
 
     def words(self) -> list[list[str]]:
-        """Of each sentence."""
+        """The words of each sentence."""
         numbers = itertools.count()
         return [[f"t{self.number}w{next(numbers)}" for _ in range(n)] for n in self.sentences]
 

@@ -24,7 +24,7 @@ class Cable:
         self._loop.call_soon_threadsafe(self._plugged.clear)
 
     def plug(self) -> None:
-        """It passes again, what was on its way first."""
+        """Pass bytes again, first those that were on their way."""
         self._loop.call_soon_threadsafe(self._plugged.set)
 
     def __enter__(self) -> Self:

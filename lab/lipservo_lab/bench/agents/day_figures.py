@@ -131,7 +131,7 @@ class _Day:
     def run(
         self, minutes: float, events: Mapping[str, int], progress: Callable[[int, int], None]
     ) -> dict[str, Any]:
-        """Let the day pass."""
+        """Run the day to its end."""
         self._wait_for_face()
         began_s = time.monotonic()
         self._troubles.append((0.0, began_s + _GRACE_S))

@@ -55,7 +55,7 @@ class CountingLoudspeaker:
         return None
 
     def silence_rest(self) -> float:
-        """What has not left by now never does."""
+        """Drop what has not been played by now."""
         self.pass_until(self.position_s)
         self._waiting = deque(np.zeros_like(each) for each in self._waiting)
         return self.position_s
@@ -95,7 +95,7 @@ class VirtualFace:
 
     @property
     def url(self) -> str:
-        """Where agents connect."""
+        """The URL for agents."""
         return str(self.server.status()["url"])
 
     def __enter__(self) -> Self:

@@ -120,7 +120,7 @@ class _NoWire:
 
 
 def _sdk_calls(port: str) -> dict[str, Callable[[], object]]:
-    """The same with dynamixel-sdk, as its own examples do it."""
+    """Read and write by dynamixel-sdk, as its own examples do it."""
     import dynamixel_sdk as sdk
 
     handler = sdk.PortHandler(port)
@@ -153,7 +153,7 @@ def _sdk_calls(port: str) -> dict[str, Callable[[], object]]:
 
 
 def _rustypot_calls(port: str) -> dict[str, Callable[[], object]]:
-    """The same with rustypot, which decodes single registers only: the span comes as bytes."""
+    """Read and write by rustypot, which decodes single registers only: spans come as bytes."""
     import rustypot
 
     bus = rustypot.Xl330PyController(port, 4_000_000, 0.1)

@@ -75,7 +75,7 @@ def _wiring(port: str) -> Wiring:
 
 @contextmanager
 def _bus_tick(wiring: Wiring) -> Iterator[Call]:
-    """What a tick has the bus do."""
+    """Run the bus's part of a tick."""
     bus: ServoBus
     with FEETECH.open(wiring, MonotonicClock()) as bus:
         bus.read()
@@ -96,7 +96,7 @@ def _bus_tick(wiring: Wiring) -> Iterator[Call]:
 
 @contextmanager
 def _whole_tick(wiring: Wiring) -> Iterator[Call]:
-    """All of it."""
+    """Run a whole tick."""
     clock, channel = MonotonicClock(), MemoryTargetChannel()
     with FEETECH.open(wiring, clock) as bus:
         bridge = Bridge(bus, wiring.joints, channel, BridgeSettings(_RATE_HZ))

@@ -119,7 +119,7 @@ class _CountedRounds:
 
     @property
     def n(self) -> int:
-        """So far."""
+        """The number of rounds so far."""
         return int(_COUNT.unpack_from(self._memory, 0)[0])
 
 
@@ -199,7 +199,7 @@ def bridge_process(folder: Path, port: str, baud_rate: int) -> Iterator[Measured
 
 
 def _face_yaml(baud_rate: int) -> str:
-    """Ten XL330 as they come, every second one mounted the other way round."""
+    """Write a face of ten XL330, every second one mounted mirrored."""
     lines = ["name: bench", f"rate_hz: {RATE_HZ:g}", f"bus: {{baud_rate: {baud_rate}}}", "servos:"]
     for n in range(1, N_SERVOS + 1):
         lines.append(

@@ -145,7 +145,7 @@ def _pca9685() -> Controlled:
 def _bus_tick(
     wiring: Wiring, controller: PulseController, clock: ManualClock, kind: Any
 ) -> Iterator[Call]:
-    """What a tick has the bus do."""
+    """Run the bus's part of a tick."""
     can = kind.capabilities(wiring.settings)
     with PulseBus(wiring.servos, controller, clock, can, may_jump=True) as bus:
         for index in range(N_SERVOS):
@@ -170,7 +170,7 @@ def _bus_tick(
 def _whole_tick(
     wiring: Wiring, controller: PulseController, clock: ManualClock, kind: Any
 ) -> Iterator[Call]:
-    """All of it."""
+    """Run a whole tick."""
     can, channel = kind.capabilities(wiring.settings), MemoryTargetChannel()
     with PulseBus(wiring.servos, controller, clock, can, may_jump=True) as bus:
         bridge = Bridge(bus, wiring.joints, channel, BridgeSettings(_RATE_HZ))
@@ -250,7 +250,7 @@ class CannedI2c(smbus2.SMBus):
         self.registers[Register.PRE_SCALE] = 0x1E
 
     def i2c_rdwr(self, *messages: Any) -> None:
-        """As smbus2 makes them ready for the kernel."""
+        """Take the messages that smbus2 prepares for the kernel."""
         smbus2.smbus2.i2c_rdwr_ioctl_data.create(*messages)
         for each in messages:
             if each.flags & READ:

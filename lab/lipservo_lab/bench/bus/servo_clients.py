@@ -139,7 +139,7 @@ class RustypotClient:
         self._turn = 0
 
     def work(self, goals: Sequence[int]) -> list[list[int]]:
-        """As that of `SdkClient`."""
+        """Run one round of reads and writes, as `SdkClient.work`."""
         self._bus.sync_write_raw_goal_position(self._ids, list(goals))
         motion = self._read(self._ids, _MOTION, _MOTION_SIZE, _MOTION_TYPE)
         found = [motion["current"].tolist(), motion["position"].tolist()]

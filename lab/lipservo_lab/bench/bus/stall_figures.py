@@ -44,7 +44,7 @@ class _CountingBus(SimulatedBus):
     counts = threading.Event()
 
     def write_positions(self, positions_deg: Array) -> None:
-        """As always."""
+        """Count the goals, and pass them on."""
         self.n_goals += self.counts.is_set()
         super().write_positions(positions_deg)
 

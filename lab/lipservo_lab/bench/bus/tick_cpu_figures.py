@@ -42,10 +42,10 @@ class Client(Protocol):
     """Moves and watches the servos, one call at a time."""
 
     def prepare(self, n: int) -> None:
-        """What is new for call n; not timed."""
+        """Prepare the data of call n; not timed."""
 
     def work(self) -> object:
-        """One round; timed."""
+        """Run one round; timed."""
 
 
 def tick_ratios() -> dict[str, float]:
@@ -132,7 +132,7 @@ class _Unhurried:
         self._read = transport.read
 
     def read(self, deadline_s: float) -> bytes:
-        """As that of the port, a second later."""
+        """Read the port, a second later."""
         return self._read(deadline_s + 1.0)
 
 
@@ -156,7 +156,7 @@ class OwnTick:
         self._channel.publish(ServoTargets(self._time_s + 0.5 / _RATE_HZ, moving_deg(n)))
 
     def work(self) -> object:
-        """The tick."""
+        """Run one tick of the bridge."""
         return self.bridge.tick(self._time_s)
 
 
@@ -168,10 +168,10 @@ class OthersTick:
         self._goals: list[int] = []
 
     def prepare(self, n: int) -> None:
-        """Twenty registers."""
+        """Prepare twenty registers."""
         pulses = 2048 + moving_deg(n) * (4096 / 360)
         self._goals = pulses.astype(np.int64).tolist()
 
     def work(self) -> object:
-        """The round."""
+        """Run one round of the other client."""
         return self._client.work(self._goals)

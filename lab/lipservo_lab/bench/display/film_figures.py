@@ -241,5 +241,5 @@ def _markers_mm(face: FaceModel, tracks: Mapping[str, Array]) -> dict[str, Array
 
 
 def held_out(corpus: Path) -> frozenset[str]:
-    """The sentences of `random_test`."""
+    """Return the sentences of `random_test`."""
     return frozenset(json.loads((corpus / "splits.json").read_text())["random_test"])

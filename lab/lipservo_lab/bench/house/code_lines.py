@@ -54,14 +54,14 @@ class Budget:
 
 @cache
 def house_table() -> Mapping[str, Any]:
-    """`house.yaml`: budgets and bars."""
+    """Read `house.yaml`: budgets and bars."""
     text = (resources.files("lipservo_lab.bench.house") / "house.yaml").read_text("utf-8")
     table: Mapping[str, Any] = yaml.safe_load(text)
     return table
 
 
 def budgets() -> dict[str, Budget]:
-    """By room; `wheel` and `all` are the last."""
+    """Return the budgets by room; `wheel` and `all` are the last."""
     table = house_table()
     rooms = {**table["rooms"], "wheel": table["wheel"], "all": table["all"]}
     return {

@@ -291,7 +291,7 @@ class OnceListener:
     heard: dict[str, Heard] = field(default_factory=dict)
 
     def __call__(self, utterance: Utterance) -> Heard:
-        """As it was heard the first time."""
+        """Return the phonemes recognised at the first call."""
         if utterance.name not in self.heard:
             self.heard[utterance.name] = self.listen(utterance)
         return self.heard[utterance.name]

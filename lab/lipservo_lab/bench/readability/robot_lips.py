@@ -55,10 +55,10 @@ class PlayedMotion:
         self._gap = lip_gap_of(model)
 
     def reset(self) -> None:
-        """Nothing is remembered."""
+        """Do nothing: no state is kept."""
 
     def push(self, update: PhonemeUpdate) -> None:
-        """Phonemes change nothing."""
+        """Ignore phonemes."""
 
     def frame_at(self, time_s: float) -> Frame:
         """The face at a sound time; before and after all of them the first and the last."""

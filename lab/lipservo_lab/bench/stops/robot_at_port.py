@@ -68,17 +68,17 @@ class RobotAtPort:
 
     @property
     def port(self) -> Path:
-        """Where the servos are."""
+        """The path of the servos' port."""
         return self.folder / "port"
 
     @property
     def log(self) -> Path:
-        """What all processes say, results too."""
+        """The file of the output of all processes."""
         return self.folder / "log"
 
     @property
     def output(self) -> str:
-        """The same as text."""
+        """The output of all processes as text."""
         return self.log.read_text(errors="replace")
 
     @property

@@ -198,7 +198,7 @@ def _addresses(face: RunningFace, *, page: bool, agents: bool) -> Addresses:
 
 
 def _awaited(face: RunningFace, pattern: re.Pattern[str]) -> re.Match[str] | None:
-    """What its log says, once it does."""
+    """Wait for a pattern in the face's log, and return the match."""
     face.robot.look_until(lambda: pattern.search(face.robot.output) is not None, START_S)
     return pattern.search(face.robot.output)
 

@@ -159,7 +159,7 @@ class StopOutcome:
 
     @property
     def counts(self) -> dict[str, int]:
-        """What must be 0, by name."""
+        """Return the counts that must be 0, by name."""
         names = ("late", "torque_left_on", "undone", "moved_frozen", "fault_unseen")
         return {name: getattr(self, name) for name in names}
 

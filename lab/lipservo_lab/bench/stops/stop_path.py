@@ -111,7 +111,7 @@ def counted(walks: Sequence[Walk]) -> dict[str, Any]:
 
 
 def _walks(folder: Path, kind: str = "walk") -> list[Walk]:
-    """Those of the newest stop; the server's first."""
+    """Return the walks of the newest stop; the server's first."""
     found = [json.loads(path.read_text()) for path in sorted(folder.glob(f"{kind}.*.json"))]
     return sorted(found, key=lambda walk: walk["role"] == _OWNER)
 
@@ -140,7 +140,7 @@ def _by_socket(face: RunningFace, level: StopLevel) -> None:
 
 
 def _by_page(face: RunningFace, level: StopLevel) -> None:
-    """The page's button."""
+    """Stop by the page's button."""
     _post(face, level, 0)
 
 

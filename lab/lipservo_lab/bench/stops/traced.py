@@ -88,7 +88,7 @@ class StopTracer:
         self.is_on = os.path.exists(flag)
 
     def profile(self, frame: FrameType, event: str, arg: Any) -> None:
-        """For `sys.setprofile` and `threading.setprofile`."""
+        """Record a call, for `sys.setprofile` and `threading.setprofile`."""
         if not self.is_on or event not in ("call", "c_call"):
             return
         if not self._is_ours(frame):

@@ -68,7 +68,7 @@ class SimulatedMicrophone:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """Nothing to give back."""
+        """Release nothing."""
 
 
 def clip_to_bus_s(motion: MotionOptions, n_times: int) -> Array:

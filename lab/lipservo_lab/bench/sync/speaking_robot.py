@@ -94,7 +94,7 @@ class SimulatedLoudspeaker:
         self._ring.write(samples)
 
     def silence_rest(self) -> float:
-        """As `LoudspeakerOutput.silence_rest`."""
+        """Drop what has not been played, as `LoudspeakerOutput.silence_rest`."""
         return self._ring.silence_rest(self.rate_hz // 100) / self.rate_hz
 
     def position(self) -> tuple[float, float] | None:
@@ -176,17 +176,17 @@ class Deaf:
         self.reset()
 
     def feed(self, block: AudioBlock) -> None:
-        """Time goes on."""
+        """Advance the time by a block."""
         self._heard_s = block.end_s
 
     def updates(self) -> list[PhonemeUpdate]:
-        """All was silence."""
+        """Return silence for all new sound."""
         final_s = max(0.0, self._heard_s - LATENCY_S)
         silence = (PhonemeEvent(SILENCE, 0.0, None),)
         return [PhonemeUpdate(final_s, self._heard_s, final_s, silence)]
 
     def reset(self) -> None:
-        """Begin anew."""
+        """Begin anew at time 0."""
         self._heard_s = 0.0
 
 

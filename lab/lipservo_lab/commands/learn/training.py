@@ -196,7 +196,7 @@ def _named_in(path: Path | None) -> frozenset[str]:
 
 
 def _weights(given: list[str]) -> dict[str, float]:
-    """NAME=W, taken apart."""
+    """Parse NAME=W options."""
     weights: dict[str, float] = {}
     for each in given:
         name, _, number = each.rpartition("=")

@@ -165,7 +165,7 @@ class PublishedMethod:
 
     @property
     def name(self) -> str:
-        """That of its selection."""
+        """The name of its selection."""
         return self.strategy.name
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees phones whole
@@ -186,7 +186,7 @@ class PublishedMethod:
         return np.array([synthesizer.frame_at(float(t)).coefficients for t in times_s])
 
     def synthesizer(self, model: TrainedModel) -> PublishedSynthesizer:
-        """A fresh one."""
+        """Return a fresh synthesiser."""
         return PublishedSynthesizer(
             model.animphos, self.strategy, published_derivatives=self.published_derivatives
         )
@@ -256,7 +256,7 @@ class LiveMethod:
         return np.array(faces)
 
     def synthesizer(self, model: TrainedModel, lookahead_s: float) -> LiveSynthesizer:
-        """A fresh one."""
+        """Return a fresh synthesiser."""
         if self.unit_share is None:
             style = Style(lookahead_s, self.strength, self.smoothness)
             return LiveSynthesizer(model, model.expectation, style, soft=model.soft)

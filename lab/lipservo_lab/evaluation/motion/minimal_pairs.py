@@ -115,7 +115,7 @@ def made_persistence(
     lookahead_s: float,
     seed: int = 0,
 ) -> Persistence | None:
-    """In a method's motion for the same sentences."""
+    """Return the persistence in a method's motion for the same sentences."""
     used = set(pairs.sentences.ravel().tolist())
     motions = []
     for sentence, utterance in enumerate(utterances):

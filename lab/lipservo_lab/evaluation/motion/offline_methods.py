@@ -66,7 +66,7 @@ class RecordedVisemes:
     _gathered: dict[_Key, ContextVisemes] = field(default_factory=dict)
 
     def of(self, model: TrainedModel) -> ContextVisemes:
-        """Those of a face model."""
+        """Return the recorded phones of a face model."""
         key = _key(model)
         if key not in self._gathered:
             self._gathered[key] = self.gather(model)

@@ -273,7 +273,7 @@ def new_word_folds(
 
 
 def sentences_with(words: frozenset[str], sentences: Iterable[Utterance]) -> list[Utterance]:
-    """Those that hold any of the words, by name."""
+    """Return the sentences that hold any of the words, by name."""
     holding = [u for u in sentences if words & {w.text for w in spoken_words(u)}]
     return sorted(holding, key=lambda u: u.name)
 

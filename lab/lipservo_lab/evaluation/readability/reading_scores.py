@@ -118,7 +118,7 @@ def known_score(readings: Sequence[Reading], *, seed: int = 0) -> ReadingScore:
 def new_word_score(
     readings: Sequence[Reading], words: frozenset[str], *, seed: int = 0
 ) -> ReadingScore:
-    """Of words that the model has never seen."""
+    """Return the score of words that the model was not trained on."""
     names = {name: n for n, name in enumerate(sorted({r.sentence for r in readings}))}
     ordered = sorted(words)
     # Of each sentence and word: said, and read; not said in the word's slot, and read.

@@ -83,7 +83,7 @@ class NonspeechFolder:
     not_sound: list[str] = field(default_factory=list)
 
     def figures(self) -> dict[str, float]:
-        """Of all sounds together."""
+        """Return the figures of all sounds together."""
         return nonspeech_figures(self.mouths.values())
 
     def figures_by_folder(self) -> dict[str, dict[str, float]]:

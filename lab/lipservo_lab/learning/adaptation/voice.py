@@ -63,12 +63,12 @@ class Voice:
 
     @property
     def learned_s(self) -> float:
-        """Seconds that adapt."""
+        """Seconds of sentences that adapt."""
         return sum(each.duration_s for each in self.learned)
 
     @property
     def held_out_s(self) -> float:
-        """Seconds that grade."""
+        """Seconds of sentences that grade."""
         return sum(each.duration_s for each in self.held_out)
 
 
@@ -192,7 +192,7 @@ def split_sentences(
 
 
 def _same(text: str) -> str:
-    """The same for two texts that differ in case and spaces alone."""
+    """Return a key that is equal for texts which differ in case and spaces alone."""
     return " ".join(text.lower().split())
 
 

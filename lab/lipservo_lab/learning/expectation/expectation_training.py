@@ -296,7 +296,7 @@ class TrainingSet:
 
 
 def joined(sets: Sequence[TrainingSet]) -> TrainingSet:
-    """One after the other."""
+    """Join training sets one after the other."""
     return TrainingSet(
         np.concatenate([one.phonemes for one in sets]),
         np.concatenate([one.times_s for one in sets]),

@@ -166,7 +166,7 @@ class LearnedExpression:
         self._look[1] += step * (look_at_deg[1] - self._look[1])
 
     def _advance(self) -> None:
-        """One pose further."""
+        """Advance by one pose."""
         prosody = self._prosody / _CUES_PER_POSE
         self._prosody[:] = 0.0
         pose, factor = self._model.head.next_pose(self._poses[1], self._poses[0], prosody)

@@ -215,7 +215,7 @@ def principal_components(frames: Array, weights: Array, n_components: int) -> Pr
 
 
 def _leading(centred: Array, mean: Array, weights: Array, n_components: int) -> PrincipalComponents:
-    """The same eigenvectors by Lanczos' method, from the frames alone."""
+    """Return the eigenvectors by Lanczos' method, from the frames alone."""
     n_values = centred.shape[1]
     operator = LinearOperator(
         (n_values, n_values), matvec=lambda v: centred.T @ (weights * (centred @ v.ravel()))

@@ -219,7 +219,7 @@ class Surroundings:
 
 
 def augment_lightly(rng: np.random.Generator, clean: LabelledSamples) -> LabelledSamples:
-    """Only another loudness."""
+    """Change the loudness only."""
     return LabelledSamples(_at_level(rng, clean.samples, -12.0, 5.0), clean.labels)
 
 

@@ -261,7 +261,7 @@ def _learn(
     plan: TrainingPlan,
     step: int,
 ) -> float:
-    """One step; its loss."""
+    """Make one step; return its loss."""
     features, targets = draw_windows(arrays, plan, np.random.default_rng([plan.seed, step]))
     for group in optimizer.param_groups:
         group["lr"] = learning_rate(plan, step)

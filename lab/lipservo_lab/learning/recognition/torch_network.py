@@ -180,7 +180,7 @@ def _kernel(weight: torch.Tensor) -> NDArray[np.float32]:
 
 
 def _torch_kernel(kernel: NDArray[np.float32]) -> torch.Tensor:
-    """The other way round."""
+    """(3 taps x in, out) as (out, in, 3 taps): the inverse of `_kernel`."""
     taps = torch.from_numpy(kernel).unflatten(0, (3, -1))
     return taps.permute(2, 1, 0)
 

@@ -278,7 +278,7 @@ class TrainingPlan:
         return 1.0 - 4.0 / max(8, self.n_steps)
 
     def shaped_as(self, weights: NetworkWeights) -> "TrainingPlan":
-        """The same schedule for a network of this shape."""
+        """Return the schedule for a network of this shape."""
         return replace(
             self,
             delays=weights.delays,

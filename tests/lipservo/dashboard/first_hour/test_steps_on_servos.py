@@ -63,7 +63,7 @@ def test_a_page_that_is_closed_lets_the_servos_go_and_keeps_the_poses(server, se
     wait_for(lambda: torque(servos.port, IDS) == [0, 0])  # nobody asks for the state meanwhile
 
     state = server.until(lambda state: state["works"] is None)
-    assert "nobody had this page open" in state["note"]
+    assert "no browser had this page open" in state["note"]
     assert state["keeps"] is True
     assert not path.with_suffix(".calibration.yaml").exists()
 
