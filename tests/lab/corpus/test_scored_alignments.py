@@ -80,8 +80,24 @@ def test_a_file_of_something_else_is_refused_in_one_line(tmp_path):
 def test_alignments_are_fixed_of_scored_talkers_alone():
     named = {name.split("-")[0] for name in read_hashes(SPEAKERS / "scored_alignments.txt")}
 
-    assert named
-    assert named <= scored().keys()
+    assert named == scored().keys()
+
+
+def test_every_utterance_of_a_scored_talker_is_fixed():
+    hashes = read_hashes(SPEAKERS / "scored_alignments.txt")
+
+    assert len(hashes) == 1214
+    assert all(digest == "-" or re.fullmatch("[0-9a-f]{16}", digest) for digest in hashes.values())
+
+
+@pytest.mark.skipif(not CORPORA.is_dir(), reason="no corpora")
+def test_the_fixed_are_the_utterances_of_the_corpora():
+    corpora = (CORPORA / name for name in ("librispeech", "speechocean762", "picovoice_commands"))
+    spoken = {
+        u.name for corpus in corpora for u in read_transcribed(corpus) if u.speaker in scored()
+    }
+
+    assert read_hashes(SPEAKERS / "scored_alignments.txt").keys() == spoken
 
 
 @pytest.mark.skipif(not CORPORA.is_dir(), reason="no corpora")

@@ -37,6 +37,8 @@ _SIZE_M, _WALLS_KEEP = np.array([5.2, 4.1, 2.7]), 0.85
 _LONGEST_S, _SOUND_M_S = 0.6, 343.0
 #: Where the microphone stands; how far away somebody speaks, and no nearer to a wall than so.
 _LOW_M, _HIGH_M, _AWAY_M, _FROM_WALLS_M = (1.0, 1.0, 1.0), (4.2, 3.1, 1.6), (0.7, 1.8), 0.5
+#: Tried until somebody stands so far away within the walls.
+_N_PLACES = 50
 
 
 def in_room(rng: np.random.Generator, speech: Array32) -> Array32:
@@ -61,7 +63,23 @@ def in_room(rng: np.random.Generator, speech: Array32) -> Array32:
     spoken_m = heard_m + rng.uniform(*_AWAY_M) * direction / np.linalg.norm(direction)
     spoken_m = np.clip(spoken_m, _FROM_WALLS_M, _SIZE_M - _FROM_WALLS_M)
     response = impulse_response(spoken_m, heard_m)
-    direct = int(response.argmax())
+    return _heard_through(response, int(response.argmax()), speech)
+
+
+def in_room_from(rng: np.random.Generator, speech: Array32, away_m: float) -> Array32:
+    """The same, spoken so far away (within 15 %): what comes first is the direct sound."""
+    heard_m = rng.uniform(_LOW_M, _HIGH_M)
+    for _ in range(_N_PLACES):
+        direction = rng.normal(size=3) * [1.0, 1.0, 0.2]
+        spoken_m = heard_m + away_m * direction / np.linalg.norm(direction)
+        spoken_m = np.clip(spoken_m, _FROM_WALLS_M, _SIZE_M - _FROM_WALLS_M)
+        if abs(np.linalg.norm(spoken_m - heard_m) - away_m) < 0.15 * away_m:
+            break
+    response = impulse_response(spoken_m, heard_m)
+    return _heard_through(response, int(np.flatnonzero(response)[0]), speech)
+
+
+def _heard_through(response: Array, direct: int, speech: Array32) -> Array32:
     n_fft = 1 << (len(speech) + len(response)).bit_length()
     spectrum = np.fft.rfft(speech, n_fft) * np.fft.rfft(response[direct:] / response[direct], n_fft)
     return np.fft.irfft(spectrum, n_fft)[: len(speech)].astype(np.float32)
@@ -218,7 +236,7 @@ def _shell(build: np.random.Generator, sound: Array) -> Array:
 
 
 KINDS = ("white", "music", "babble", "servos", "level", "telephone", "clipped", "room")
-#: Those that are made of the speech alone; the number after the colon is a level, or not needed.
+#: Those that are made of the speech alone; a number after the colon is a level, metres, or nothing.
 _OPTIONAL_DB = ("telephone", "clipped", "room")
 
 
@@ -228,7 +246,7 @@ class ConditionError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """How speech is changed. db: signal to noise, or for `level` the change of level.
+    """How speech is changed. db: signal to noise; of `level` its change; of `room` metres, or 0.
 
     robot: whose servos are heard. tells_servos: the recogniser gets their speeds.
     """
@@ -261,7 +279,7 @@ class Condition:
         if self.kind == "telephone":
             return noise.telephone(samples)
         if self.kind == "room":
-            return in_room(rng, samples)
+            return in_room_from(rng, samples, self.db) if self.db else in_room(rng, samples)
         if self.kind == "clipped":
             # Ten times over full scale (design measurement).
             gain = np.float32(10.0 / max(np.abs(samples).max(), 1e-9))

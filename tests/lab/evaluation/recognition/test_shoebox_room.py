@@ -43,3 +43,15 @@ def test_speech_keeps_its_time_and_is_the_same_each_time():
     again = [room.apply(click, "1089-1", []) for _ in range(2)]
     assert np.array_equal(*again)
     assert not np.array_equal(again[0], room.apply(click, "1089-2", []))
+
+
+def test_of_a_talker_farther_away_less_is_direct():
+    """2.5 times as far: 8 dB less direct sound beside much the same room."""
+    click = np.zeros(SAMPLE_RATE_HZ, dtype=np.float32)
+    click[3000] = 1.0
+
+    def direct_db(condition):
+        rooms = [parse_condition(condition).apply(click, str(name), []) for name in range(10)]
+        return np.mean([-10 * np.log10(np.sum(heard[3001:] ** 2)) for heard in rooms])
+
+    assert direct_db("room:1") - direct_db("room:2.5") == pytest.approx(8.0, abs=3.0)

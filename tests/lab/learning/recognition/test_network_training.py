@@ -303,6 +303,14 @@ def test_a_disk_that_fills_leaves_the_last_state(
     training.train_network(arrays, scale, plan, folder=tmp_path)
 
 
+def test_a_state_of_the_default_network_has_at_most_12_mb(training, plan, small_arrays, tmp_path):
+    arrays, scale = small_arrays
+    one_step = replace(plan, channels=192, dilations=TrainingPlan().dilations, n_steps=1)
+    training.train_network(arrays, scale, one_step, folder=tmp_path)
+
+    assert (tmp_path / "state.pt").stat().st_size <= 12e6
+
+
 def test_the_weights_with_the_best_score_are_returned(training, plan, small_arrays, tmp_path):
     arrays, scale = small_arrays
     seen = {}
