@@ -53,7 +53,7 @@ def test_a_face_is_written_with_narrow_limits_and_can_be_moved(tmp_path, bus):
         (("--bus", "pca9685", "--yes", "--channel", "jaw=16:opens"), "16 is outside 0..15"),
         (("--bus", "parrot", *JAW), "'parrot' is not known here; use one of simulated, dynamixel"),
         (("--bus", "dynamixel", *JAW), "--channel is not of a dynamixel bus"),
-        (("--bus", "dynamixel"), "no port: give --port; the servos there are found by their answers"),
+        (("--bus", "dynamixel"), "no port: give --port; the servos there are found"),
         ((*MAESTRO, *JAW, "--ranges", "x.json"), "--ranges is not of a maestro bus"),
         ((), "no port: give --port, or --bus for a board that is not plugged in yet"),
     ],

@@ -99,7 +99,7 @@ def test_a_language_that_nobody_speaks_is_refused(capsys, monkeypatch):
         (["daemon", "--output", "x"], "--output: `sound.output:` in the face's YAML"),
         (["run", "--phonemes", "x.TextGrid"], "--phonemes goes with --wav"),
         (["say", "hello", "--mute", "--output", "x"], "--mute or --output"),
-        (["daemon", "--listen", "none", "--sounds", "."], "--listen none: options of agents need a listener"),
+        (["daemon", "--listen", "none", "--sounds", "."], "--listen none: options of agents"),
         (
             ["daemon", "--listen", "0.0.0.0:0", "--open-to-this-computer"],
             "0.0.0.0:0: can be reached from other computers",
@@ -109,7 +109,7 @@ def test_a_language_that_nobody_speaks_is_refused(capsys, monkeypatch):
             "give --token-file or --open-to-this-computer",
         ),
         (["run", "--open-to-this-computer"], "`lipservo daemon --dashboard` and"),
-        (["daemon", "--listen", "none", "--token-file", "t"], "--listen none: options of agents need a listener"),
+        (["daemon", "--listen", "none", "--token-file", "t"], "--listen none: options of agents"),
         (["daemon", "--listen", "nowhere"], "write HOST:PORT"),
         (["daemon", "--listen", "127.0.0.1:99999"], "write HOST:PORT"),
         (["daemon", "--token-file", "none.txt"], "none.txt"),

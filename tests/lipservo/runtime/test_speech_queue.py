@@ -100,7 +100,7 @@ def test_a_ninth_is_refused_until_the_first_was_said_whatever_they_are(face, que
 
     refused = sound(face, "ninth", tone(0.2))
     for _ in range(3):
-        with pytest.raises(QueueFullError, match="ninth: 8 texts, sounds or performances are spoken"):
+        with pytest.raises(QueueFullError, match="ninth: 8 texts, sounds or perform"):
             queue.add(refused, "ninth")
     face.play(lambda: face.finished().count("text") == 2)
     queue.add(refused, "ninth")
