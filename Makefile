@@ -39,17 +39,16 @@ UNDOCUMENTED := $(addprefix lipservo_client.,pipecat_face livekit_face wyoming_f
 SITE := site
 PAGES := build/pages
 export NO_MKDOCS_2_WARNING := 1
-docs: $(VENV)/.installed-dev
-	@$(BIN)/python -c "import material, mkdocs, pdoc" || { echo "the site needs mkdocs-material and pdoc: $(BIN)/python -m pip install '.[docs]', once, with a network; docs/README.md reads without" >&2; exit 1; }
+docs: $(VENV)/.installed-docs
 	rm -rf $(SITE) $(PAGES)
 	$(BIN)/python docs/site_pages.py $(PAGES)
 	$(BIN)/python -W error $(foreach module,$(UNDOCUMENTED),-W "ignore:Couldn't import $(module)") \
 		-m pdoc --docformat markdown --no-show-source --output-directory $(PAGES)/api \
 		calibration firmware_bridge lipservo lipservo_client lipservo_lab lipsync $(foreach module,$(UNDOCUMENTED),'!$(subst .,\.,$(module))$$')
 	PAGES=$(abspath $(PAGES)) $(BIN)/python -m mkdocs build --strict --quiet --site-dir $(abspath $(SITE))
-	@echo "open $(SITE)/index.html"
+	@echo "python -m http.server -d $(SITE) serves it"
 
-check: $(VENV)/.installed-dev
+check: $(VENV)/.installed-dev $(VENV)/.installed-docs
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -88,6 +87,11 @@ $(VENV)/.installed-dev: pyproject.toml client/pyproject.toml lab/pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]' --editable ./client --editable ./lab
 	touch $(VENV)/.installed $@
+
+# Not in `dev`: its newest packages want a newer Python than Debian 12 has.
+$(VENV)/.installed-docs: $(VENV)/.installed-dev
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	touch $@
 
 # The client first: pip does not find it for the others once it has extras.
 $(AGENTS)/.installed: pyproject.toml client/pyproject.toml lab/pyproject.toml

@@ -100,7 +100,6 @@ def test_what_the_image_installs_and_starts_serves_page_and_port(installed, tmp_
                 with urllib.request.urlopen(request, timeout=PATIENCE_S) as reply:
                     status = json.load(reply)
                 time.sleep(0.1)
-            assert status["name"] == "simulated head"
             assert status["state"] == "driven"
             socket.create_connection(("127.0.0.1", int(agents)), PATIENCE_S).close()
         finally:

@@ -16,7 +16,7 @@ def test_the_reference_is_built_without_a_warning_and_has_every_package(tmp_path
     for absent in ("torch", "pipecat", "livekit", "wyoming"):
         (tmp_path / f"{absent}.py").write_text(f"raise ModuleNotFoundError(name={absent!r})\n")
     site = tmp_path / "site"
-    command = ["make", "--old-file=.venv/.installed-dev", "docs"]
+    command = ["make", "--old-file=.venv/.installed-docs", "docs"]
     command += [f"BIN={Path(sys.executable).parent}", f"SITE={site}", f"PAGES={tmp_path / 'pages'}"]
     done = subprocess.run(
         command,
@@ -28,7 +28,7 @@ def test_the_reference_is_built_without_a_warning_and_has_every_package(tmp_path
     )
 
     assert done.returncode == 0, done.stderr
-    index = (site / "search" / "search_index.js").read_text("utf-8")
+    index = (site / "search" / "search_index.json").read_text("utf-8")
     assert "simulated_face" in index
     assert 'src="http' not in (site / "index.html").read_text("utf-8")
     for page, name in {
