@@ -86,7 +86,9 @@ def test_what_the_image_installs_and_starts_serves_page_and_port(installed, tmp_
     line = yaml.safe_load(command.replace("8080", page).replace("8765", agents))
     name, value = settings.split("=")
     variables |= {name: value.replace("/home/face", str(tmp_path)), "HOME": str(tmp_path)}
-    with subprocess.Popen(line, env=variables, stderr=subprocess.PIPE, text=True) as face:
+    with subprocess.Popen(
+        line, env=variables, cwd=tmp_path, stderr=subprocess.PIPE, text=True
+    ) as face:
         try:
             address = re.search(rf"http://\S+:{page}\S*", wait_for(face, f":{page}"))
             assert address is not None

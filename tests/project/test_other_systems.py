@@ -26,6 +26,8 @@ def test_every_command_is_imported_without_posix():
 
 @pytest.mark.parametrize("arguments", [["--help"], ["lines", "render", "--help"], ["devices"]])
 def test_help_and_devices_start_without_posix(arguments):
+    if arguments == ["devices"]:
+        pytest.importorskip("sounddevice", reason="no PortAudio here", exc_type=OSError)
     assert without_posix(*arguments).returncode == 0
 
 

@@ -64,10 +64,12 @@ class FacePhoto extends HTMLElement {
     try {
       this.say("Loading the photograph ...");
       const picture = await pictureOf(await (await answered(`${URL_OF}.jpg`)).blob());
-      await this.show(picture, await answered(`${URL_OF}.bin`));
+      const warp = await answered(`${URL_OF}.bin`);
+      if (this.picture) return; // one of the user's own was opened meanwhile
+      await this.show(picture, warp);
       this.say("The twin's own picture, a photograph of nobody. Yours stays in this browser.");
     } catch (error) {
-      this.say(`The photograph cannot be shown: ${error.message}`, "bad");
+      if (!this.picture) this.say(`The photograph cannot be shown: ${error.message}`, "bad");
     }
   }
 
