@@ -36,7 +36,8 @@ class MaestroRelease:
             self._maestro.check(self._port)
             self._tell(left)
             left = [each for each in left if self._maestro.position_us(each) != 0.0]
-        raise PortError(f"{self._port}: the Maestro goes on with its pulses on channels {left}")
+        if left:
+            raise PortError(f"{self._port}: the Maestro goes on with its pulses on channels {left}")
 
     def ask(self, address: int) -> str:
         """Why no servo is taken to have let go: none can say so."""

@@ -394,9 +394,8 @@ class FinishedSynthesizer:
         self._inner.reset()
         if self._units is not None:
             self._units.reset()
-        self._strength.settle()
-        self._unit_share.settle()
-        self._stage.settle()
+        for setting in (*self._style, self._unit_share):
+            setting.settle()
         self._ticks = TickPlan(_Finish())
 
     def push(self, update: PhonemeUpdate) -> None:

@@ -319,6 +319,28 @@ def test_a_maestro_that_does_not_hear_is_never_said_to_be_let_go():
         MaestroRelease(face.opener(), "port", face.wiring.settings, knows=True).tell_all([0])
 
 
+@pytest.mark.parametrize("lost", [3, 4])
+def test_pulses_that_end_at_the_last_repeat_are_no_failure(lost):
+    """Four times it is told in all; a line that loses the first three loses nothing."""
+    face = put_together()
+    face.maestro.receive(bytes((0x84, 0, 0x70, 0x2E)), 0.0, BAUD_RATE)
+    release = MaestroRelease(face.opener(), "port", face.wiring.settings, knows=True)
+    heard, told = face.maestro.receive, []
+
+    def lossy(data, now_s, baud_rate):
+        told.extend([data] if data[0] == 0x84 else [])
+        if data[0] != 0x84 or len(told) > lost:
+            heard(data, now_s, baud_rate)
+
+    face.maestro.receive = lossy
+    if lost == 3:
+        release.tell_all([0])
+    else:
+        with pytest.raises(PortError, match=r"goes on with its pulses on channels \[0\]"):
+            release.tell_all([0])
+    assert (face.maestro.channels[0].position == 0.0) == (lost == 3)
+
+
 def test_of_a_maestro_that_hangs_no_servo_is_said_to_have_no_pulses():
     face = put_together()
     with face.bus:

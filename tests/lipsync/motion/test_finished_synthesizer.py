@@ -70,6 +70,17 @@ def test_a_finished_synthesiser_forgets_everything_when_it_is_reset():
     np.testing.assert_array_equal(faces(finished), first)
 
 
+def test_a_smile_stays_when_the_synthesiser_is_reset():
+    """Sound time begins again at 0; a change that began later must not be waited for."""
+    model = load_face()
+    smiled, glad_from_the_start = (make_synthesizer(model, MotionOptions()) for _ in range(2))
+    faces(smiled)
+    for synthesizer in (smiled, glad_from_the_start):
+        synthesizer.smile(1.0)
+        synthesizer.reset()
+    np.testing.assert_array_equal(faces(smiled), faces(glad_from_the_start))
+
+
 def test_the_window_after_a_frame_says_when_lips_must_touch_and_decides_nothing():
     model = load_face()
     spans = (("AA", 0.0, 0.5), ("P", 0.5, 0.6), ("AA", 0.6, 1.0))
