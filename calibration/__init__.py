@@ -1,1 +1,1 @@
-"""Face motion becomes servo angles: a regression per robot, in readable text. Knows no bus."""
+"""Calibrations, one per robot: a regression from face motion to servo angles, kept as text."""

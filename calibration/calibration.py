@@ -1,4 +1,4 @@
-"""The map from one model's face motion to one robot's servo angles, and the rules that it keeps."""
+"""The map from one face model's motion to one robot's servo angles, and its coupling rules."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -16,9 +16,10 @@ _SAME_DEG = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class CouplingRule:
-    """sum_s weights_s x angle_s <= at_most_deg, e.g. lips that would run into each other.
+    """A limit on a weighted sum of joint angles: sum_s weights_s x angle_s <= at_most_deg.
 
-    weights: (n_servos,), 0 for a joint that has no part in it; at_most_deg >= 0: neutral is free.
+    It keeps lips from running into each other, for instance. weights: (n_servos,), 0 for a joint
+    that the rule ignores; at_most_deg >= 0, so that neutral never breaks the rule.
     """
 
     weights: Array
@@ -28,15 +29,15 @@ class CouplingRule:
 def keep_rules(rules: Sequence[CouplingRule], positions_deg: Array) -> Array:
     """Return joint angles scaled towards neutral until no rule is broken.
 
-    The joints of a broken rule go back by the same share of their way, which stays within limits
-    that hold 0. Where that breaks another rule in turn, all joints go back together.
+    All joints of a broken rule are multiplied by one factor below 1, which stays within limits that
+    include 0. Where that breaks another rule in turn, all joints of the robot are multiplied.
 
     Parameters
     ----------
     rules : Sequence[CouplingRule]
-        Between joints.
+        Coupling rules of the face.
     positions_deg : Array
-        (n_servos,), within the limits.
+        (n_servos,) degrees, within the limits.
 
     Returns
     -------
@@ -68,12 +69,16 @@ _REST_TOLERANCE = 1e-4
 
 
 class CalibrationError(UserError):
-    """A calibration that cannot be made or used: says which, why, and what to do."""
+    """A calibration cannot be made or used; the message contains which, why and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class Following:
-    """How each servo follows its goal. All (n_servos,); lag_s as of speech, bandwidth at -3 dB."""
+    """How each servo follows its goal position; all arrays are (n_servos,).
+
+    lag_s: delay at the frequencies of speech; bandwidth_hz: at -3 dB. Speed and bandwidth are inf
+    where not known.
+    """
 
     lag_s: Array
     backlash_deg: Array
@@ -83,7 +88,7 @@ class Following:
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """The pose in which the lips just meet, and how hard a servo may press there."""
+    """Joint angles, (n_servos,) degrees, at which the lips just meet, and a servo's limit in mA."""
 
     positions_deg: Array
     current_cap_ma: float
@@ -91,9 +96,9 @@ class Touch:
 
 @dataclass(frozen=True, slots=True)
 class ServoMemory:
-    """What a servo kept in its own memory when it was calibrated; pulses as in its registers.
+    """Registers of a servo at the time of its calibration, in the registers' own units (pulses).
 
-    Any of these changes where a joint angle is, or whether it can be reached.
+    A change of any of them moves a joint angle, or changes whether the angle can be reached.
     """
 
     homing_offset: int
@@ -104,11 +109,11 @@ class ServoMemory:
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where a calibration comes from: what a person wants to know about a file found later.
+    """How, when and from which servos a calibration was made.
 
-    method: `simulated face`, `measured` or `guided`; date: ISO 8601; servo_models, servo_memories:
-    one a servo, or none where no servo was read. not_measured: what the tracker
-    cannot see, `protrusion` for one camera.
+    method: `simulated face`, `measured` or `guided`, for instance; date: ISO 8601; servo_models,
+    servo_memories: one per servo, or empty where no servo was read. not_measured: what the tracker
+    cannot measure, such as `protrusion` for one camera.
     """
 
     method: str
@@ -121,21 +126,21 @@ class Origin:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Quadratic about the model's rest, with bends around centres, within the limits.
+    """A map from face coefficients to servo angles: quadratic, with bends, and limited.
 
     angles = rest_deg + weights @ x + quadratic_weights @ (x_i x_j) + centre_weights @ |x - c_k|,
     x = coefficients - rest, kept in x_range.
 
-    weights: (n_servos, n_components), degrees; quadratic_weights: (n_servos, n_pairs), pairs
-    i <= j row by row, or no columns for a linear map; rest: (n_components,); rest_deg:
-    (n_servos,), the angles there; x_range: (2, n_components), least and most that the fit saw;
-    min_deg, max_deg: (n_servos,), the face's limits at the time of the fit. trim: degrees
-    (n_servos,) to add for a viseme class, by the first phoneme of the class. hand_poses: angles
-    (n_servos,) that a person made with the fingers, by name. rules: of the face's YAML, never of
-    the file; kept by every pose. centres: (n_centres, n_components), c_k, or none; centre_weights:
-    (n_servos, n_centres). grade: None where nothing was measured after the fit. learnt_lips: None
-    where no lips were captured; closure: None where it is not known what the lips of this robot do;
-    closing: None where the lips were not observed.
+    weights: (n_servos, n_components), degrees; quadratic_weights: (n_servos, n_pairs), pairs i <= j
+    row by row, or no columns for a linear map; rest: (n_components,); rest_deg: (n_servos,), the
+    angles at rest; x_range: (2, n_components), least and most x of the fitted frames; min_deg,
+    max_deg: (n_servos,), the face's limits at the time of the fit. trim: degrees (n_servos,) to add
+    for a viseme class, by the first phoneme of the class. hand_poses: angles (n_servos,) that a
+    person set by hand, by name. rules: from the face's YAML, never from the calibration file; every
+    pose keeps them. centres: (n_centres, n_components), c_k, or empty; centre_weights: (n_servos,
+    n_centres). grade: None where nothing was measured after the fit. learnt_lips: None where no
+    lips were captured; closure: None where it is not known how this robot's lips close; closing:
+    None where the lips were not observed.
     """
 
     servo_names: tuple[str, ...]
@@ -164,12 +169,12 @@ class Calibration:
     closing: Closing | None = None
 
     def positions_deg(self, coefficients: Array) -> Array:
-        """Return the joint angles of a face.
+        """Return the servos' joint angles for one face, within the limits and coupling rules.
 
         Parameters
         ----------
         coefficients : Array
-            (n_components,).
+            (n_components,) coefficients of the face, in mm.
 
         Returns
         -------
@@ -179,17 +184,17 @@ class Calibration:
         return np.asarray(self.poses_deg(coefficients[None])[0])
 
     def poses_deg(self, faces: Array) -> Array:
-        """Return `positions_deg` of several faces, in hardly more time than of one.
+        """Return the joint angles for several faces, within the limits and coupling rules.
 
         Parameters
         ----------
         faces : Array
-            (k, n_components).
+            (k, n_components) coefficients, in mm.
 
         Returns
         -------
         Array
-            (k, n_servos) degrees.
+            (k, n_servos) degrees, in the order of `servo_names`.
         """
         x = np.minimum(np.maximum(faces - self.rest, self.x_range[0]), self.x_range[1])
         free_deg = self.rest_deg + x @ self.weights.T
@@ -209,17 +214,17 @@ class Calibration:
 
 
 def linear_calibration_parts(n_servos: int, n_components: int) -> tuple[Array, Array, Array]:
-    """Return quadratic_weights, rest_deg and x_range of a map that is linear and 0 degrees at rest.
+    """Return quadratic_weights, rest_deg and x_range of a linear map that is 0 degrees at rest.
 
     Parameters
     ----------
     n_servos,n_components : int
-        Sizes.
+        Number of servos, and of coefficients of a face.
 
     Returns
     -------
     tuple[Array, Array, Array]
-        (n_servos, 0), (n_servos,) and (2, n_components).
+        No quadratic terms (n_servos, 0), zeros (n_servos,) and -inf, inf (2, n_components).
     """
     bound = np.full(n_components, np.inf)
     return np.zeros((n_servos, 0)), np.zeros(n_servos), np.array([-bound, bound])
@@ -228,9 +233,11 @@ def linear_calibration_parts(n_servos: int, n_components: int) -> tuple[Array, A
 def check_calibration(
     calibration: Calibration, model: "FaceModel", servo_names: Sequence[str], face_checksum: str
 ) -> None:
-    """Raises CalibrationError, with the remedy, unless made for this model and this very face.
+    """Raise CalibrationError unless `calibration` was made for this model and this face.
 
-    servo_names: those that move the mouth; a neck or an eye has no calibration.
+    Compared are the servo names, the model's checksum and rest, and the face's checksum; the
+    message contains the remedy. servo_names: the servos that move the mouth; those of a neck or an
+    eye have no calibration.
     """
     for name in servo_names:
         if name not in calibration.servo_names:
@@ -253,10 +260,10 @@ def check_calibration(
 
 
 def check_servo_models(calibration: Calibration, servo_models: Sequence[str]) -> None:
-    """Raises CalibrationError where a servo is of another model than the one that was measured.
+    """Raise CalibrationError if a servo is of another model than the one that was calibrated.
 
-    servo_models: of the calibrated servos, in their order. A file that names none says nothing of
-    how its servos follow, and passes.
+    servo_models: models of the calibrated servos, in their order. A calibration that names no servo
+    models passes.
     """
     measured = calibration.origin.servo_models or tuple(servo_models)
     other = [
@@ -269,10 +276,10 @@ def check_servo_models(calibration: Calibration, servo_models: Sequence[str]) ->
 
 
 def check_servo_memories(calibration: Calibration, memories: Sequence[ServoMemory | None]) -> None:
-    """Raises CalibrationError, naming what differs, unless the servos are as they were calibrated.
+    """Raise CalibrationError, naming the registers, if a servo's memory differs from calibration.
 
-    memories: of the calibrated servos, in their order; None for one that did not answer, which is
-    for others to complain of. A file made without servos passes.
+    memories: of the calibrated servos, in their order; a servo that did not answer is None and is
+    skipped. A calibration made without servos passes.
     """
     measured = calibration.origin.servo_memories or memories
     other = []

@@ -1,9 +1,9 @@
-"""Lips that meet exactly: the last correction of a pose in which the speaker's lips are near.
+"""The last correction of a pose in which the speaker's lips are near: it makes lips meet exactly.
 
 A regression from faces to angles is off by some tenths of a millimetre, which is an opening where
-lips should touch, or needless force. How far the lips of this robot are apart, beyond contact, is a
-quadratic of its joints; so the opening that a face asks for is compared with that of the pose that
-the regression gives, and joints are turned by what is missing. NumPy only: it runs in every tick.
+lips should touch, or needless force. The distance of this robot's lips, beyond contact, is a
+quadratic of its joints; so the opening that a face requires is compared with that of the
+regression's pose, and joints are turned by the difference. NumPy only: it runs in every tick.
 """
 
 import math
@@ -22,14 +22,14 @@ _FADES_MM = _CORRECTED_MM - CLOSED_GAP_MM - BLEND_MM
 
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """Heights of n_gaps between the lips, the middle first, beyond contact.
+    """A model of the n_gaps heights between the robot's lips beyond contact, middle gap first.
 
-    speaker_mm: (3, n_components), where the speaker's upper lip is from the lower for each
-    coefficient; speaker_rest_mm: (3,), at rest. opens_mm: (n_gaps, n_components), the robot's.
-    at_deg: (n_servos,), where lips are near; gaps_mm: (n_gaps,), those there; slopes: (n_gaps,
-    n_servos) and bends: (n_gaps, n_pairs), what a pose away from there adds, pairs i <= j row by
-    row. turns_deg: (n_servos, n_gaps), what opens each gap by a millimetre. press_mm: how far past
-    contact closures go.
+    speaker_mm: (3, n_components), change of the vector from the speaker's lower to upper lip by
+    each coefficient; speaker_rest_mm: (3,), that vector at rest. opens_mm: (n_gaps, n_components),
+    change of the robot's wanted gaps by each coefficient. at_deg: (n_servos,), a pose with lips
+    closed; gaps_mm: (n_gaps,), its gaps; slopes: (n_gaps, n_servos) and bends: (n_gaps, n_pairs),
+    change of the gaps away from at_deg, pairs i <= j row by row. turns_deg: (n_servos, n_gaps),
+    turns that open each gap by a millimetre. press_mm: how far past contact closures go.
     """
 
     speaker_mm: Array
@@ -44,19 +44,19 @@ class Closure:
     crossed: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """`bends` as (n_gaps, n_servos, n_servos), which a tick is quicker with."""
+        """Set `crossed`, `bends` as (n_gaps, n_servos, n_servos), which is quicker in a tick."""
         n_servos = len(self.at_deg)
         crossed = np.zeros((len(self.bends), n_servos, n_servos))
         crossed[:, *pairs(n_servos)] = self.bends
         object.__setattr__(self, "crossed", crossed)
 
     def open_mm(self, poses_deg: Array) -> Array:
-        """Return how far the lips are open.
+        """Return how far the lips are open beyond contact in each pose.
 
         Parameters
         ----------
         poses_deg : Array
-            (k, n_servos).
+            (k, n_servos) degrees.
 
         Returns
         -------
@@ -69,14 +69,14 @@ class Closure:
         return np.asarray(self.gaps_mm + moved @ self.slopes.T + bent)
 
     def wanted_mm(self, from_rest: Array, apart_mm: float) -> Array:
-        """Return the wanted gaps of a face.
+        """Return a face's wanted gaps beyond contact; negative where the speaker's lips close.
 
         Parameters
         ----------
         from_rest : Array
-            (n_components,).
+            (n_components,) mm, the face's coefficients less the rest.
         apart_mm : float
-            How far the speaker's lips are apart.
+            Distance of the speaker's lips.
 
         Returns
         -------
@@ -88,18 +88,19 @@ class Closure:
         return np.asarray((1.0 - closes) * opened_mm - closes * self.press_mm)
 
     def corrected_deg(self, from_rest: Array, poses_deg: Array, low: Array, high: Array) -> Array:
-        """Correct poses (k, n_servos) so that the lips are as far apart as planned.
+        """Return poses (k, n_servos) corrected so that near lips are as far apart as wanted.
 
-        Frame by frame with plain numbers: live there is one, and NumPy takes longer for it.
+        Poses with the speaker's lips 2.6 mm apart or more are unchanged. Frame by frame with plain
+        numbers: live there is one, and NumPy takes longer for it.
 
         Parameters
         ----------
         from_rest : Array
-            (k, n_components).
+            (k, n_components) mm, coefficients less the rest.
         poses_deg : Array
-            (k, n_servos).
+            (k, n_servos) degrees, from the regression.
         low,high : Array
-            (n_servos,): the range.
+            (n_servos,) degrees: the joints' limits.
 
         Returns
         -------
@@ -123,5 +124,5 @@ class Closure:
 
 @lru_cache
 def pairs(n_servos: int) -> tuple[Indices, Indices]:
-    """Return the indices i <= j of every product of two joints, row by row."""
+    """Return the row and column indices i <= j of every product of two of n_servos, row by row."""
     return np.triu_indices(n_servos)

@@ -1,6 +1,6 @@
-"""What a calibration is worth: errors on motion left out of the fit, reach by viseme class, grade.
+"""Figures of a calibration's quality: errors on held-out motion, reach by viseme class, grade.
 
-Measured on the robot where it was, else estimated by the learnt face.
+A grade is measured on the robot; errors and reach are estimated with the learnt face.
 """
 
 import math
@@ -20,7 +20,7 @@ SMALL_GAPS_MM = (2.0, 4.0)
 
 @dataclass(frozen=True, slots=True)
 class HoldOutErrors:
-    """Errors over frames of AnimPhos that the fit never saw.
+    """Errors of a calibration over frames of AnimPhos that were left out of the fit.
 
     A marker's error is its distance in space; rms runs over frames and markers. 0: not measured.
     """
@@ -63,11 +63,11 @@ def measure_hold_out(
     Parameters
     ----------
     human_mm,robot_mm,nearest_mm : Array
-        (n, 47, 3) markers of the human, the calibrated face and the best reachable face.
+        (n, 47, 3) mm, markers of the human, the calibrated face and the best reachable face.
     joint_errors_deg : Array
-        (n, n_servos).
+        (n, n_servos) degrees off the best angles.
     clipped : NDArray[np.bool_]
-        (n,).
+        (n,): whether a servo was at a limit.
 
     Returns
     -------
@@ -94,14 +94,14 @@ def measure_hold_out(
 
 
 def each_marker_rms_mm(marker_names: Sequence[str], off_mm: Array) -> dict[str, float]:
-    """Return how far each marker is off, rms over the frames.
+    """Return the rms distance of each marker over the frames.
 
     Parameters
     ----------
     marker_names : Sequence[str]
-        n_markers.
+        Names of the n_markers markers.
     off_mm : Array
-        (n, n_markers, 3).
+        (n, n_markers, 3) mm, differences from the wanted markers.
 
     Returns
     -------
@@ -113,7 +113,7 @@ def each_marker_rms_mm(marker_names: Sequence[str], off_mm: Array) -> dict[str, 
 
 
 def _gap_mm(markers_mm: Array) -> Array:
-    """(n, 47, 3) -> (n,)."""
+    """Return the lip gap of markers (n, 47, 3): distance of the middle inner lips, (n,)."""
     between = markers_mm[:, MARKERS_47.upper_lip] - markers_mm[:, MARKERS_47.lower_lip]
     return np.asarray(np.linalg.norm(between, axis=1))
 
@@ -126,14 +126,13 @@ def _rms(values: Array) -> float:
 class VisemeReach:
     """How well a robot makes the shapes of one viseme class.
 
-    On the face as it was learnt, so estimated: reachable, the part of its frames, 0..1, of which
-    the face has opening and width within 1 mm; off_mm, how far the calibrated face is from the
-    wanted shapes, rms over the lips; gap_slope, openings made over openings wanted;
-    closed_gap_mm, how far closed lips stay apart in 95 % of the frames in which the speaker's are
-    closed; small_gaps_kept, the part of small openings that stay open; at_limit, the part of the
-    frames in which a joint stands at a limit. None where the class has no such frames, or an older
-    file does not say.
-    Measured: measured_mm, the lips' distance from the target in n_measured graded poses.
+    Estimated with the learnt face: reachable, the share of frames, 0..1, for which the face can
+    make opening and width within 1 mm; off_mm, rms distance of the calibrated face's lips from the
+    wanted shapes; gap_slope, openings made over openings wanted; closed_gap_mm, how far lips stay
+    apart in 95 % of the frames with the speaker's lips closed; small_gaps_kept, the share of small
+    openings that stay open; at_limit, the share of frames with a joint at a limit. None where the
+    class has no such frames, or an older file lacks the figure.
+    Measured: measured_mm, rms distance of the lips from the target in n_measured graded poses.
     """
 
     reachable: float
@@ -148,12 +147,12 @@ class VisemeReach:
 
 @dataclass(frozen=True, slots=True)
 class LearntLips:
-    """What the captured poses have taught of a face.
+    """What a capture shows of the lips.
 
     left_out_rms_mm: error in each axis of poses left out, the tracker's noise_mm included;
-    own_gap_mm: between the dots of lips that are closed; stop: whether lips were seen to stop each
-    other there, else it is the narrowest gap that was seen. held_back_mm: how far lips stay behind
-    the shapes they could make because joints are moved no farther than they are known to pay.
+    own_gap_mm: between the dots of closed lips; stop: whether lips stopped each other there,
+    otherwise own_gap_mm is the narrowest captured gap. held_back_mm: how far lips stay behind the
+    shapes they could make because joints turn no farther than their known effect justifies.
     """
 
     left_out_rms_mm: float
@@ -164,9 +163,9 @@ class LearntLips:
 
     @property
     def doubt_mm(self) -> float:
-        """How far the shapes that it says a robot can make may be off, in space.
+        """The likely error in space, in mm, of the shapes that the learnt face predicts.
 
-        What poses left out are off by beyond the tracker's noise, in three axes.
+        The error of poses left out beyond the tracker's noise, in three axes.
         """
         return math.sqrt(3.0 * max(self.left_out_rms_mm**2 - self.noise_mm**2, 0.0))
 
@@ -178,11 +177,11 @@ CONTACT, PASSED, LIMITS = "contact", "passed", "limits"
 
 @dataclass(frozen=True, slots=True)
 class Closing:
-    """Whether lips meet, by evidence: one of the three words above.
+    """Whether the robot's lips meet, by evidence: CONTACT, PASSED or LIMITS (not seen to meet).
 
-    Where they do not: apart_mm, how far they stay apart at most, for dots may lie beside the lips'
-    edges; joint, of those at a limit the one that closes them most, and missing_deg, how much
-    farther it would have to go. Empty and 0 where they do.
+    Where they do not: apart_mm, how far lips stay apart at most, for dots may lie beside the lips'
+    edges; joint, the one at its limit that closes lips most, and missing_deg, how much farther it
+    would have to turn. Empty and 0 where they do.
     """
 
     evidence: str
@@ -192,12 +191,12 @@ class Closing:
 
     @property
     def closes(self) -> bool:
-        """Whether lips were seen to meet."""
+        """Whether the lips were seen to meet."""
         return self.evidence != LIMITS
 
     @property
     def description(self) -> str:
-        """Why the mouth does not close, in words."""
+        """Text for a message: how far lips stay apart, and which joint lacks how many degrees."""
         return (
             f"does not close: lips stay up to {self.apart_mm:.1f} mm apart, {self.joint} is at its "
             f"limit and up to {self.missing_deg:.1f} deg are missing"
@@ -206,13 +205,13 @@ class Closing:
 
 @dataclass(frozen=True, slots=True)
 class Grade:
-    """What was measured on the robot at poses of speech that were never fitted.
+    """Errors measured on the robot at poses of speech that were left out of the fit.
 
-    Distances from the wanted shapes, without the tracker's noise in lip_rms_mm; each pose counts
-    by the share of speech that it stands for. closed_gap_mm: how far lips that should be closed
-    were apart, beyond the robot's own closed gap; gap_slope: openings made over openings wanted;
-    small_gaps_kept: the part of small openings that are at least half made, None where none
-    was measured.
+    Distances are from the wanted shapes, without the tracker's noise in lip_rms_mm; each pose
+    counts by the share of speech that it represents. closed_gap_mm: how far lips that should be
+    closed were apart, beyond the robot's own closed gap; gap_slope: openings made over openings
+    wanted; small_gaps_kept: the share of small openings that are at least half made, None where
+    none was measured.
     """
 
     n_poses: int
@@ -224,11 +223,11 @@ class Grade:
 
 
 def lips_off_mm(grade: Grade, lips: LearntLips | None) -> float:
-    """How far the lips are from the shapes of speech.
+    """Return the lips' rms distance from the shapes of speech, in mm.
 
-    As measured from the wanted shapes, and what those themselves may be off by. Without the
-    second it would be a fifth too little (elastic robots of seeds 100 to 117, whose true shapes
-    no calibration has seen).
+    It joins the grade's error with the doubt about the wanted shapes. Without the doubt it would be
+    a fifth too little (elastic robots of seeds 100 to 117, whose true shapes no calibration knows).
+    lips None: the grade's error alone.
     """
     if lips is None:
         return grade.lip_rms_mm
@@ -243,11 +242,11 @@ _LEAST_SPREAD_MM = 0.3
 
 @dataclass(frozen=True, slots=True)
 class GapFigures:
-    """None where no frame can tell.
+    """Figures of lip openings; each is None where no frame gives it.
 
     slope: openings made over openings wanted; closed_mm: how far lips stay apart in 95 % of the
-    frames in which the speaker's are closed; small_kept: the part of small openings that are at
-    least half made.
+    frames with the speaker's lips closed; small_kept: the share of small openings that are at least
+    half made.
     """
 
     slope: float | None
@@ -258,21 +257,21 @@ class GapFigures:
 def gap_figures(
     wanted_mm: Array, made_mm: Array, human_gap_mm: Array, shares: Array | None = None
 ) -> GapFigures:
-    """Compare made openings with wanted ones.
+    """Return figures that compare made lip openings with wanted ones.
 
     Parameters
     ----------
     wanted_mm,made_mm : Array
-        (n,): openings beyond the robot's own closed gap, NaN where not measured.
+        (n,) mm: openings beyond the robot's own closed gap, NaN where not measured.
     human_gap_mm : Array
-        (n,): the speaker's.
+        (n,) mm: the speaker's gaps.
     shares : Array | None
-        (n,), of speech that each frame stands for; None: all the same.
+        (n,), share of speech that each frame represents; None: all equal.
 
     Returns
     -------
     GapFigures
-        Slope, and mm.
+        Slope, closed gap in mm, and share of small openings kept.
     """
     known = np.isfinite(made_mm)
     weights = np.ones(len(made_mm)) if shares is None else shares
@@ -289,12 +288,12 @@ def gap_figures(
 
 
 def is_small(human_gap_mm: Array) -> NDArray[np.bool_]:
-    """Return whether the speaker's lips are a little open.
+    """Return whether the speaker's lips are a little open, by 2 to 4 mm.
 
     Parameters
     ----------
     human_gap_mm : Array
-        (n,).
+        (n,) mm.
 
     Returns
     -------

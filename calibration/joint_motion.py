@@ -1,4 +1,4 @@
-"""What a joint of a mouth moves, read from its name and from the word for a positive angle."""
+"""The motion of a mouth joint, derived from its name and the word for its positive angle."""
 
 import re
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ _MIDDLE: Final = frozenset({"middle", "mid"})
 
 @dataclass(frozen=True, slots=True)
 class JointMotion:
-    """What a joint moves. sign: -1 where a positive angle is the channel's backward direction."""
+    """The motion of a joint; sign -1: a positive angle is the channel's backward direction."""
 
     channel: Channel
     side: Side
@@ -36,7 +36,10 @@ class JointMotion:
 
 @dataclass(frozen=True, slots=True)
 class _Rule:
-    """A joint with a word of each of `named` in its name, and a word of one direction."""
+    """A rule that assigns a channel to a joint, by words in its name and of its direction.
+
+    The name needs a word of each of `named`, the direction a word of `forward` or `backward`.
+    """
 
     channel: Channel
     named: tuple[frozenset[str], ...]
@@ -64,7 +67,7 @@ _RULES: Final = (
 
 
 def joint_motion(name: str, positive: str) -> JointMotion | None:
-    """None where name and word do not say what moves, or where."""
+    """Return a joint's motion by its name and positive word; None if these do not define one."""
     named, positive_words = words(name), words(positive)
     for rule in _RULES:
         if not all(named & each for each in rule.named):
@@ -79,7 +82,7 @@ def joint_motion(name: str, positive: str) -> JointMotion | None:
 
 
 def side_of(name: str) -> Side:
-    """The robot's own."""
+    """Return the side, the robot's own, that a joint's name contains; `both` without one."""
     named = words(name)
     left, right = bool(named & _LEFT), bool(named & _RIGHT)
     if left != right:
@@ -88,5 +91,5 @@ def side_of(name: str) -> Side:
 
 
 def words(text: str) -> frozenset[str]:
-    """Of `m2_upper_lip`: m, upper and lip."""
+    """Return the lower-case words in a text, letters only: of `m2_upper_lip`, m, upper and lip."""
     return frozenset(re.findall(r"[a-z]+", text.lower()))

@@ -1,4 +1,4 @@
-"""The servos of one mouth as its face YAML describes them: what every fit needs to know of them."""
+"""The servos of one mouth, as the fits need them from its face YAML."""
 
 import math
 from collections.abc import Collection
@@ -12,7 +12,7 @@ from lipsync.arrays import Array
 
 @dataclass(frozen=True, slots=True)
 class JointRange:
-    """One servo as a calibration sees it, in joint degrees; 0 = its neutral = closed mouth.
+    """A joint's range in degrees from neutral (0, the closed mouth), and its servo's name.
 
     Raises CalibrationError unless min_deg <= 0 <= max_deg, both finite.
     """
@@ -31,11 +31,10 @@ class JointRange:
 
 @dataclass(frozen=True, slots=True)
 class MouthServos:
-    """Joints in the order of the YAML, with what belongs to them.
+    """The joints of a mouth, in the order of the face YAML, with their servos and rules.
 
-    models: one servo model a joint; positive: what a positive angle does, one word a joint, which
-    lets a reversed joint be found. Both may be empty where unknown. rules: what the joints
-    must not do together.
+    models: one servo model per joint; positive: one word per joint for what a positive angle does,
+    which lets a reversed joint be found. Both may be empty where unknown. rules: coupling rules.
     """
 
     joints: tuple[JointRange, ...]
@@ -46,11 +45,11 @@ class MouthServos:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the servos, one a joint."""
+        """The names of the servos, one per joint."""
         return tuple(joint.name for joint in self.joints)
 
     def holding(self, still: Collection[int]) -> "MouthServos":
-        """Return the servos with these joints, by number, held at 0."""
+        """Return the servos with the joints numbered in `still` limited to 0 degrees."""
         held = tuple(
             JointRange(joint.name, 0.0, 0.0) if number in still else joint
             for number, joint in enumerate(self.joints)
@@ -59,7 +58,7 @@ class MouthServos:
 
     @property
     def limits_deg(self) -> tuple[Array, Array]:
-        """Least and most angle of each joint.
+        """The least and the most angle of each joint.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Servo angles become servo motion: channel, last gate, loop, bus. Knows no speech."""
+"""Servo angles become servo motion: target channel, last gate, loop, bus. Nothing of speech."""
 
 import logging
 

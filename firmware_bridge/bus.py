@@ -1,7 +1,7 @@
-"""What every servo bus answers to, and what it reports: places, errors, heat, voltage, torque.
+"""The interface of every servo bus, and its readings: position, errors, temperature, torque.
 
-What a single servo reports in passing (a refused goal, a lost answer) is data in `Readings`, not an
-exception: nine servos go on when the tenth has trouble. What can go wrong with all: `errors`.
+Trouble of a single servo (a refused goal, a lost answer) is data in `Readings`, not an exception:
+nine servos go on when the tenth fails. Exceptions, for trouble of all servos: module `errors`.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 def any_set(values: NDArray[np.bool_] | NDArray[np.number]) -> bool:
     """Return whether any value is not 0; ten times as quick as `any()` for a face's few joints.
 
-    By their bytes: -0.0, which nothing here counts from, is taken for something else than 0.
+    The bytes are tested: -0.0, which nothing here counts from, therefore counts as not 0.
 
     Parameters
     ----------
@@ -31,13 +31,13 @@ def any_set(values: NDArray[np.bool_] | NDArray[np.number]) -> bool:
     Returns
     -------
     bool
-        True where at least one byte is set.
+        True if at least one byte is not 0.
     """
     return bool(values.tobytes().strip(b"\0"))
 
 
 def all_set(flags: NDArray[np.bool_]) -> bool:
-    """Return whether all flags are true, by their bytes as in `any_set`.
+    """Return whether all flags are true; their bytes are tested, which is quicker than `all()`.
 
     Parameters
     ----------
@@ -59,7 +59,10 @@ GOAL_OUT_OF_RANGE: Final = 6
 
 
 class HardwareError(IntFlag):
-    """https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#hardware-error-status70 ."""
+    """Bits of a Dynamixel servo's register `hardware_error_status`.
+
+    https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#hardware-error-status70
+    """
 
     INPUT_VOLTAGE = 0x01
     OVERHEATING = 0x04
@@ -69,19 +72,20 @@ class HardwareError(IntFlag):
 
 
 def describe_errors(bits: int) -> str:
-    """Return hardware errors in words, such as `overload and overheating`; `none` for 0."""
+    """Return the errors set in `bits` in words, as in `overload and overheating`; `none` for 0."""
     words = [e.name.lower().replace("_", " ") for e in HardwareError if e & bits and e.name]
     return " and ".join(words) or ("none" if not bits else f"unknown ({bits:#04x})")
 
 
 @dataclass(frozen=True, slots=True)
 class Feedback:
-    """Where the servos stand, every tick. Arrays are (n_servos,).
+    """Positions, load and errors of all servos, read in every tick. Arrays are (n_servos,).
 
-    positions_deg: NaN for a servo that never answered, or cannot say. effort: share of the stall
-    torque, 0..1; NaN where it is not measured. age_s: 0 = answered just now, or cannot say.
-    ready: of servos that start without a place, those that go to their goals by now, and sent_deg:
-    where each was sent last, short of its goal while it catches up; None: all are, at their goals.
+    positions_deg: NaN for a servo that never answered, or cannot report its position. effort: share
+    of the stall torque, 0..1; NaN where it is not measured. age_s: 0 = answered just now, or cannot
+    answer. ready: of servos that start without a known position, which move towards their goals by
+    now; sent_deg: the angle sent last to each, short of its goal while it catches up; None: all are
+    ready and were sent their goals.
     """
 
     time_s: float
@@ -97,12 +101,11 @@ class Feedback:
 class Health:
     """The last reading of each servo's condition; one servo is polled at a time.
 
-    silent_s: how long nothing has come from it. torque_on: as its register says.
-    watchdog_tripped: it stopped by itself since it heard nothing.
-    temperature_degc, voltage_v: NaN = never heard, or not measured; room_degc: how far it is below
-    its own limit, infinite where that is unknown.
-    effort: share of the stall torque; current_ma: NaN where it is not measured.
-    n_unanswered: questions of the tick that it did not answer so far.
+    silent_s: seconds since its last answer. torque_on: content of its torque register.
+    watchdog_tripped: it stopped by itself because it received no packet in time. temperature_degc,
+    voltage_v: NaN = never read, or not measured; room_degc: how far its temperature is below its
+    own limit, infinite where that is unknown. effort: share of the stall torque; current_ma: NaN
+    where it is not measured. n_unanswered: requests of ticks left unanswered so far.
     """
 
     silent_s: Array
@@ -118,7 +121,7 @@ class Health:
 
 
 class ServoState(IntEnum):
-    """What a servo is doing, as `ServoSupervision` sees it."""
+    """The state of one servo in `ServoSupervision`."""
 
     DRIVEN = 0
     WAITING = 1
@@ -130,7 +133,7 @@ class ServoState(IntEnum):
 
     @property
     def word(self) -> str:
-        """The state as a word, for people and programs."""
+        """The state's name in lower case with spaces, such as `switching off`."""
         return STATE_WORDS[self]
 
 
@@ -140,7 +143,7 @@ STATE_WORDS = tuple(state.name.lower().replace("_", " ") for state in ServoState
 
 @dataclass(frozen=True, slots=True)
 class ServoHealth:
-    """How one servo is, for people: a log, a table, a page. NaN: never heard, or not measured.
+    """The condition of one servo for logs, tables and web pages. NaN: never read, or not measured.
 
     state: `ServoState` in words. load: share of the stall torque, 0..1. current_ma: None where the
     model does not measure it. hardware_errors: bits of `HardwareError`. n_reboots, n_unanswered:
@@ -164,12 +167,12 @@ class ServoHealth:
 class Readings:
     """The newest reply of each servo. Every array is (n_servos,), in the face YAML's order.
 
-    positions_deg: where each joint stands; NaN for a servo that has never answered, or cannot.
-    goals_deg: where each servo is trying to be, or would with torque on; NaN when it did not say.
+    positions_deg: angle of each joint; NaN for a servo that never answered or cannot report it.
+    goals_deg: each servo's goal position, with torque off the one it would go to; NaN: not read.
     torque_on: whether the servo holds its goal by force.
     errors: number in the last status packet, 0 = none;
         https://emanual.robotis.com/docs/en/dxl/protocol2/#error
-    age_s: how old each servo's part is; 0 = read just now, infinity = never.
+    age_s: age of each servo's values; 0 = read just now, infinity = never.
     """
 
     time_s: float
@@ -181,47 +184,47 @@ class Readings:
 
     @property
     def missing(self) -> NDArray[np.bool_]:
-        """Which servos did not answer this time.
+        """Mask of the servos that did not answer this read.
 
         Returns
         -------
         NDArray[np.bool_]
-            (n_servos,).
+            (n_servos,): True where `age_s` is above 0.
         """
         return self.age_s > 0.0
 
     def start_deg(self, can: BusCapabilities) -> Array:
-        """Return the places from which the joints may be moved.
+        """Return the joint angles from which a motion may start.
 
         Parameters
         ----------
         can : BusCapabilities
-            Which servos report their place.
+            Which servos report their position.
 
         Returns
         -------
         Array
-            (n_joints,) degrees: places, 0 for a servo never heard; of servos without a place their
-            last goals, 0 before the first.
+            (n_joints,) degrees: positions of servos that report them, last goals of all others; 0
+            for a servo that never answered or had no goal yet.
         """
         has_place = [can.of(index).place for index in range(len(self.goals_deg))]
         return np.nan_to_num(np.where(has_place, self.positions_deg, self.goals_deg))
 
 
 class ServoBus(Protocol):
-    """All servos of one face, spoken to as one, in joint degrees.
+    """The servos of one face as one bus, in joint degrees.
 
-    Use it as a context manager: it holds its port from `__enter__` to `__exit__`, and leaving
-    first switches torque off on every servo that it was switched on for. Every method raises
-    PortError when the port fails. Only `TorqueGate` calls `enable_torque`.
+    A context manager: its port is open from `__enter__` to `__exit__`, which first switches torque
+    off on every servo on which it was switched on. Every method raises PortError when the port
+    fails. Only `TorqueGate` calls `enable_torque`.
     """
 
     @property
     def capabilities(self) -> BusCapabilities:
-        """What its servos can do; known before the port is open, and never another."""
+        """The capabilities of its servos; known before the port is open, and never changed."""
 
     def write_positions(self, positions_deg: Array) -> None:
-        """Give every servo its next goal; return before it arrives.
+        """Send every servo its next goal position; return before the servos have arrived.
 
         A servo keeps its old goal when the new one lies outside its own range, or is NaN.
 
@@ -237,51 +240,51 @@ class ServoBus(Protocol):
         """
 
     def widen(self, joints: NDArray[np.bool_]) -> None:
-        """Take goals of these servos as far as a person may find limits (`Joint.pulse`).
+        """Accept goals of the given joints as far as limits may be searched: `JointPulse.reach_us`.
 
-        Of all others within their limits. A bus without pulses takes no notice.
+        Goals of all other joints stay within their limits. A bus without pulses does nothing.
 
         Parameters
         ----------
         joints : NDArray[np.bool_]
-            (n_servos,).
+            (n_servos,): True for joints that may go beyond their limits.
         """
 
     def read(self) -> Readings:
-        """Ask every servo where it stands, where it is going, and whether it holds."""
+        """Read and return position, goal position and torque of every servo."""
 
     def feedback(self) -> Feedback:
-        """Ask every servo where it stands: the short question of every tick."""
+        """Read and return the position of every servo: the short request of every tick."""
 
     def remarks(self) -> Sequence[str]:
-        """What is unusual about adapter and servos, in sentences for a log; they become more."""
+        """Return what is unusual about adapter and servos, as sentences; the list only grows."""
 
     def look_after(self) -> Health:
-        """Ask one servo, the next in turn, how it is; what is known of all."""
+        """Read the condition of one servo, the next in turn; return what is known of all servos."""
 
     def obstacle(self, index: int) -> str:
-        """Why one servo cannot hold its place as the face's YAML says; empty: it can.
+        """Return why one servo cannot hold its position as the face's YAML requires; empty: it can.
 
-        Asks who it is, how it is set up, and where it stands; changes nothing.
+        Reads its model, settings and position; changes nothing.
         """
 
     def enable_torque(self, index: int) -> str:
-        """Let one servo hold the place where it stands; why it does not, empty: it confirmed.
+        """Switch one servo's torque on; return why it stays off, or "" if the servo confirmed.
 
-        The goal becomes the place first, so that nothing moves; speed and strength start low; the
-        bus watchdog runs. A servo with an obstacle gets no torque.
+        Its goal becomes its present position first, so that nothing moves; speed and strength start
+        low; the bus watchdog runs. A servo with an obstacle gets no torque.
         """
 
     def keep_torque(self, index: int) -> bool:
-        """Let a servo that holds go on holding where it stands; whether it holds.
+        """Keep a servo whose torque is on at its present position; return whether its torque is on.
 
         Switches no torque on: after a lost connection, for a face frozen by a person.
         """
 
     def disable_torque(self, index: int) -> bool:
-        """Switch one servo's torque off; True.
+        """Switch one servo's torque off; return whether the servo confirmed it.
 
-        It confirmed, or was sent the order and cannot confirm.
+        True also where the packet was sent to a servo that cannot confirm.
         """
 
     def disable_all(self) -> NDArray[np.bool_]:
@@ -290,14 +293,14 @@ class ServoBus(Protocol):
         Returns
         -------
         NDArray[np.bool_]
-            (n_servos,): True where a servo confirmed, or was sent the order and cannot confirm.
+            (n_servos,): True where a servo confirmed, or was sent the packet and cannot confirm.
         """
 
     def reboot(self, index: int) -> None:
-        """Restart one servo: clears its hardware error; it comes back limp."""
+        """Restart one servo, which clears its hardware error and leaves its torque off."""
 
     def reopen(self) -> None:
-        """Open the port again after it has failed. Asks no servo anything."""
+        """Open the port again after it has failed; send nothing to the servos."""
 
     def __enter__(self) -> Self: ...
 

@@ -1,8 +1,8 @@
 """Kinds of servo bus: a kind is one entry, found by the name that a face's YAML gives it.
 
-The entry brings the settings, opens the bus, simulates it, and knows what can be done at its port
-while no face drives it. Kinds of other packages are entry points of the group `lipservo.buses`. A
-kind is loaded when its name is first used, and what opens a port when it is opened.
+The entry has the settings' model, opens the bus, simulates it, and examines its port while no face
+drives it. Kinds of other packages are entry points of the group `lipservo.buses`. The module of a
+kind is loaded when its name is first used, and what opens its port when the port is opened.
 """
 
 import importlib
@@ -39,16 +39,17 @@ AT_A_PORT: Final = "dynamixel"
 
 
 class UnknownBusError(BusError):
-    """A kind of bus that is not installed, or cannot be loaded."""
+    """Raised for a kind of bus that is not installed, or cannot be loaded."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wiring:
     """The servos of one face on one bus.
 
-    settings: of the kind's own model; servos: likewise, in the order of `joints`. kept: the file in
-    which a bus whose servos cannot say where they stand keeps where it sent them; None: nowhere.
-    capabilities: what servos in memory can do that stand for others; None: what their kind can.
+    settings: the bus section, of the kind's own model; servos: of the kind's own model, in the
+    order of `joints`. kept: the file with the positions sent last, for a bus whose servos cannot
+    report theirs; None: no file. capabilities: of servos in memory that simulate others; None:
+    their kind's.
     """
 
     settings: Any
@@ -60,7 +61,7 @@ class Wiring:
 
 
 class Severity(IntEnum):
-    """How much a finding matters."""
+    """How much a finding of the doctor matters."""
 
     GOOD = 0
     WARNING = 1
@@ -69,7 +70,7 @@ class Severity(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What was seen, and what to do about it."""
+    """What the doctor found, and what to do about it."""
 
     severity: Severity
     what: str
@@ -77,36 +78,36 @@ class Finding:
 
 
 class PortRelease(Protocol):
-    """An open port whose servos are let go, regardless of what drove them.
+    """An open port at which torque is switched off, regardless of what drove the servos.
 
     Methods raise PortError.
     """
 
     @property
     def confirms(self) -> bool:
-        """Whether servos can say that they were let go."""
+        """Whether the servos can confirm that their torque is off."""
 
     def tell_all(self, addresses: Sequence[int]) -> None:
-        """Send torque off to these addresses, and to all others at the port."""
+        """Send torque off to these addresses and to all others at the port; read no answer."""
 
     def ask(self, address: int) -> str:
         """Return "" when a servo confirms torque off.
 
-        Else the reason, and the order is sent once more.
+        Otherwise return the reason, after torque off was sent once more.
         """
 
     def find(self, addresses: Sequence[int]) -> Sequence[int]:
-        """Let go of everybody, at whatever rate they are spoken to; who there is, and these."""
+        """Send torque off at every baud rate; return `addresses` and every address that answers."""
 
     def close(self) -> None:
         """Close the port."""
 
 
 class BusKind:
-    """One kind of bus. A kind of another package derives from this and leaves out what it has not.
+    """One kind of bus. A kind of another package derives from it and overrides what it supports.
 
     Methods import what they need, so that an entry costs nothing but its name. Those that open a
-    port raise PortError, and ServoError where servos are not as the face's YAML says.
+    port raise PortError, and ServoError where servos differ from the face's YAML.
     """
 
     #: As a face's YAML has it under `bus.kind`.
@@ -125,54 +126,58 @@ class BusKind:
     simulator_module: str = ""
 
     def capabilities(self, settings: "BusSettings") -> BusCapabilities:
-        """Return the capabilities of its servos; known while no port is open."""
+        """Return the capabilities of the servos of a bus with these settings; opens no port."""
         raise NotImplementedError
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":
-        """The bus, to be used as a context manager; not strict: servos may be missing."""
+        """Return the bus, a context manager; with strict=False servos may be missing."""
         raise NotImplementedError
 
     def slowness(self, _wiring: Wiring, _rate_hz: float) -> str | None:
-        """Why the bus cannot do this rate with feedback, and what to do; None: it can."""
+        """Return why the bus cannot do this rate with feedback, and the remedy; None if it can."""
         return None
 
     def allow_first_start(self, _wiring: Wiring) -> None:
-        """Allow servos of unknown position to jump to neutral; a person confirmed it."""
+        """Allow servos of unknown position to jump to neutral, which a person has confirmed."""
 
     def is_at(self, _port: str) -> bool:
-        """Whether what is plugged in at a port says by itself that it is of this kind."""
+        """Return whether the USB device at a port identifies itself as of this kind."""
         return False
 
     def answers_at(self, _transport: "Transport") -> bool:
-        """Whether servos of this kind answer at an open port; asks, and sets nothing."""
+        """Return whether servos of this kind answer at an open port; reads only, writes nothing."""
         return False
 
     def port_release(self, _port: str, _wiring: Wiring | None) -> Callable[[], PortRelease]:
-        """What opens a port to let go of the servos there, again and again, on the same adapter.
+        """Return a function that opens the port to switch torque off, every time on one adapter.
 
-        wiring: None: nothing is known of what is there.
+        wiring: the servos at the port; None: unknown. Raises BusError where the kind has no port.
         """
         raise self._lacks("port")
 
     def examine(self, _wiring: Wiring) -> Iterator[Finding]:
-        """Whatever is wrong between computer and servos; writes to none."""
+        """Yield findings about everything between computer and servos; writes to no servo."""
         raise self._lacks("doctor")
 
     def memories(self, _wiring: Wiring) -> Sequence[Mapping[str, int] | None]:
-        """What each servo keeps in itself; None: it does not answer. Empty: they keep nothing."""
+        """Return each servo's stored settings by register name, None for a silent servo.
+
+        Empty: servos of this kind store none.
+        """
         return ()
 
     def workshop(self) -> Any:
-        """The module of what is done to single servos: find those of no face, set them up.
+        """Return the module that finds servos of no face and sets single ones up.
 
-        `firmware_bridge.dynamixel.provisioning` for one.
+        For Dynamixels it is `firmware_bridge.dynamixel.provisioning`. Raises BusError if there is
+        none.
         """
         return self._module(self.workshop_module, "servos that could be found or set up")
 
     def simulator(self) -> Any:
-        """The module that simulates the same servos to the byte: `simulated_wire` and `serve`.
+        """Return the module with `simulated_wire` and `serve`, which simulates the servos' packets.
 
-        `firmware_bridge.simulator.host` for one.
+        For Dynamixels it is `firmware_bridge.simulator.host`. Raises BusError if there is none.
         """
         return self._module(self.simulator_module, "simulator")
 
@@ -186,14 +191,14 @@ class BusKind:
 
 
 def bus_names() -> list[str]:
-    """Return the names of all installed kinds, those that come with lipservo first."""
+    """Return the names of all installed kinds of bus, those that come with lipservo first."""
     others = sorted(point.name for point in entry_points(group=GROUP))
     return list(dict.fromkeys([*_BUILT_IN, *others]))
 
 
 @cache
 def bus_kind(name: str) -> BusKind:
-    """The kind of this name, loaded. Raises UnknownBusError: what there is, and what to install."""
+    """Load and return the kind of bus of this name; raise UnknownBusError if there is none."""
     if name in _BUILT_IN:
         module, _, entry = _BUILT_IN[name].partition(":")
         kind = getattr(importlib.import_module(module), entry)
@@ -205,7 +210,7 @@ def bus_kind(name: str) -> BusKind:
 
 
 def other_kind_at(transport: "Transport", own: str) -> str:
-    """Name the other kind of bus that answers where no servo of the kind `own` does; empty: none.
+    """Return a message naming the kind other than `own` whose servos answer; "" if none answers.
 
     Raises PortError when the port fails.
     """
@@ -217,7 +222,7 @@ def other_kind_at(transport: "Transport", own: str) -> str:
 
 
 def kind_at(port: str) -> BusKind:
-    """What is plugged in at a port as it says itself; of those that say nothing, `AT_A_PORT`."""
+    """Return the kind that the device at a port identifies itself as, else the kind `AT_A_PORT`."""
     kinds = (bus_kind(name) for name in _BUILT_IN)
     return next((kind for kind in kinds if kind.is_at(port)), bus_kind(AT_A_PORT))
 

@@ -1,4 +1,4 @@
-"""The parts of a face YAML that a bus reads: its own section, and a servo that hangs on it.
+"""The parts of a face YAML that a bus reads: its own section, and the entry of one servo.
 
 Every kind of bus derives its own settings from these (`firmware_bridge.bus_kinds`).
 """
@@ -12,7 +12,7 @@ from firmware_bridge.joints import JointPulse
 
 
 def within(low: float, high: float) -> AfterValidator:
-    """Accept numbers from `low` to `high`; one check, so that the message can name both ends."""
+    """Return a validator for numbers from `low` to `high`; its one message names both ends."""
 
     def check(value: float) -> float:
         if not low <= value <= high:
@@ -41,28 +41,28 @@ Text = Annotated[str, StringConstraints(min_length=1)]
 
 
 class Strict(BaseModel):
-    """No unknown key, no conversion between types, no change after reading."""
+    """Base model: no unknown key, no conversion between types, no change after reading."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
 class BusSettings(Strict):
-    """How the servos are reached. kind: a name of `firmware_bridge.bus_kinds`."""
+    """The bus section of a face YAML. kind: a name of `firmware_bridge.bus_kinds`."""
 
     kind: str = "simulated"
     port: Text | None = None
 
     @property
     def board(self) -> str:
-        """Tells its board from others that share the port; empty: no other can."""
+        """What distinguishes its board from others at one port; empty: only one fits a port."""
         return ""
 
 
 class BusServo(Strict):
     """One servo and the joint it drives, in joint degrees: 0 = the joint's neutral.
 
-    `positive` says in a word what a positive angle does. The servo's own angle is
-    sign x (joint angle + zero_offset_deg).
+    `positive` describes in a word what a positive angle does. The servo's own angle is sign x
+    (joint angle + zero_offset_deg).
     """
 
     #: The key that tells the servos of one bus apart.
@@ -78,26 +78,26 @@ class BusServo(Strict):
 
     @property
     def address(self) -> int:
-        """The value of `address_key`, by which the bus finds it."""
+        """The value of `address_key`, by which the bus finds the servo."""
         return int(getattr(self, self.address_key))
 
     @property
     def make(self) -> str | None:
-        """The servo model that the YAML names; None: none."""
+        """The servo model named in the YAML; None if it names none."""
         return getattr(self, "model", None)
 
     @property
     def pulse(self) -> JointPulse | None:
-        """Pulse and range of a hobby servo; None: it is none."""
+        """Pulse and range of a hobby servo; None for a servo of any other kind."""
         return None
 
     @property
     def bounds(self) -> Mapping[str, float | None]:
-        """Limits of its model; None where the maker states none."""
+        """Temperature and voltage limits of the servo's model; None where the maker states none."""
         return {"hottest_degc": None, "least_v": None, "most_v": None}
 
     def strain(self, _effort: float) -> float:
-        """Share of the maximum current drawn at an effort; 0 where it is unknown."""
+        """Return the share of the maximum current drawn at an effort; 0 where it is unknown."""
         return 0.0
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""What the servos of a bus can do, and what a stop can do on it: the one place that states it."""
+"""What the servos of a bus can do, and the effect of a stop on it; stated in this module only."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -12,25 +12,24 @@ LIMP: Final = "limp"
 class BusCapabilities:
     """What the servos of one kind of bus can do; callers test this, not the kind.
 
-    What a bus cannot know it reports as NaN (places, load, heat, voltage), and nothing that follows
-    from it is claimed for it.
+    What a bus cannot know it reports as NaN (positions, load, heat, voltage), and nothing that
+    follows from it is claimed for it.
 
     Attributes
     ----------
-    place : servos report where they stand.
-    load, heat, voltage : they report how hard they pull, how warm they are, what supply they have.
-    watchdog : they stop by themselves when they hear nothing.
-    confirmed_limp : they report themselves that torque is off.
-    hold : they stay where they are while nothing is sent.
-    profile : they bound their own speed.
-    soft_start_s : they are slow for so long after torque came on.
-    stagger_s : one after another gets its torque, so long after the one before.
+    place : servos report their position.
+    load, heat, voltage : servos report their load, temperature and supply voltage.
+    watchdog : servos stop by themselves when no packet arrives.
+    confirmed_limp : servos report themselves that torque is off.
+    hold : servos stay at their position while nothing is sent.
+    profile : servos limit their own speed.
+    soft_start_s : seconds of low speed after torque came on.
+    stagger_s : seconds from one servo's torque to the next one's.
     in_memory : there are no servos: nothing is worn, warmed or left stiff, and there is no port.
-    memory : they keep settings of their own, by which one that was exchanged is known.
+    memory : servos store settings, by which an exchanged servo is recognised.
     set_up : `setup-servos` can write these settings.
-    pulse_rate_hz : of hobby servos, which take a new goal no more often; None: goals are packets.
-    released_words : what is true of a servo that was let go.
-
+    pulse_rate_hz : of hobby servos, which accept new goals no more often; None: goals are packets.
+    released_words : how a servo is described whose torque was switched off.
     """
 
     place: bool = False
@@ -50,11 +49,11 @@ class BusCapabilities:
     released_words: str = LIMP
 
     def of(self, _index: int) -> "BusCapabilities":
-        """What one servo of the face can do; on one bus all can do the same."""
+        """Return what one servo of the face can do: on one bus, the capabilities of all."""
         return self
 
     def start_s(self, n_servos: int) -> float:
-        """From the first torque until all servos of a face move as fast as they may."""
+        """Return the seconds from the first torque until all servos may move at full speed."""
         if self.in_memory:
             return 0.0
         return self.soft_start_s + self.stagger_s * (n_servos - 1)
@@ -64,9 +63,10 @@ class BusCapabilities:
         return {each.name: getattr(self, each.name) for each in fields(BusCapabilities)}
 
     def warnings(self) -> list[str]:
-        """What a person who starts a face must know before: a line for each way to stop it.
+        """Return what a person must know before starting a face: a line for each kind of stop.
 
-        None for a stop that is confirmed, for servos that stop by themselves, and for none at all.
+        Only the line about a dead computer where torque off is confirmed; empty for servos in
+        memory, and where servos also have a watchdog.
         """
         if self.in_memory or (self.confirmed_limp and self.watchdog):
             return []
@@ -74,7 +74,7 @@ class BusCapabilities:
         return lines[-1:] if self.confirmed_limp else lines
 
     def stop_table(self) -> Mapping[str, str]:
-        """What each way to stop does to the servos, by the name of the way; docs/hardware.md."""
+        """Return the effect of each kind of stop on the servos, by its name; docs/hardware.md."""
         let_go = f"{self.released_words}, " + (
             "confirmed by each servo" if self.confirmed_limp else "which no servo confirms"
         )
@@ -102,7 +102,7 @@ ONE_LOST: Final = (
 
 @dataclass(frozen=True, slots=True)
 class MixedCapabilities(BusCapabilities):
-    """Of a face with several buses: what all of its servos can do, and `of` what one of them can.
+    """Capabilities of a face with several buses: what all servos can do; `of` has one servo's.
 
     buses: by name. bus_of: the name of each servo's bus.
     """
@@ -111,20 +111,23 @@ class MixedCapabilities(BusCapabilities):
     bus_of: tuple[str, ...] = ()
 
     def of(self, index: int) -> BusCapabilities:
-        """Return the capabilities of one servo."""
+        """Return the capabilities of the bus of one servo, by the servo's index."""
         return self.buses[self.bus_of[index]]
 
     def start_s(self, _n_servos: int) -> float:
-        """The start time of the slowest bus, in s."""
+        """Return the longest start time of any bus, in s."""
         return max(can.start_s(self.bus_of.count(name)) for name, can in self.buses.items())
 
     def as_dict(self) -> dict[str, object]:
-        """For JSON: what all can do, and what each bus can."""
+        """Return for JSON what all servos can do, what each bus can do, and each servo's bus."""
         buses = {name: can.as_dict() for name, can in self.buses.items()}
         return {**BusCapabilities.as_dict(self), "buses": buses, "bus_of": list(self.bus_of)}
 
     def warnings(self) -> list[str]:
-        """Those of each bus; and what happens when one is lost."""
+        """Return the warnings of each bus, then one about the loss of a single bus.
+
+        Without the latter where the servos exist in memory only.
+        """
         lines = [f"{name}: {line}" for name, can in self.buses.items() for line in can.warnings()]
         return lines if self.in_memory else [*lines, ONE_LOST]
 
@@ -132,7 +135,7 @@ class MixedCapabilities(BusCapabilities):
 def mixed_capabilities(
     buses: Mapping[str, BusCapabilities], bus_of: Sequence[str]
 ) -> MixedCapabilities:
-    """Of a face with these buses, by name. bus_of: the name of each servo's bus."""
+    """Return the capabilities of a face with these buses. bus_of: the name of each servo's bus."""
     cans = list(buses.values())
     common = {
         each.name: all(getattr(can, each.name) for can in cans)

@@ -1,4 +1,4 @@
-"""Time as an argument, and the grid that every loop runs on."""
+"""Time as an argument, and the grid of ticks that every loop runs on."""
 
 import math
 import time
@@ -7,23 +7,23 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """Seconds that never run backwards, from an arbitrary zero."""
+    """A source of seconds that never run backwards, from an arbitrary zero."""
 
     def now(self) -> float:
-        """Seconds since this clock's zero."""
+        """Return the seconds since this clock's zero."""
 
     def sleep_until(self, time_s: float) -> None:
-        """Return at `time_s` or later, never earlier; at once when that has passed."""
+        """Return at `time_s` or later, never earlier; at once when that time has passed."""
 
 
 class MonotonicClock:
-    """The computer's monotonic clock, which setting the date does not move."""
+    """The computer's monotonic clock, which setting the date does not change."""
 
     #: Seconds; the function itself, since a tick looks a dozen times.
     now = staticmethod(time.monotonic)
 
     def sleep_until(self, time_s: float) -> None:
-        """Sleep the thread; a sleep that ends early is taken up again."""
+        """Sleep the thread until `time_s`; a sleep that ends early is resumed."""
         while (remaining_s := time_s - time.monotonic()) > 0.0:
             time.sleep(remaining_s)
 
@@ -35,15 +35,15 @@ class ManualClock:
         self._now_s = start_s
 
     def now(self) -> float:
-        """Where the clock was left."""
+        """Return the time to which the clock was set last, in s."""
         return self._now_s
 
     def sleep_until(self, time_s: float) -> None:
-        """Jump to `time_s`; stay when that has passed."""
+        """Set the clock to `time_s`; leave it unchanged when that time has passed."""
         self._now_s = max(self._now_s, time_s)
 
     def advance(self, seconds: float) -> None:
-        """Let time pass, as a stall does. Raises ValueError when `seconds` is negative."""
+        """Set the clock on by `seconds`. Raises ValueError when `seconds` is negative."""
         if seconds < 0.0:
             raise ValueError(f"time does not run backwards: {seconds} s")
         self._now_s += seconds
@@ -52,9 +52,9 @@ class ManualClock:
 def ticks(clock: Clock, rate_hz: float) -> Iterator[tuple[float, int]]:
     """Yield (tick time, ticks missed just before it) on a fixed grid, for ever.
 
-    The grid starts at the first call for a tick; tick n is at start + n / rate_hz (> 0).
-    After a stall comes the newest tick that is due, once, and the missed ones are counted: servos
-    want one fresh goal, not a burst of old ones.
+    The grid starts at the first call for a tick; tick n is at start + n / rate_hz (> 0). After a
+    stall the newest tick that is due is yielded, once, and the missed ones are counted: servos want
+    one fresh goal, not a burst of old ones.
     """
     start_s = clock.now()
     due = 0
@@ -68,10 +68,10 @@ def ticks(clock: Clock, rate_hz: float) -> Iterator[tuple[float, int]]:
 
 
 def _newest_due(now_s: float, start_s: float, rate_hz: float) -> int:
-    """Find the number of the last tick at or before `now_s`.
+    """Return the number of the last tick at or before `now_s`.
 
-    Compared with the very times that `ticks` yields: the quotient alone rounds to the wrong side of
-    a grid point once the clock shows days, and the same tick would come twice.
+    It is compared with the very times that `ticks` yields: the quotient alone rounds to the wrong
+    side of a grid point once the clock shows days, and one tick would be yielded twice.
     """
     guess = math.floor((now_s - start_s) * rate_hz) + 1
     while start_s + guess / rate_hz > now_s:

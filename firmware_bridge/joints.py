@@ -1,4 +1,4 @@
-"""What the bridge knows of each joint: its name, its servo, and how far and fast it may go."""
+"""What the bridge knows of each joint: its name, its servo, and how far and fast it may move."""
 
 import math
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ LONGEST_FOUND_US: Final = 2500.0
 class JointPulse:
     """The pulse of a hobby servo: neutral_us + us_per_deg x joint degrees, in min_us..max_us.
 
-    A person who looks for these limits may go beyond them, to `reach_us`.
+    A person who searches these limits may go beyond them, to `reach_us`.
     """
 
     neutral_us: float
@@ -27,21 +27,21 @@ class JointPulse:
     max_us: float
 
     def us(self, joint_deg: float) -> float:
-        """Return the pulse of a joint angle, in us."""
+        """Return the pulse for a joint angle, in us."""
         return self.neutral_us + self.us_per_deg * joint_deg
 
     def deg(self, pulse_us: float) -> float:
-        """The joint angle of a pulse."""
+        """Return the joint angle for a pulse in us, in degrees."""
         return (pulse_us - self.neutral_us) / self.us_per_deg
 
     @property
     def reach_us(self) -> tuple[float, float]:
-        """The farthest pulses that a person may find limits with."""
+        """The shortest and the longest pulse, us, that a person may use while searching limits."""
         return min(self.min_us, SHORTEST_FOUND_US), max(self.max_us, LONGEST_FOUND_US)
 
     @property
     def reach_deg(self) -> tuple[float, float]:
-        """The reachable joint angles, degrees, the smaller first."""
+        """The joint angles, degrees, of the pulses in `reach_us`, the smaller first."""
         low, high = sorted(self.deg(each) for each in self.reach_us)
         return low, high
 
@@ -52,9 +52,8 @@ class Joint:
 
     servo_id: by which its bus finds the servo, under the name `address_key` in the YAML.
     max_acceleration_deg_s2: infinite = not limited. critical: without it the whole face stops.
-    pulse: of a hobby servo; None: it is none.
-    Raises ValueError unless min_deg <= 0 <= max_deg, max_speed_deg_s > 0, all finite, and
-    max_acceleration_deg_s2 > 0.
+    pulse: of a hobby servo; None for any other servo. Raises ValueError unless min_deg <= 0 <=
+    max_deg, max_speed_deg_s > 0, all finite, and max_acceleration_deg_s2 > 0.
     """
 
     name: str
@@ -85,5 +84,5 @@ class Joint:
 
 
 def named(joint: Joint) -> str:
-    """How a joint's servo is called in a message."""
+    """Return how messages refer to a joint's servo, as in `servo 'jaw' (id 1)`."""
     return f"servo {joint.name!r} ({joint.address_key} {joint.servo_id})"

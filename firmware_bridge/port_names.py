@@ -1,4 +1,4 @@
-"""The ports of a face as one text: `/dev/ttyUSB0`, or of several buses `neck=...,lips=...`."""
+"""The ports of a face as one text: `/dev/ttyUSB0`, or for several buses `neck=...,lips=...`."""
 
 import re
 from collections.abc import Mapping
@@ -10,12 +10,12 @@ _NAMED: Final = re.compile(r"([a-z][a-z0-9_]*)=(.+)", re.DOTALL)
 
 
 def ports_text(ports: Mapping[str, str]) -> str | None:
-    """Ports by the names of their buses, as one text; None where there are none."""
+    """Return ports, by bus name, as the text `name=port,...`; None: there are no ports."""
     return ",".join(f"{name}={port}" for name, port in ports.items()) or None
 
 
 def named_ports(text: str) -> dict[str, str] | None:
-    """Parse `name=port,...`, as `ports_text` writes it; None: it is one port, without a name."""
+    """Parse the text `name=port,...` into ports by bus name; None: the text is one unnamed port."""
     found = [_NAMED.fullmatch(each) for each in text.split(",")]
     if not all(found):
         return None

@@ -1,8 +1,8 @@
-"""Hobby servos behind a controller that makes their pulses: a bus that starts without a place.
+"""The bus of hobby servos at a controller that makes their pulses: it starts without positions.
 
 A channel without pulses jumps, at the servo's full speed, to wherever its first pulse sends it. So
-servos come on one after another, each with the pulse that it had last (as the controller says, else
-as the file of the face has it), and go slowly from there until they have caught up.
+servos come on one after another, each with the pulse that it had last (from the controller, else
+from the face's file), and move slowly from there until they have caught up.
 """
 
 import contextlib
@@ -49,7 +49,7 @@ _KEEP_EVERY_S: Final = 1.0
 
 
 def usb_product(port: str, sysfs: Path = Path("/sys")) -> str:
-    """Vendor and product of the USB device behind a port, as in 1ffb:0089; empty: none."""
+    """Return vendor and product of the USB device behind a port, as 1ffb:0089; empty: no such."""
     device = (sysfs / "class/tty" / Path(port).resolve().name / "device").resolve()
     for folder in (device, *device.parents):
         with contextlib.suppress(OSError):
@@ -59,13 +59,13 @@ def usb_product(port: str, sysfs: Path = Path("/sys")) -> str:
 
 
 class PulseController(Protocol):
-    """What makes the pulses. Methods raise PortError."""
+    """The device that makes the pulses of a face's hobby servos. Methods raise PortError."""
 
     def open(self) -> None:
-        """Open the way to it, again after it was lost; sends no pulse."""
+        """Open the connection, also again after it was lost; sends no pulse."""
 
     def close(self) -> None:
-        """Close the controller; pulses go on as they are."""
+        """Close the connection; pulses continue as they are."""
 
     def send(self, pulses_us: Array) -> bool:
         """Send the pulse of each servo in one write.
@@ -78,25 +78,25 @@ class PulseController(Protocol):
         Returns
         -------
         bool
-            False: it has lost all since the last write, as after a break of its supply, and no
-            pulse is made.
+            False: the controller lost its state since the last write, as by a failure of its
+            supply, and makes no pulse.
         """
 
     def sending(self, index: int) -> float:
-        """The pulse that goes to one servo just now, in us, 0: none; NaN: it does not answer."""
+        """Return the pulse that goes to one servo now, in us; 0: none, NaN: no answer."""
 
     def remarks(self) -> Sequence[str]:
-        """What is unusual, in sentences for a log."""
+        """Return remarks on unusual conditions, in sentences for a log."""
 
 
 class KeptPulses:
-    """The pulses that a face sent last, in a file, by channel; written by a thread.
+    """The file of the pulses that a face sent last, by channel; written by a thread.
 
-    A face whose servos have never had a pulse from us has none: who knows where they stand?
+    It is empty for a face that has never sent a pulse: its servos' positions are unknown.
     """
 
     def __init__(self, path: Path | None) -> None:
-        """path: None: nothing outlives this process."""
+        """path: of the file; None: no pulses are kept."""
         self._path = path
         self._coming: dict[str, float] = {}
         self._written: dict[str, float] = {}
@@ -104,7 +104,7 @@ class KeptPulses:
         self._thread: threading.Thread | None = None
 
     def read(self) -> Mapping[int, float]:
-        """By channel, in us; nothing where the file is absent or says nothing that can be used."""
+        """Return the pulses in us by channel; {} where the file is absent or unusable."""
         try:
             kept = json.loads(self._path.read_text()) if self._path else {}
             return {int(key): float(value) for key, value in kept["pulses_us"].items()}
@@ -112,16 +112,16 @@ class KeptPulses:
             return {}
 
     def allow_neutral(self, servos: Sequence[PulseServo]) -> None:
-        """A person allows servos that have had no pulse yet to jump to neutral."""
+        """Write neutral for servos that had no pulse yet: a person allows them to jump there."""
         self.write({each.address: each.neutral_us for each in servos} | dict(self.read()))
 
     def follow(self, channels: Sequence[int], sent_us: Array) -> None:
-        """Write `sent_us` to a file whenever it changes, until `close`.
+        """Start a thread that writes `sent_us` to the file about once a second, until `close`.
 
         Parameters
         ----------
         channels : Sequence[int]
-            One a servo.
+            The channel of each servo.
         sent_us : Array
             (n_servos,) us, changed in place by its owner.
         """
@@ -139,7 +139,7 @@ class KeptPulses:
         self._thread.start()
 
     def write(self, pulses_us: Mapping[int, float]) -> None:
-        """Whole or not at all; a disk that is full or gone loses it."""
+        """Write pulses in us by channel, completely or not at all; ignore errors of the disk."""
         known = {str(key): round(value, 2) for key, value in pulses_us.items() if value > 0.0}
         if self._path is None or known in ({}, self._written):
             return
@@ -153,7 +153,7 @@ class KeptPulses:
             coming.unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Write the last, and wait for it a second at most."""
+        """Have the thread write a last time, and wait for it, 1 s at most."""
         if self._thread is not None:
             self._is_over.set()
             self._thread.join(_KEEP_EVERY_S)
@@ -161,7 +161,7 @@ class KeptPulses:
 
 
 class PulseBus:
-    """Every hobby servo of one face; see `ServoBus`."""
+    """All hobby servos of one face behind one controller, as a `ServoBus`."""
 
     def __init__(
         self,
@@ -173,9 +173,9 @@ class PulseBus:
         *,
         may_jump: bool = False,
     ) -> None:
-        """kept: the pulses of before.
+        """kept: the pulses sent last by earlier processes; None: none.
 
-        may_jump: a servo of unknown position starts at neutral, without a question.
+        may_jump: whether a servo of unknown position may start at neutral without permission.
         """
         n = len(servos)
         self.capabilities = capabilities
@@ -211,7 +211,7 @@ class PulseBus:
         self._is_open = self._has_sent = self._is_steady = False
 
     def write_positions(self, positions_deg: Array) -> None:
-        """Give every servo its next goal; those whose turn has come get it as a pulse now.
+        """Set every servo's goal, and send pulses to the servos that have been started.
 
         Parameters
         ----------
@@ -241,7 +241,7 @@ class PulseBus:
         self._send()
 
     def widen(self, joints: NDArray[np.bool_]) -> None:
-        """Let these servos go beyond min_us..max_us, to 500 and 2500 us.
+        """Accept goals of the servos that are True beyond min_us..max_us, as far as `reach_us`.
 
         Parameters
         ----------
@@ -253,7 +253,7 @@ class PulseBus:
         self._high_us = np.where(joints, high_us, self._scale.max_us)
 
     def read(self) -> Readings:
-        """The goals that were sent; pulse servos report nothing."""
+        """Return the goals that were sent; positions are NaN, since hobby servos report none."""
         self._check_open()
         return Readings(
             time_s=self._clock.now(),
@@ -265,7 +265,7 @@ class PulseBus:
         )
 
     def feedback(self) -> Feedback:
-        """Return unknown places, and which servos' turn has come."""
+        """Return unknown positions, and which servos have started, with the goals sent to them."""
         self._check_open()
         now_s = self._clock.now()
         ready = sent_deg = None
@@ -277,11 +277,14 @@ class PulseBus:
         return Feedback(now_s, unknown, unknown, self._errors, self._nothing, ready, sent_deg)
 
     def remarks(self) -> Sequence[str]:
-        """Remarks of the controller."""
+        """Return the controller's remarks for a log."""
         return self._controller.remarks()
 
     def look_after(self) -> Health:
-        """Ask the controller now and then what it sends: it may have lost all, as at power-up."""
+        """Query the controller, every .2 s, for a channel's pulse, in case it lost its state.
+
+        Return the health, in which only torque and the controller's silence are known.
+        """
         self._check_open()
         now_s = self._clock.now()
         if now_s >= self._look_s:
@@ -295,7 +298,10 @@ class PulseBus:
         )
 
     def obstacle(self, index: int) -> str:
-        """Why torque may not go on: its position is unknown, or its channel does not obey."""
+        """Return why a servo may not start; empty: it may.
+
+        Reasons are an unknown position, and a channel that does not obey.
+        """
         self._check_open()
         if not self._may_jump and np.isnan(self._last_us[index]):
             return (
@@ -305,7 +311,7 @@ class PulseBus:
         return self._wrong[index]
 
     def enable_torque(self, index: int) -> str:
-        """Start a servo's pulses where they ended, when its turn comes."""
+        """Start a servo's pulses with its last one, in its turn; return "", or why it may not."""
         if why := self.obstacle(index):
             return why
         if self._held[index]:
@@ -326,7 +332,7 @@ class PulseBus:
         return ""
 
     def keep_torque(self, index: int) -> bool:
-        """Go on with the pulses of a servo that still gets them."""
+        """Continue a servo's pulses if the controller still sends them; return whether it does."""
         self._check_open()
         sending_us = self._controller.sending(index)
         if not sending_us > 0.0:
@@ -336,21 +342,21 @@ class PulseBus:
         return not self.enable_torque(index)
 
     def disable_torque(self, index: int) -> bool:
-        """Stop the pulses of one servo, as the controller says.
+        """Stop the pulses of one servo; return whether the controller confirms that it sends none.
 
-        What the servo then does is unknown.
+        Whether the servo is limp then is unknown.
         """
         self._check_open()
         self._release(np.arange(len(self._held)) == index)
         return self._controller.sending(index) == 0.0
 
     def disable_all(self) -> NDArray[np.bool_]:
-        """Stop the pulses of all; a controller that hangs is not called again for each servo.
+        """Stop the pulses of all servos; stop reading back once the controller does not answer.
 
         Returns
         -------
         NDArray[np.bool_]
-            (n_servos,): which channels are off.
+            (n_servos,): True where the controller confirmed that it sends no pulse.
         """
         self._check_open()
         self._release(np.ones_like(self._held))
@@ -363,11 +369,11 @@ class PulseBus:
         return off
 
     def reboot(self, index: int) -> None:
-        """Do nothing: a hobby servo without pulses cannot be restarted."""
+        """Stop the servo's pulses: a hobby servo cannot be restarted."""
         self.disable_torque(index)
 
     def reopen(self) -> None:
-        """Open the way to the controller again; what it sends meanwhile goes on."""
+        """Open the connection to the controller again; its pulses continue meanwhile."""
         self._check_open()
         self._open()
 
@@ -412,7 +418,7 @@ class PulseBus:
         self._send()
 
     def _send(self) -> None:
-        """The pulse of each servo whose turn has come; the others get none."""
+        """Send started servos their pulses, slowly until they have caught up, and the others 0."""
         now_s = self._clock.now()
         if self._is_steady:
             self._sent_s = now_s
@@ -440,13 +446,13 @@ class PulseBus:
         self._is_steady = all_set(on) and not any_set(self._slow)
 
     def _lose_all(self) -> None:
-        """No servo has pulses any more; each starts anew where it was sent last."""
+        """Mark all servos off: the controller lost its state; each restarts at its last pulse."""
         self._held[:] = self._slow[:] = self._fresh[:] = self._is_steady = False
         self._on_s[:] = np.inf
         self._goal_us = np.where(np.isnan(self._last_us), self._goal_us, self._last_us)
 
     def _look(self, now_s: float) -> None:
-        """At the servo that came on last, else at the next in turn."""
+        """Query the pulse of a newly started servo, else of the next; if wrong, mark it off."""
         on = self._held & (self._on_s <= now_s)
         fresh = np.flatnonzero(self._fresh & on)
         self._next = int(fresh[0]) if len(fresh) else (self._next + 1) % len(on)

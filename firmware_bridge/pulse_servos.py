@@ -1,4 +1,4 @@
-"""Hobby servos: settings of one, and between degrees and pulse widths.
+"""Settings of hobby servos, and conversion between joint degrees and pulse widths.
 
 Shared by every bus that sends pulses: `firmware_bridge.pulse_bus` drives them.
 """
@@ -30,7 +30,7 @@ def _check_us_per_deg(value: float) -> float:
 
 
 class _Channel(Strict):
-    """What comes first in the entry of a servo."""
+    """The field `channel`, in a class of its own so that it is first in a servo's entry."""
 
     channel: Annotated[int, within(0, 255)]
 
@@ -50,7 +50,7 @@ class PulseServo(BusServo, _Channel):
 
     @property
     def pulse(self) -> JointPulse:
-        """The pulse of its joint."""
+        """Neutral pulse, us per degree and pulse range of the servo's joint."""
         return JointPulse(self.neutral_us, self.us_per_deg, self.min_us, self.max_us)
 
     @model_validator(mode="after")
@@ -71,7 +71,7 @@ class PulseServo(BusServo, _Channel):
 
 
 class PulseScale:
-    """Degrees of the joints of a face to pulse widths and back; arrays are (n_servos,)."""
+    """Conversion between the joint angles of a face and pulse widths; arrays are (n_servos,)."""
 
     def __init__(self, servos: Sequence[PulseServo]) -> None:
         self.us_per_deg: Array = np.array([each.us_per_deg for each in servos])

@@ -1,9 +1,9 @@
-"""Several buses of one face as one: a thread for each, so that one that stalls delays no other.
+"""Several buses of one face as one, with a thread for each, so that a slow bus delays no other.
 
-A tick hands every bus its newest goals and takes the newest that each has to report; it waits for
-none longer than a part of its period, and for one that is behind not at all. A thread speaks to its
-bus only when it was handed something: when the loop stands still, so does everything that the
-servos hear, and their watchdogs trip as with one bus.
+A tick hands every bus its newest goals and takes the newest reports of each; it waits for none
+longer than a part of its period, and for one that is behind not at all. A thread uses its bus only
+when it was handed a job: when the loop stops, the servos receive nothing, and their watchdogs trip
+as with one bus.
 """
 
 import threading
@@ -50,15 +50,15 @@ _FIRST: Final = (_LEAVE, _OFF)
 
 
 class BusThread:
-    """One bus, spoken to by its own thread alone. Of jobs of the same name the newest counts.
+    """One bus, used by its own thread alone. Of jobs with one key the newest counts.
 
-    at: where its servos are among those of the face. lost: why its port is gone, None: it is not.
-    is_behind: it was waited for in vain, and has not caught up since.
-    feedback, health: what came last, and when.
+    at: the indices of its servos in the face. lost: why its port is gone, None: it is not.
+    is_behind: a wait for it was in vain, and it has not caught up since.
+    feedback, health: the last report, and its time.
     """
 
     def __init__(self, name: str, bus: ServoBus, at: NDArray[np.intp], clock: Clock) -> None:
-        """bus: open, and used by this thread alone from now on."""
+        """bus: an open bus, used by this thread alone from now on."""
         self.name, self.bus, self.at, self._clock = name, bus, at, clock
         self.lost: PortError | None = None
         self.is_behind = False
@@ -75,13 +75,16 @@ class BusThread:
         self._thread.start()
 
     def hand(self, key: _Key, job: Callable[[], Any]) -> None:
-        """Have a job done, in place of one of this name that has not begun."""
+        """Queue a job for the thread, in place of one with its key that has not begun."""
         with self._changed:
             self._answers.pop(key, None)
             self._put(key, job)
 
     def wait(self, key: _Key, wait_s: float) -> bool:
-        """Whether a job has been done. Raises what the bus raised that is no matter of its port."""
+        """Wait up to `wait_s` for a job; return whether it is done. Raises errors of the bus.
+
+        A PortError is not raised, but stored in `lost`.
+        """
         with self._changed:
             self._changed.wait_for(lambda: self._is_settled(key), wait_s)
             if self._error is not None:
@@ -90,10 +93,11 @@ class BusThread:
             return key in self._answers
 
     def ask(self, key: _Key, job: Callable[[], Any], wait_s: float, *, holds: bool = False) -> Any:
-        """The answer to a job, None while there is none: it goes on; ask again.
+        """Do a job and return its answer; None: not done yet, it goes on: call again.
 
-        Other answers about the same servo that were not taken up are forgotten. holds: the servo
-        may hold afterwards; what has not begun in time is not done later, when it may be forbidden.
+        Other answers about the job's servo that were not fetched are forgotten. holds: the servo
+        may hold torque afterwards, so that a job that has not begun in time is dropped: later it
+        may be forbidden. Raises PortError when the port is gone.
         """
         with self._changed:
             if key not in self._answers and key != self._running and key not in self._jobs:
@@ -113,16 +117,16 @@ class BusThread:
 
     @property
     def has_hung(self) -> bool:
-        """Whether one job has taken so long that it may never end."""
+        """Whether the present job has taken so long that it may never end."""
         return self._running is not None and self._clock.now() - self._since_s > _HUNG_S
 
     def take(self, key: _Key) -> Any:
-        """The answer to a job that is done, once; None: there is none."""
+        """Return and remove the answer to a finished job; None: there is none."""
         with self._changed:
             return self._answers.pop(key, None)
 
     def let_go(self) -> None:
-        """Switch torque off next; drop all work handed over before."""
+        """Drop all jobs handed over before, and switch torque off as the next one."""
         with self._changed:
             self._jobs.clear()
             self._answers.clear()
@@ -130,21 +134,21 @@ class BusThread:
             self._put(_OFF, self.bus.disable_all)
 
     def was_let_go(self, index: int) -> bool:
-        """Whether one of its servos was, the last time that all were to be."""
+        """Return whether the last torque off for the whole bus included the servo at `index`."""
         with self._changed:
             let_go = self._answers.get(_OFF)
             return let_go is not None and bool(let_go[index])
 
     def hear(self) -> None:
-        """Read where its servos stand, in its thread."""
+        """Store the bus's feedback and its time; run in the thread."""
         self.feedback = self.bus.feedback(), self._clock.now()
 
     def look(self) -> None:
-        """Read the condition of one of its servos, in its thread."""
+        """Store the bus's health report and its time; run in the thread."""
         self.health = self.bus.look_after(), self._clock.now()
 
     def lose(self, error: PortError) -> None:
-        """Its port is gone: what was handed over is not done any more."""
+        """Mark the port as gone because of `error`, and drop all jobs and answers."""
         with self._changed:
             self.lost = PortGone(f"bus {self.name}: {error}")
             self._jobs.clear()
@@ -152,14 +156,14 @@ class BusThread:
             self._changed.notify_all()
 
     def leave(self) -> None:
-        """The last job: let go and close the port, whatever is the matter with it."""
+        """Queue the last job: torque off and close the port, even if the port counts as gone."""
         with self._changed:
             self.lost = None
             self._jobs.clear()
             self._put(_LEAVE, partial(self.bus.__exit__, None, None, None))
 
     def join(self, wait_s: float) -> None:
-        """Wait for the last job; a thread that hangs ends with the process."""
+        """Wait up to `wait_s` for the thread's end; a thread that hangs ends with the process."""
         self._thread.join(wait_s)
 
     def _put(self, key: _Key, job: Callable[[], Any]) -> None:
@@ -209,12 +213,12 @@ class BusThread:
 
 
 class SeveralBuses:
-    """See `ServoBus`: all servos of a face, on buses of any kind.
+    """All servos of a face on several buses of any kind, as one `ServoBus`.
 
-    Goals, places and health pass through in the tick. Orders to single servos (torque on, off,
-    restart) its bus does meanwhile; where that takes longer, the caller asks again, as it does for
-    a servo that did not answer. A port that is lost makes the methods of the tick raise PortGone;
-    `disable_all` reaches all others all the same.
+    Goals, positions and health pass through in the tick. Orders to single servos (torque on, off,
+    restart) are done by its bus meanwhile; where that takes longer, the caller must call again, as
+    for a servo that did not answer. A port that is lost makes the methods of the tick raise
+    PortGone; `disable_all` reaches all others nevertheless.
     """
 
     def __init__(
@@ -234,7 +238,7 @@ class SeveralBuses:
         self._remarks: list[str] = []
 
     def write_positions(self, positions_deg: Array) -> None:
-        """Hand every bus its goals; one that has not sent its last ones sends these instead.
+        """Hand every bus its goals; they replace earlier goals that a bus has not sent yet.
 
         Parameters
         ----------
@@ -255,7 +259,7 @@ class SeveralBuses:
             each.hand(_WRITE, partial(each.bus.write_positions, positions_deg[each.at]))
 
     def widen(self, joints: NDArray[np.bool_]) -> None:
-        """Have every bus take goals beyond the limits of those of its servos.
+        """Have every bus accept goals beyond the limits for those of its servos that are True.
 
         Parameters
         ----------
@@ -266,7 +270,7 @@ class SeveralBuses:
             each.hand(_WIDEN, partial(each.bus.widen, joints[each.at]))
 
     def read(self) -> Readings:
-        """Ask every bus; of one that does not answer nothing is known."""
+        """Return the readings of all buses; NaN for a bus that does not answer within .5 s."""
         self._check()
         n = self._n_servos
         found = Readings(
@@ -288,7 +292,7 @@ class SeveralBuses:
         return found
 
     def feedback(self) -> Feedback:
-        """Where every servo stands; of a bus that is behind, its last reading, and its age."""
+        """Return every servo's position; of a bus that is behind, its last one with its age."""
         n = self._n_servos
         self._ask_all(_FEEDBACK, BusThread.hear)
         now_s = self._clock.now()
@@ -312,7 +316,7 @@ class SeveralBuses:
         return found
 
     def look_after(self) -> Health:
-        """How one servo of each bus is; of a bus that is behind, how long it has been silent."""
+        """Return the health of all servos; each bus polls one. A bus behind counts as silent."""
         n = self._n_servos
         found = Health(
             silent_s=np.full(n, np.inf),
@@ -337,20 +341,23 @@ class SeveralBuses:
         return found
 
     def remarks(self) -> Sequence[str]:
-        """Return the remarks of every bus, and which was lost."""
+        """Return the remarks of every bus, and which bus was lost, for a log."""
         for name, bus in self._buses.items():
             for remark in bus.remarks():
                 self._remark(f"{name}: {remark}")
         return self._remarks
 
     def obstacle(self, index: int) -> str:
-        """Why one servo cannot hold its place; that its bus is busy, for one."""
+        """Return why one servo may not get torque, or that its bus is busy; empty: it may."""
         each, n = self._on(index)
         answer = each.ask(("obstacle", n), partial(each.bus.obstacle, n), self._wait_s)
         return _BUSY if answer is None else str(answer)
 
     def enable_torque(self, index: int) -> str:
-        """Let one servo hold; where that takes longer, it goes on meanwhile: ask again."""
+        """Switch one servo's torque on; return "", why it may not, or that its bus is busy.
+
+        While the bus is busy, the caller must call again.
+        """
         self._check()
         each, n = self._on(index)
         enable = partial(each.bus.enable_torque, n)
@@ -358,13 +365,13 @@ class SeveralBuses:
         return _BUSY if answer is None else str(answer)
 
     def keep_torque(self, index: int) -> bool:
-        """Let a servo that holds go on holding."""
+        """Keep a servo's torque on if it still is; return whether it is, False for a busy bus."""
         each, n = self._on(index)
         keep = partial(each.bus.keep_torque, n)
         return bool(each.ask(("keep", n), keep, self._wait_s, holds=True))
 
     def disable_torque(self, index: int) -> bool:
-        """Let one servo go limp; False until its bus has done it."""
+        """Switch one servo's torque off; return True once its bus has done it, until then False."""
         each, n = self._on(index)
         if each.was_let_go(n):
             return True
@@ -372,14 +379,14 @@ class SeveralBuses:
         return bool(each.ask(("disable", n), partial(each.bus.disable_torque, n), wait_s))
 
     def disable_all(self) -> NDArray[np.bool_]:
-        """Let every bus release its servos before it does anything else, all at the same time.
+        """Switch all torque off, on all buses at the same time, before any other job of theirs.
 
         Servos of a bus that has not done it yet are not counted; it does it as soon as it can.
 
         Returns
         -------
         NDArray[np.bool_]
-            (n_servos,): which servos confirmed.
+            (n_servos,): True for servos whose bus switched them off within .1 s.
         """
         there = [each for each in self._opened() if each.lost is None]
         for each in there:
@@ -395,12 +402,12 @@ class SeveralBuses:
         return let_go
 
     def reboot(self, index: int) -> None:
-        """Restart one servo: it comes back limp."""
+        """Have a servo's bus restart it, without waiting; it comes back limp."""
         each, n = self._on(index)
         each.hand(("reboot", n), partial(each.bus.reboot, n))
 
     def reopen(self) -> None:
-        """Open every port again that was lost. Raises PortError until all are open."""
+        """Open every lost port again. Raises PortError until all are open."""
         for each in self._opened():
             if each.lost is not None:
                 each.ask(_REOPEN, each.bus.reopen, _OPEN_S)
@@ -430,10 +437,7 @@ class SeveralBuses:
             each.join(max(0.0, until_s - time.monotonic()))
 
     def _ask_all(self, key: _Key, ask: Callable[[BusThread], None]) -> None:
-        """Run `ask` on all buses and wait for them together.
-
-        One that is behind is not waited for.
-        """
+        """Hand every bus the job `ask`, and wait for all together, but not for buses behind."""
         self._check()
         threads = self._threads.values()
         for each in threads:
@@ -446,7 +450,7 @@ class SeveralBuses:
         self._check()
 
     def _check(self) -> None:
-        """Raises PortGone where a bus is lost, or has hung for too long."""
+        """Raise PortGone where a bus is lost, or has hung for too long."""
         for each in self._opened():
             if each.lost is None and each.has_hung:
                 each.lose(PortError(f"has stood still for {_HUNG_S:g} s"))
@@ -460,7 +464,7 @@ class SeveralBuses:
         return tuple(self._threads.values())
 
     def _on(self, index: int) -> tuple[BusThread, int]:
-        """The bus of a servo, and which of its servos it is."""
+        """Return the thread of a servo's bus, and the servo's index on that bus."""
         self._opened()
         return self._threads[self._bus_of[index]], self._number[index]
 
@@ -470,7 +474,7 @@ class SeveralBuses:
 
 
 def _put(whole: Any, at: NDArray[np.intp], part: Any) -> None:
-    """Put one bus's values into the arrays of all servos."""
+    """Copy one bus's arrays into the arrays of all servos, at its servos' indices."""
     for each in fields(whole):
         values = getattr(part, each.name)
         if each.name != "time_s" and values is not None:

@@ -1,4 +1,4 @@
-"""The signals that ask a program to end, and what is done with them.
+"""The signals that end a program, and the handlers for them.
 
 Three needs, three handlers; all else a program does with these signals is built on one of them:
 
@@ -7,7 +7,7 @@ Three needs, three handlers; all else a program does with these signals is built
   notes the first and raises at the second.
 * A process that waits in `select` for others (the supervisor) or runs its own loop without servos
   (speech) must be woken and get their number: `SignalCounter`.
-* A command that waits for a person at the keyboard has no loop that could look. It must be broken
+* A command that waits for a person at the keyboard has no loop that could check. It must be broken
   off at once, unless a servo's register is just being written: `DeferredSignals`.
 """
 
@@ -32,7 +32,7 @@ PreviousHandlers = dict[signal.Signals, Any]
 
 
 def install_handler(handler: Handler, *, leave_ignored: bool = False) -> PreviousHandlers:
-    """Let `handler` take all stop signals from now on; in the main thread only.
+    """Install `handler` for all stop signals, in the main thread; return the handlers before it.
 
     leave_ignored: signals that the parent process ignores stay ignored, as with `nohup`.
     """
@@ -50,7 +50,7 @@ def restore_handlers(previous: PreviousHandlers) -> None:
 
 
 class SignalCounter:
-    """Counts the signals that ask for an end. Use it as a context manager, in the main thread.
+    """A counter of the signals that end a program. A context manager, for the main thread.
 
     A handler that only counts cannot leave anything half done, wherever it strikes.
     """
@@ -63,11 +63,11 @@ class SignalCounter:
         self._woken.setblocking(False)
 
     def fileno(self) -> int:
-        """Readable once a signal has come."""
+        """Return a descriptor that is readable once a signal has come."""
         return self._woken.fileno()
 
     def forget_wake_up(self) -> None:
-        """Be readable only at the next signal."""
+        """Read the descriptor empty, so that it is readable only at the next signal."""
         with contextlib.suppress(OSError):
             while self._woken.recv(64):
                 pass
@@ -89,7 +89,7 @@ class SignalCounter:
 
 
 class StopRequested(Exception):  # noqa: N818 - a wish of a person, not an error
-    """A signal to end the program. number: of the signal."""
+    """A signal to end the program was received. number: of the signal."""
 
     def __init__(self, number: int) -> None:
         super().__init__(signal.Signals(number).name)
@@ -97,9 +97,9 @@ class StopRequested(Exception):  # noqa: N818 - a wish of a person, not an error
 
 
 class DeferredSignals:
-    """Raises StopRequested at once, or after what must not be left half done.
+    """Raises StopRequested at a stop signal, at once or after a block that must be finished.
 
-    Use it as a context manager, in the main thread; afterwards the signals do what they did before.
+    Use it as a context manager, in the main thread; afterwards the previous handlers are restored.
     """
 
     def __init__(self) -> None:
@@ -108,7 +108,7 @@ class DeferredSignals:
 
     @contextlib.contextmanager
     def finish_first(self) -> Iterator[None]:
-        """What happens inside is finished; only then StopRequested is raised."""
+        """Defer signals while inside: StopRequested is raised only at the end of the block."""
         self._is_deferred = True
         try:
             yield

@@ -1,4 +1,4 @@
-"""How a person stops, starts and jogs a face; what its servos reported at the end; exit status."""
+"""Stop levels, orders to a running face, the report of a stop, and the exit status."""
 
 import logging
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ START_WHILE_STOPPING: Final = "the face is stopping: start it once its servos ar
 
 
 class StopLevel(StrEnum):
-    """How a face comes to its end."""
+    """The level of a stop: ease to neutral and then limp, hold the position, or limp at once."""
 
     SOFT = "soft"  # ease to neutral, then let go
     FREEZE = "freeze"  # stay, held, until another level is asked for
@@ -24,7 +24,7 @@ class StopLevel(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class StopRequest:
-    """A stop that was requested.
+    """A stop that was requested, with its level.
 
     requested_by: a process and its user, for a log. ends: the process ends with the stop; otherwise
     a daemon waits, limp, for a start.
@@ -36,7 +36,7 @@ class StopRequest:
 
 
 class ExitStatus(IntEnum):
-    """How a process that drove servos ends; 1 and 2 are left to errors and wrong usage."""
+    """The exit status of a process that drove servos; 1 and 2 are left to errors and bad usage."""
 
     ENDED_WELL = 0
     #: It ended as asked, but not every servo confirmed to be limp.
@@ -49,13 +49,13 @@ class ExitStatus(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class StopReport:
-    """What the servos themselves reported at the end; nothing is claimed for the others.
+    """The torque states that the servos themselves reported at a stop.
 
     confirmed: servos, by name, that were read with torque off. unconfirmed: why not, by name.
-    released: those that were let go on a bus whose servos cannot confirm it; released_words: what
-    is true of them then.
+    released: servos that were sent torque off on a bus where they cannot confirm it;
+    released_words: their state then, in words.
     at_rest: whether the face had come to neutral before; None: not known, since the process that
-    switched torque off had not moved it. dry_run: nothing was ever switched on. confirms: whether
+    switched torque off had not moved it. dry_run: no torque was ever switched on. confirms: whether
     there are servos that can confirm it.
     """
 
@@ -69,16 +69,16 @@ class StopReport:
 
     @property
     def complete(self) -> bool:
-        """Whether every servo confirmed that can; the others were let go."""
+        """Whether every servo that can confirm torque off did; the others were sent it."""
         return not self.unconfirmed
 
     @property
     def log_level(self) -> int:
-        """How serious the report is, as `logging` counts: a warning unless it is complete."""
+        """The level for `logging`: INFO if all servos that can confirm did, else WARNING."""
         return logging.INFO if self.complete else logging.WARNING
 
     def text(self) -> str:
-        """For a person: one line, or one more for each servo that did not confirm."""
+        """Return the report for a person: one line, and one for each servo that did not confirm."""
         if self.dry_run:
             return "dry run over; no torque was switched on"
         if self.released and self.complete:
@@ -99,7 +99,7 @@ class StopReport:
         return "\n".join(lines)
 
     def line(self) -> str:
-        """For a log: who confirmed torque off, which need not be the end of the face."""
+        """Return one line for a log on which servos confirmed torque off; the face need not end."""
         n = len(self.confirmed)
         if self.released and self.complete:
             n_released = len(self.released)
@@ -113,9 +113,9 @@ class StopReport:
         return f"torque off confirmed by {n} servos, NOT by {left}"
 
     def as_dict(self) -> dict[str, object]:
-        """For JSON, and for the client that requested the stop.
+        """Return the report for JSON and for the client that requested the stop.
 
-        `released` only where there are such.
+        `released` is contained only where servos cannot confirm.
         """
         released = {"released": list(self.released), "released_words": self.released_words}
         return {
@@ -136,7 +136,7 @@ def let_go_report(
     dry_run: bool = False,
     confirms: bool = True,
 ) -> StopReport:
-    """Return the report of servos that were let go: by name, what each of them can do."""
+    """Return the report of a stop: `let_go` has the capabilities of each limp servo, by name."""
     confirmed = tuple(name for name, can in let_go.items() if can.confirmed_limp)
     released = {name: can.released_words for name, can in let_go.items() if name not in confirmed}
     words = "; ".join(dict.fromkeys(released.values()))
@@ -144,7 +144,7 @@ def let_go_report(
 
 
 def named_by_reason(unconfirmed: Mapping[str, str]) -> str:
-    """Servos and reasons in words, each reason once: `jaw, left: did not answer` for one."""
+    """Return servos and reasons as text, each reason once: `jaw, left: did not answer` for one."""
     servos: dict[str, list[str]] = {}
     for name, why in unconfirmed.items():
         servos.setdefault(why, []).append(name)
@@ -156,7 +156,7 @@ def _servos(n: int) -> str:
 
 
 class ServoSwitch(StrEnum):
-    """Orders to one servo."""
+    """The orders to switch one servo: off, on, reboot."""
 
     OFF = "off"  # torque off, and it stays off until ON
     ON = "on"  # tried again, also after it was given up
@@ -165,7 +165,7 @@ class ServoSwitch(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ServoOrder:
-    """Switch one servo, by name. requested_by: who, for a log."""
+    """The order to switch one servo, by name. requested_by: process and user, for a log."""
 
     name: str
     switch: ServoSwitch
@@ -177,12 +177,12 @@ class ServoOrder:
 
 @dataclass(frozen=True, slots=True)
 class ArmJog:
-    """Jogging is meant: for a few seconds, or as long as it is renewed."""
+    """The order to start jogging, or to prolong it: it ends some seconds after the last order."""
 
 
 @dataclass(frozen=True, slots=True)
 class JogTo:
-    """One joint goes to an angle, in joint degrees, and stays there."""
+    """The order to jog one joint to an angle, in joint degrees, where it stays."""
 
     name: str
     position_deg: float
@@ -190,7 +190,7 @@ class JogTo:
 
 @dataclass(frozen=True, slots=True)
 class JogPulse:
-    """One hobby servo goes to a pulse, also a little beyond its limits, and stays there."""
+    """The order to jog one hobby servo to a pulse in us, also a little beyond its limits."""
 
     name: str
     pulse_us: float
@@ -198,12 +198,12 @@ class JogPulse:
 
 @dataclass(frozen=True, slots=True)
 class EndJog:
-    """All jogged joints go back to what is wanted of them."""
+    """The order to end jogging: all jogged joints return to their ordinary goals."""
 
 
 @dataclass(frozen=True, slots=True)
 class StartFace:
-    """A stopped face is to be driven again. requested_by: a process and its user, for a log."""
+    """The order to drive a stopped face again. requested_by: process and user, for a log."""
 
     requested_by: str = ""
 

@@ -1,4 +1,4 @@
-"""An open port to servos, for any carrier of the bytes and any device at the other end."""
+"""The interface of an open port to servos, whatever carries the bytes."""
 
 from typing import Protocol, runtime_checkable
 
@@ -7,27 +7,27 @@ from firmware_bridge.clock import Clock
 
 @runtime_checkable
 class Transport(Protocol):
-    """An open port. Every method raises PortError when the port is gone."""
+    """An open port to servos. Every method raises PortError when the port is gone."""
 
     @property
     def clock(self) -> Clock:
-        """The clock of the deadlines."""
+        """The clock that deadlines refer to."""
 
     @property
     def baud_rate(self) -> int:
-        """Bits a second on the wire."""
+        """Bits per second on the wire."""
 
     @baud_rate.setter
     def baud_rate(self, baud_rate: int) -> None: ...
 
     def write(self, data: bytes) -> None:
-        """Send all of it; returns before it is on the wire."""
+        """Send all bytes; return before they are on the wire."""
 
     def read(self, deadline_s: float) -> bytes:
-        """What has arrived, at the latest at `deadline_s`; b"" when nothing has."""
+        """Return the bytes that arrive next, by `deadline_s` at the latest; b"": none arrived."""
 
     def discard_input(self) -> bytes:
-        """Throw away what has arrived, without waiting, and return it."""
+        """Return and remove the bytes that have arrived, without waiting."""
 
     def close(self) -> None:
-        """Give the port back; safe to call twice."""
+        """Close the port; safe to call twice."""

@@ -1,4 +1,4 @@
-"""The entry point: light, so that Ctrl-C is understood while everything else is being loaded."""
+"""The entry point, which imports little, so that Ctrl-C works while the rest is being loaded."""
 
 import os
 import signal
@@ -14,7 +14,7 @@ _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 
 
 def main() -> None:
-    """Load the program and run its command line."""
+    """Load the program and run its command line; exit with status 130 on Ctrl-C."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         # Nothing moves yet and nothing is open: leave at once, without a traceback of imports.
         signal.signal(signal.SIGINT, _leave)

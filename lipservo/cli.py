@@ -1,4 +1,4 @@
-"""All commands of `lipservo`: where each is, and what the help says of it."""
+"""All commands of `lipservo`: the function of each, and its line in the help."""
 
 import logging
 import os
@@ -92,7 +92,7 @@ MOVED = MappingProxyType(
 
 
 class LipservoGroup(LazyGroup):
-    """The commands at the top."""
+    """The commands of `lipservo` at the top level, and the new names of moved ones."""
 
     table = COMMANDS
     moved = MOVED

@@ -1,4 +1,4 @@
-"""The command line: what it runs, how it tells a mistake, and with which status it ends."""
+"""The program's command line: runs a command, reports its errors, and exits with its status."""
 
 import io
 import sys
@@ -23,9 +23,10 @@ _IN_OUR_WORDS = {
 
 
 def main() -> None:
-    """Run the command line: status 0, 1 for what the user can mend, 2 for wrong usage.
+    """Run the command line, and exit: status 0, 1 for what the user can mend, 2 for wrong usage.
 
-    Every mistake is reported in clear lines on stderr that begin with `lipservo:`.
+    A command may set another status. Every error is reported in clear lines on stderr that begin
+    with `lipservo:`.
     """
     for stream in (sys.stdin, sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -66,7 +67,10 @@ def main() -> None:
 
 
 def _run(arguments: list[str]) -> int:
-    """The status of a command; `stop` and its like without the parser, whose loading takes long."""
+    """Run a command, `stop`, `start`, `status` if possible without the slow parser.
+
+    Return its exit status.
+    """
     if arguments[0] in ("stop", "start", "status"):
         from lipservo.commands.run.stop import run_without_parser
 
@@ -78,7 +82,7 @@ def _run(arguments: list[str]) -> int:
 
 
 def _moved_option(error: typer.TyperException) -> str | None:
-    """Where an option is now that a command had once."""
+    """Return a line with the present position of a moved option; None for any other error."""
     from lipservo.commands.options import MOVED_OPTIONS, OPTIONS_OF_THE_PROGRAM
 
     name = getattr(error, "option_name", "")
@@ -90,7 +94,7 @@ def _moved_option(error: typer.TyperException) -> str | None:
 
 
 def _usage_line(error: typer.TyperException) -> str:
-    """What is wrong with a command line, in one line, and where to read on."""
+    """Return one line for a usage error: the mistake, and which help to read."""
     message = " ".join(error.format_message().split())
     for pydantics, ours in _IN_OUR_WORDS.items():
         message = message.replace(pydantics, ours)
@@ -103,7 +107,7 @@ def _usage_line(error: typer.TyperException) -> str:
 
 
 def _with_default_microphone(arguments: list[str]) -> list[str]:
-    """`--mic` alone means the default device; typer options cannot leave out their value."""
+    """Return the arguments with `default` after a bare `--mic`; options of typer need a value."""
     completed: list[str] = []
     following = [*arguments[1:], "-"]
     for argument, after in zip(arguments, following, strict=True):
@@ -114,7 +118,7 @@ def _with_default_microphone(arguments: list[str]) -> list[str]:
 
 
 def _with_ports_joined(arguments: list[str]) -> list[str]:
-    """`--port neck=A --port lips=B` as one option: each command takes the ports of a face whole."""
+    """Return the arguments with `--port neck=A --port lips=B` as one option, `neck=A,lips=B`."""
     joined: list[str] = []
     at: int | None = None
     for argument in arguments:

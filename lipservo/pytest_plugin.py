@@ -1,4 +1,4 @@
-"""pytest fixture `simulated_face`: a running face without servos, for tests of what speaks to it.
+"""pytest fixture `simulated_face`: a running face without servos, for tests of its clients.
 
 pytest finds it by itself wherever lipservo is installed. docs/simulator.md has a recipe for CI.
 """
@@ -27,15 +27,14 @@ _PATIENCE_S: Final = 120.0
 
 
 class SimulatedFace:
-    """A `lipservo daemon` of one test, with simulated servos.
+    """A `lipservo daemon` with simulated servos, running for one test.
 
     Attributes
     ----------
     url : str
-        Where it listens for voice agents.
+        Address at which it listens for voice agents.
     token : str
-        What it asks of them.
-
+        Token that clients must send.
     """
 
     def __init__(self, process: "subprocess.Popen[str]", folder: Path) -> None:
@@ -57,25 +56,24 @@ class SimulatedFace:
 
     @property
     def messages(self) -> str:
-        """What the face has printed until now."""
+        """The newest 1000 lines that the face has printed on stderr until now."""
         return "".join(self._lines)
 
     def connect(self) -> "Face":
-        """Return `lipservo.connect` to this face: `with simulated_face.connect() as face:`."""
+        """Return a client of this face: `with simulated_face.connect() as face:`."""
         from lipservo_client import connect
 
         return connect(self.url, self.token)
 
     def play(self, samples: bytes, rate_hz: int) -> None:
-        """Let the face speak a sound, in the time that the sound takes.
+        """Let the face speak a sound, and return when the sound would have been played.
 
         Parameters
         ----------
         samples : bytes
-            16 bit, little endian, one channel.
+            Sound, 16 bit, little endian, one channel.
         rate_hz : int
-            8,000 to 96,000.
-
+            Samples per second, 8,000 to 96,000.
         """
         duration_s = len(samples) / 2 / rate_hz
         with self.connect() as face, face.stream(rate_hz, playback="client") as speech:
@@ -88,9 +86,9 @@ class SimulatedFace:
                 speech.report_played(played_s)
 
     def encoders_deg(self) -> dict[str, float]:
-        """Return where each servo is by its encoder, in degrees of its joint, by name.
+        """Return each servo's position by its encoder, in degrees of its joint, by name.
 
-        NaN where a servo has not answered or cannot say where it is.
+        NaN where a servo has not answered or cannot report its position.
         """
         from firmware_bridge.process.control_client import running_faces, watch
         from lipservo.runtime.status.live_board import LiveBoard
@@ -101,7 +99,7 @@ class SimulatedFace:
             return dict(zip(board.layout.servos, newest["encoder_deg"].tolist(), strict=True))
 
     def stop(self) -> dict[str, Any]:
-        """Switch torque off, as a person would, and return the stop report: `confirmed` servos.
+        """Switch torque off, as a limp stop does, and return the stop report: `confirmed` servos.
 
         The daemon then waits for a start. Raises RuntimeError where no report comes.
         """
@@ -116,7 +114,7 @@ class SimulatedFace:
         raise RuntimeError("the simulated face did not report its stop")
 
     def end(self) -> list[dict[str, Any]]:
-        """Stop the face and return what it did.
+        """End the daemon and return the trace of its run.
 
         Returns
         -------
@@ -127,8 +125,7 @@ class SimulatedFace:
         Raises
         ------
         RuntimeError
-            The face did not end by itself, or with an error; the message is its own.
-
+            The daemon did not end in time, or ended with an error, which is the message.
         """
         self._process.terminate()
         try:
@@ -153,7 +150,7 @@ class SimulatedFace:
                 time.sleep(_POLL_S)
 
     def _read(self) -> None:
-        """Keep what it prints: a full pipe would block the face."""
+        """Store the lines and the URL that the face prints, so that no full pipe blocks it."""
         for line in self._messages:
             self._lines.append(line)
             del self._lines[:-1000]
@@ -165,7 +162,7 @@ class SimulatedFace:
 
 @pytest.fixture
 def simulated_face_config() -> str:
-    """Face of `simulated_face`: the name of a shipped one or a YAML file. Override it for yours."""
+    """Return the face of `simulated_face`, a shipped name or a YAML file; can be overridden."""
     return "face_sim"
 
 
@@ -173,7 +170,7 @@ def simulated_face_config() -> str:
 def simulated_face(
     simulated_face_config: str, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[SimulatedFace]:
-    """Yield a running face that only this test finds, whatever runs beside it.
+    """Yield a running face that only this test finds, whichever other faces run beside it.
 
     Servos that its YAML has at a port are simulated behind pseudo-terminals: none moves.
     """

@@ -1,6 +1,6 @@
-"""Speech becomes face motion: sound, phonemes, face frames.
+"""Turn speech into face motion: sound to phonemes to face frames.
 
-The first half of the street. Knows no servo and reads no YAML.
+The first half of the pipeline; no module of it uses servos or reads a robot's YAML.
 """
 
 import logging

@@ -1,8 +1,9 @@
-"""Phonemes and visemes of others as phones of our inventory, by tables.
+"""Tables that turn phoneme and viseme labels of other programs into phones of our inventory.
 
 A viseme stands for several phonemes; its row in alphabets.yaml has the one phone that moves the
-mouth for it, and why. Phonemes of any language are IPA (ipa.yaml), or written otherwise letter by
-letter: X-SAMPA, and misaki, in which Kokoro tells its own. docs/text.md shows the tables.
+mouth for it, and the reason. Phonemes of any language are given in IPA (ipa.yaml), or in a spelling
+that is turned into IPA letter by letter: X-SAMPA, and misaki, the phoneme alphabet of Kokoro.
+docs/text.md shows the tables.
 """
 
 import re
@@ -34,7 +35,7 @@ _MARK: Final = re.compile(r"_[^_\\]\\?")
 
 
 class AlphabetError(UserError):
-    """A label that its alphabet lacks, or an alphabet that is not known; one line."""
+    """Error for an unknown alphabet or a label that an alphabet lacks; the message is one line."""
 
 
 @cache
@@ -50,7 +51,7 @@ def _tables() -> Mapping[str, Mapping[str, tuple[str, ...]]]:
 
 @cache
 def viseme_sets() -> Mapping[str, Mapping[str, tuple[str, str]]]:
-    """(phone, reason) by viseme, numbers as text, by the name of the set."""
+    """Return, by name of the viseme set, a table from viseme label (text) to (phone, reason)."""
     sets = {name: rows for name, rows in _tables().items() if name not in _SPELLINGS}
     return MappingProxyType(
         {
@@ -61,14 +62,15 @@ def viseme_sets() -> Mapping[str, Mapping[str, tuple[str, str]]]:
 
 
 def alphabets() -> tuple[str, ...]:
-    """The names of all alphabets."""
+    """Return the names of all alphabets that `phones_of` accepts."""
     return (ARPABET, IPA, *_SPELLINGS, *viseme_sets())
 
 
 def phones_of(label: str, alphabet: str = ARPABET) -> tuple[str, ...]:
-    """The phones for one label; none for a mark alone, as of length: the one before goes on.
+    """Return the phones for one label of an alphabet ("": ARPAbet).
 
-    An IPA letter that ipa.yaml lacks is guessed. Raises AlphabetError.
+    Empty for a mark alone, such as one of length: the phone before it goes on. An IPA letter that
+    ipa.yaml lacks is guessed. Raises AlphabetError for an unknown alphabet or label.
     """
     if alphabet in ("", ARPABET):
         phone = label.rstrip("012") or label
@@ -95,10 +97,10 @@ def phones_of(label: str, alphabet: str = ARPABET) -> tuple[str, ...]:
 def in_inventory(
     kind: UnitKind, units: Iterable[SpokenUnit], alphabet: str, sample_rate_hz: int
 ) -> SpokenText:
-    """Units of an alphabet as units of the inventory; the phones of one share its time evenly.
+    """Return the units of an alphabet as units of phones; one unit's phones share its time evenly.
 
-    A label that only goes on makes the unit before longer. Raises AlphabetError and
-    SpokenTextError.
+    A label without a phone, such as a length mark, extends the unit before it. Raises AlphabetError
+    for an unknown label or alphabet, and SpokenTextError.
     """
     found: list[SpokenUnit] = []
     units = tuple(units)
@@ -115,7 +117,11 @@ def in_inventory(
 
 
 def _shared(phones: tuple[str, ...], unit: SpokenUnit, next_sample: int | None) -> list[SpokenUnit]:
-    """next_sample: where the unit after it begins, if that is known."""
+    """Return one unit for each phone, the unit's time divided evenly among them.
+
+    next_sample: start of the next unit, used as the end where the unit has none; None: not known.
+    Without a start the phones have no times; without an end only the first phone is returned.
+    """
     end_sample = next_sample if unit.end_sample is None else unit.end_sample
     if unit.start_sample is None:
         return [SpokenUnit(each) for each in phones]
@@ -140,7 +146,7 @@ def _spelled(label: str, alphabet: str) -> tuple[str, ...]:
 
 
 def _as_ipa(label: str, alphabet: str) -> str:
-    """Longest symbols first; what the table lacks is the same letter in IPA."""
+    """Return the label in IPA, longest symbols replaced first; unknown letters are kept."""
     table = _tables()[alphabet]
     longest = max(map(len, table))
     found, place = "", 0

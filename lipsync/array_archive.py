@@ -1,10 +1,10 @@
-"""Archives of arrays, `.npz` without pickle, read within bounds.
+"""Archives of arrays, `.npz` without pickle, read within bounds of memory.
 
-What is packed may be a thousand times larger unpacked, and a header may promise arrays that no
-memory holds. So everything is compared with a bound before it is made: the list of members before
-it is parsed, the size of each member before it is unpacked, and the shape of an array with the
-bytes that are there. Only plain arrays are read: what `numpy.savez` and `savez_compressed` write of
-numbers, booleans and texts.
+Packed data may be a thousand times larger unpacked, and a header may promise arrays that no memory
+holds. So everything is compared with a bound before it is made: the list of members before it is
+parsed, the size of each member before it is unpacked, and the shape of an array with the number of
+its bytes. Only plain arrays are read: numbers, booleans and texts as `numpy.savez` and
+`savez_compressed` write them.
 """
 
 import io
@@ -46,18 +46,19 @@ _HEADER: Final = re.compile(
 
 
 class ArrayArchive:
-    """The arrays of a file, by name. Use it as a context manager.
+    """The arrays of an .npz file, by name. Use it as a context manager.
 
-    Raises what `UNREADABLE` names, here and when an array is read; a ValueError says in a few words
-    what is wrong.
+    Opening it or reading an array of a damaged file raises one of `UNREADABLE`; a ValueError says
+    in a few words what is wrong.
     """
 
     def __init__(
         self, file: IO[bytes], most_bytes: int, most_of: Mapping[str, int] | None = None
     ) -> None:
-        """file: open; the caller closes it. most_bytes: of all arrays together, unpacked.
+        """Open an archive; raise one of `UNREADABLE` if it is damaged or exceeds a limit.
 
-        most_of: of single ones, by name, less.
+        file: open; the caller closes it. most_bytes: limit of all arrays together, unpacked.
+        most_of: lower limits of single arrays, in bytes unpacked, by name.
         """
         _check_list(file)
         self._zip = zipfile.ZipFile(file)
@@ -85,7 +86,7 @@ class ArrayArchive:
         return name in self._members
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """One array, read now. Raises KeyError where there is none of that name."""
+        """Read and return one array. Raises KeyError if it is not there, or `UNREADABLE` errors."""
         with self._opened(name) as (file, shape, dtype, order):
             data = bytearray(math.prod(shape) * dtype.itemsize)
             held = memoryview(data)
@@ -100,7 +101,10 @@ class ArrayArchive:
         )
 
     def chunks(self, name: str) -> Iterator[bytes]:
-        """The bytes of an array (n,) uint8, so that it is never in memory as a whole."""
+        """Yield the bytes of an array (n,) uint8 in pieces, never all of them in memory.
+
+        Raises ValueError for an array of another type or shape.
+        """
         with self._opened(name) as (file, shape, dtype, _):
             if dtype != np.uint8 or len(shape) != 1:
                 raise ValueError(f"{name!r} holds no bytes")
@@ -115,7 +119,7 @@ class ArrayArchive:
 
     @contextmanager
     def _opened(self, name: str) -> Iterator[tuple[IO[bytes], tuple[int, ...], np.dtype[Any], Any]]:
-        """Where the values of an array begin, its shape, type and order."""
+        """Yield the file at an array's first value, the shape, type, and order "C" or "F"."""
         member = self._members[name]
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise ValueError(f"{name!r} is packed in a way that NumPy does not write")
@@ -136,14 +140,14 @@ class ArrayArchive:
 
 
 def arrays_of(file: IO[bytes], most_bytes: int) -> dict[str, NDArray[Any]]:
-    """Return all arrays of an archive. Raises as `ArrayArchive` does.
+    """Return all arrays of an archive. Raises one of `UNREADABLE` for a damaged or too large one.
 
     Parameters
     ----------
     file : IO[bytes]
-        Open, an .npz.
+        An open .npz file.
     most_bytes : int
-        The largest that all arrays may be.
+        Limit of all arrays together, in bytes unpacked.
 
     Returns
     -------
@@ -155,7 +159,7 @@ def arrays_of(file: IO[bytes], most_bytes: int) -> dict[str, NDArray[Any]]:
 
 
 def _check_list(file: IO[bytes]) -> None:
-    """Refuse a list of members that would fill the memory when it is parsed."""
+    """Raise ValueError unless the file ends with a zip member list of bounded size; then rewind."""
     end = file.seek(0, io.SEEK_END)
     file.seek(max(0, end - _END.size - _END_64_BYTES))
     tail = file.read()

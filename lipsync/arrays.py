@@ -1,4 +1,4 @@
-"""What arrays of numbers are, for the type checker."""
+"""Names of array types for the type checker."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""One stretch of sound."""
+"""The block of sound that sources return, and the count of samples before a time."""
 
 import math
 from dataclasses import dataclass
@@ -22,13 +22,14 @@ class AudioBlock:
 
     @property
     def end_s(self) -> float:
-        """Sound time just after the last sample."""
+        """Sound time in seconds just after the last sample."""
         return self.start_s + len(self.samples) / self.sample_rate_hz
 
 
 def samples_before(time_s: float, sample_rate_hz: int = SAMPLE_RATE_HZ) -> float:
-    """How many whole samples end at or before sound time `time_s` (>= 0); inf for inf.
+    """Return how many whole samples end at or before sound time `time_s` (>= 0); inf for inf.
 
-    A thousandth of a sample is forgiven: tick times such as 29 * 0.01 s are rounded binary numbers.
+    A thousandth of a sample is tolerated: tick times such as 29 * 0.01 s are rounded binary
+    numbers.
     """
     return math.inf if math.isinf(time_s) else math.floor(time_s * sample_rate_hz + 1e-3)

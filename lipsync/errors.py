@@ -1,7 +1,7 @@
-"""Errors that the user can mend, among them a library of an extra that is not installed.
+"""Errors that the user can correct, among them a library of an extra that is not installed.
 
-The pyproject.toml of the program, of lab/ and of client/ list the same;
-tests/project/test_dependencies.py compares.
+The pyproject.toml of the program, of lab/ and of client/ list the extras too;
+tests/project/test_dependencies.py compares them.
 """
 
 import reprlib
@@ -14,14 +14,14 @@ _SHORT.maxdict = _SHORT.maxlist = _SHORT.maxtuple = 3
 
 
 class UserError(ValueError):
-    """A mistake of the user's: the text says in one line what, where, and what to do.
+    """Error for a user's mistake: the text says in one line what, where, and what to do.
 
-    The command line prints it without a traceback; everything else is a fault of ours.
+    The command line prints it without a traceback; every other exception is a fault of the program.
     """
 
 
 def shown(value: object) -> str:
-    """A value from a user's file as a message may show it: short, whatever it holds."""
+    """Return a value from a user's file as text for an error message, shortened if it is long."""
     return _SHORT.repr(value)
 
 
@@ -61,13 +61,13 @@ EXTRA_OF = {
 
 
 class MissingExtraError(UserError):
-    """A library is not installed that this command needs; one line that names its extra."""
+    """Error for a library, needed by a command, that is not installed; one line names its extra."""
 
 
 def check_extra(library: str, purpose: str) -> None:
-    """Raises MissingExtraError unless `library` is installed, one of `EXTRA_OF`.
+    """Raise MissingExtraError unless `library`, one of `EXTRA_OF`, is installed.
 
-    purpose: what needs it, in words. Loads nothing, so that it can be called before the work.
+    purpose: what needs it, in words. Imports nothing, so that it can be called before the work.
     """
     if find_spec(library) is None:
         raise MissingExtraError(

@@ -1,4 +1,4 @@
-"""Phonemes of any language, in IPA, as phones of the inventory that look alike on the lips.
+"""Conversion of IPA phonemes of any language to phones of the inventory, by their lip shapes.
 
 The table with its reasons is ipa.yaml beside this file; docs/speech.md shows it.
 """
@@ -16,7 +16,7 @@ _NEUTRAL_VOWEL = "AH"
 
 @dataclass(frozen=True, slots=True)
 class IpaRow:
-    """What one symbol becomes: one phone or several in order, and why where it is not the same."""
+    """The phones for one IPA symbol, in order; `reason`: why, empty if the sound is that phone."""
 
     phones: tuple[str, ...]
     reason: str
@@ -24,7 +24,7 @@ class IpaRow:
 
 @dataclass(frozen=True, slots=True)
 class InventoryPhones:
-    """What a phoneme becomes; none for a mark alone, as of length. `is_guess`: not in the table."""
+    """The phones for an IPA phoneme, none for a mark. `is_guess`: the table lacks a letter."""
 
     phones: tuple[str, ...]
     is_guess: bool
@@ -32,7 +32,7 @@ class InventoryPhones:
 
 @cache
 def ipa_table() -> MappingProxyType[str, IpaRow]:
-    """Every symbol of the table, in its order."""
+    """Return the row of every IPA symbol of ipa.yaml, in the file's order."""
     text = files("lipsync").joinpath("ipa.yaml").read_text("utf-8")
     return MappingProxyType(
         {
@@ -44,11 +44,11 @@ def ipa_table() -> MappingProxyType[str, IpaRow]:
 
 @lru_cache(maxsize=1024)
 def phones_of_ipa(phoneme: str) -> InventoryPhones:
-    """The phones of the inventory for one phoneme written in IPA, with any marks.
+    """Return the phones of the inventory for one phoneme written in IPA, with any marks.
 
-    The longest symbols of the table are taken from the left, so that a diphthong which the
-    inventory lacks becomes its two ends. A letter that the table lacks is taken for the plain
-    letter in its Unicode name ("b with hook" for b), and failing that for a neutral vowel: a guess.
+    The longest symbols of the table are replaced first, from the left, so that a diphthong which
+    the inventory lacks becomes its two ends. A letter that the table lacks is replaced by the plain
+    letter in its Unicode name ("b with hook" for b), and failing that by a neutral vowel: a guess.
     """
     table = ipa_table()
     symbols = _without_marks(phoneme)
@@ -72,7 +72,7 @@ def phones_of_ipa(phoneme: str) -> InventoryPhones:
 
 
 def _without_marks(phoneme: str) -> str:
-    """Letters alone: no combining or modifier letters, no punctuation, digits or white space."""
+    """Return the letters alone: no combining or modifier letters, punctuation, digits or spaces."""
     decomposed = unicodedata.normalize("NFD", phoneme.replace("ç", "\0"))
     letters = (
         letter

@@ -1,8 +1,8 @@
 """Point layouts: which points of a face a model is made of, and what is known about them.
 
-A model says which layout it is of. Shipped are 47 named markers, the 39 of them without inner lips
-(as many as Wei and Deng used), and all 478 points of the usual face mesh; a JSON file gives others,
-dense meshes too. Points are numbered as in the recordings, here called landmarks.
+A model names its layout. Shipped are 47 named markers, the 39 of these without inner lips (as many
+as Wei and Deng used), and all 478 points of the usual face mesh; a JSON file gives others, dense
+meshes too. Points are numbered as in the recordings, here called landmarks.
 """
 
 import json
@@ -41,7 +41,7 @@ _NEEDED = ("name", "groups", "lip_gap")
 
 
 class LayoutError(UserError):
-    """A layout that cannot be used: says which, what is wrong, and what is allowed."""
+    """Error for a layout that cannot be used: which, what is wrong, and what is allowed."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,9 @@ class PointLayout:
     """The points of a face, in the order that `markers_mm` arrays use.
 
     groups: names and landmarks of each group, one group after the other; those with `lip` in their
-    name are the lips; points of outer_lip and of inner_lip follow one another round the mouth,
-    over the upper lip from the corner on the speaker's right.
-    gap_landmarks: upper and lower point in the middle of the mouth, whose distance says how open it
-    is.
+    name are the lips; points of outer_lip and of inner_lip follow one another round the mouth, over
+    the upper lip from the corner on the speaker's right. gap_landmarks: upper and lower point in
+    the middle of the mouth, whose distance is its opening.
     """
 
     name: str
@@ -72,7 +71,7 @@ class PointLayout:
 
     @cached_property
     def landmarks(self) -> tuple[int, ...]:
-        """The landmark of every point."""
+        """The landmark number of every point, in order."""
         return tuple(n for _, numbers in self.groups for n in numbers)
 
     @cached_property
@@ -82,29 +81,29 @@ class PointLayout:
 
     @property
     def n_points(self) -> int:
-        """How many points a face has."""
+        """The number of points of a face."""
         return len(self.landmarks)
 
     def group(self, name: str) -> tuple[int, ...]:
-        """Indices of the points of a group, in its order; none where the layout lacks it."""
+        """Return the indices of the points of a group, in its order; empty if there is none."""
         numbers = dict(self.groups).get(name, ())
         return tuple(self.landmarks.index(n) for n in numbers)
 
     @cached_property
     def lips(self) -> tuple[int, ...]:
-        """Indices of all points of the lips."""
+        """Indices of all points in groups with `lip` in their name."""
         return tuple(
             i for name, _ in self.groups if "lip" in name.split("_") for i in self.group(name)
         )
 
     @cached_property
     def upper_lip(self) -> int:
-        """Index of the upper point of the lip gap."""
+        """Index, among the points, of the upper point of the lip gap."""
         return self.landmarks.index(self.gap_landmarks[0])
 
     @cached_property
     def lower_lip(self) -> int:
-        """Index of the lower point of the lip gap."""
+        """Index, among the points, of the lower point of the lip gap."""
         return self.landmarks.index(self.gap_landmarks[1])
 
     @property
@@ -118,7 +117,7 @@ class PointLayout:
         Parameters
         ----------
         markers_mm : NDArray[np.floating]
-            (n_frames, n_points, 3).
+            (n_frames, n_points, 3) positions in mm.
 
         Returns
         -------
@@ -128,7 +127,7 @@ class PointLayout:
         return markers_mm[:, self.upper_lip] - markers_mm[:, self.lower_lip]
 
     def description(self) -> dict[str, object]:
-        """What `layout_of` makes the same layout of; plain enough for JSON."""
+        """Return the layout as a dict for JSON, from which `layout_of` makes an equal layout."""
         return {
             "name": self.name,
             "groups": {name: list(numbers) for name, numbers in self.groups},
@@ -137,7 +136,10 @@ class PointLayout:
 
 
 def layout_of(description: Mapping[str, Any]) -> PointLayout:
-    """From lists of landmarks by group; raises LayoutError for what is missing or no number."""
+    """Return the layout of a description of groups of landmarks and lip gap.
+
+    Raises LayoutError for a missing entry, or a landmark that is no number or occurs twice.
+    """
     missing = [key for key in _NEEDED if key not in description]
     if missing:
         raise LayoutError(f"a layout needs {', '.join(missing)}; it has {', '.join(description)}")
@@ -199,7 +201,10 @@ LAYOUTS = {str(each.n_points): each for each in (MARKERS_39, MARKERS_47, FACE_ME
 
 
 def find_layout(choice: str) -> PointLayout:
-    """A shipped layout by its number of points, or the one in a JSON file. Raises LayoutError."""
+    """Return a shipped layout by its number of points, or that of a JSON file.
+
+    Raises LayoutError for a choice that is neither, or a file that describes no layout.
+    """
     if choice in LAYOUTS:
         return LAYOUTS[choice]
     path = Path(choice)

@@ -1,7 +1,7 @@
 """Files that a command writes: refused before the work begins, and written whole or not at all.
 
-While it is written a file is called `NAME.partial`, beside its place; it takes its name when it is
-complete and on the disk. What fails or is interrupted leaves neither.
+While it is written a file is called `NAME.partial`, in the same folder; it is renamed when it is
+complete and on the disk. What fails or is interrupted leaves neither file.
 """
 
 import errno
@@ -19,11 +19,11 @@ _HEAD_BYTES = 4096
 
 
 class OutputError(UserError):
-    """A file cannot be written where the user wants it; one line: which, why, what to do."""
+    """A file cannot be written to the given path; the message says which, why, and what to do."""
 
 
 def nothing(_head: bytes) -> bool:
-    """For `replaces`: no file that is there is replaced."""
+    """Return False: as `replaces` of `check_output`, it lets no existing file be replaced."""
     return False
 
 
@@ -34,11 +34,11 @@ def check_output(
     kind: str = "",
     inputs: Iterable[Path | None] = (),
 ) -> None:
-    """Refuse a destination that could not be written later; leaves nothing behind.
+    """Raise OutputError if a file could not be written to `path` later; leave no file behind.
 
-    replaces: whether a file that is there may be replaced, decided by its first 4096 bytes; an
+    replaces: whether an existing file may be replaced, decided by its first 4096 bytes; an
     empty one always may. kind: what `replaces` accepts, in words, for the message. inputs: files
-    that the command reads, which are never written over. Raises OutputError.
+    that the command reads, which are never written over.
     """
     try:
         place = _place(path)
@@ -56,7 +56,7 @@ def check_output(
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """A path to write to; its file becomes `path` at the end, or vanishes when anything is raised.
+    """Yield a temporary path; its file is renamed to `path` at the end, deleted on any exception.
 
     Raises OutputError where the file cannot be written, on a full disk for one.
     """
@@ -78,13 +78,13 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Write all of `content` (text as UTF-8) or nothing. Raises OutputError."""
+    """Write all of `content` (text as UTF-8) to a file, or nothing. Raises OutputError."""
     with written_whole(path) as partial:
         partial.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
 def _place(path: Path) -> Path:
-    """Where the file really lies: a symbolic link stays, what it leads to is written."""
+    """Return the real path of a file, symbolic links resolved. Raises OSError for a link loop."""
     place = Path(os.path.realpath(path))
     if place.is_symlink():
         raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
@@ -97,7 +97,7 @@ def _partial(place: Path) -> Path:
 
 @contextmanager
 def _open_partial(place: Path) -> Iterator[None]:
-    """Create the partial file anew, whatever an earlier run has left: two writers share none."""
+    """Create the partial file anew, deleting an earlier one, so that two writers never share it."""
     partial = _partial(place)
     partial.unlink(missing_ok=True)
     descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
@@ -130,7 +130,7 @@ def _check_replaced(
 
 
 def _sync(path: Path) -> None:
-    """On the disk, and not only promised; some file systems refuse that for folders."""
+    """Flush a file or folder to the disk; for folders, ignore file systems that refuse it."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

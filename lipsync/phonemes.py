@@ -1,4 +1,4 @@
-"""The phoneme inventory, the viseme classes, and what a recogniser says about phonemes.
+"""The phoneme inventory, the viseme classes, and what a recogniser reports about phonemes.
 
 The 39 phones of the CMU pronouncing dictionary plus SIL, upper case, without stress.
 """
@@ -65,7 +65,7 @@ _STAND_INS: Mapping[str, tuple[tuple[str, ...], ...]] = MappingProxyType(
 
 
 def stand_in(phoneme: str, known: Sequence[str] | frozenset[str]) -> tuple[str, ...]:
-    """Phones of `known` that together look like `phoneme`; `(phoneme,)` when it is known itself.
+    """Return phones of `known` that together look like `phoneme`; `(phoneme,)` if that is known.
 
     A stand-in is a named one (OY as AO then IY), else a phone of the same viseme class, else any
     known phone, so that every phone of the inventory moves the mouth.
@@ -89,7 +89,7 @@ def stand_in(phoneme: str, known: Sequence[str] | frozenset[str]) -> tuple[str, 
 
 @dataclass(frozen=True, slots=True)
 class PhonemeEvent:
-    """One phoneme in sound time; `end_s` is None while it is still going on."""
+    """One phoneme and its time in the sound; `end_s` is None while it is still going on."""
 
     phoneme: str
     start_s: float
@@ -97,7 +97,7 @@ class PhonemeEvent:
     confidence: float = 1.0
 
     def later(self, by_s: float) -> Self:
-        """Return the event for sound that begins `by_s` later."""
+        """Return this event shifted `by_s` seconds later; an open end stays open."""
         end_s = None if self.end_s is None else self.end_s + by_s
         return replace(self, start_s=self.start_s + by_s, end_s=end_s)
 
@@ -107,8 +107,8 @@ class FramePosteriors:
     """Probabilities of each phoneme, frame by frame, before anything is decided.
 
     values: (n, n_heads, len(PHONEMES)), in their order; the posteriors of a head in a frame sum to
-    1. The head that waits d = delays[h] frames speaks, in row i, about frame `first_frame` + i - d,
-    which begins at that number / frames_per_s; one that waits longer knows better.
+    1. The head that waits d = delays[h] frames gives, in row i, those of frame `first_frame` + i -
+    d, which begins at that number / frames_per_s; one that waits longer knows better.
     """
 
     frames_per_s: int
@@ -117,13 +117,13 @@ class FramePosteriors:
     values: Array32
 
     def later(self, by_s: float) -> Self:
-        """Return the posteriors for sound that begins `by_s` later, to the nearest frame."""
+        """Return these posteriors shifted `by_s` seconds later, rounded to whole frames."""
         return replace(self, first_frame=self.first_frame + round(by_s * self.frames_per_s))
 
 
 @dataclass(frozen=True, slots=True)
 class PhonemeUpdate:
-    """A source's phonemes from `replace_from_s` on, replacing all its earlier ones from there.
+    """A source's phonemes from `replace_from_s` on, which replace all its earlier ones from there.
 
     Events are in order of time, do not overlap, and only the last may have no end. The first may
     have begun before `replace_from_s`: it is then the one going on there, with its true start. The
@@ -140,18 +140,18 @@ class PhonemeUpdate:
 
 
 class PhonemeScript(Protocol):
-    """Phonemes that are known beforehand, let out in time: label file, speech synthesis."""
+    """Phonemes that are known beforehand, released in time: label file, speech synthesis."""
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
-        """Return what became known by the sound until `until_s` since the last call."""
+        """Return the updates for the sound until `until_s` that are new since the last call."""
 
 
 class PhonemeSource(PhonemeScript, Protocol):
-    """Where the speech side has its phonemes from: a recogniser with its sound, or a script."""
+    """A source of phonemes for the speech side: a recogniser with its sound, or a script."""
 
     @property
     def latency_s(self) -> float:
-        """At sound time t the phonemes before t - latency_s are settled."""
+        """Seconds until phonemes are settled: at sound time t, those before t - latency_s are."""
 
     @property
     def heard_until_s(self) -> float:
@@ -168,7 +168,7 @@ class Listener(Protocol):
 
     @property
     def hearing(self) -> Hearing | None:
-        """Speech, noise or silence; None: no recogniser listens."""
+        """The class of the last settled sound: speech, noise, silence; None: nothing recognises."""
 
 
 @runtime_checkable
@@ -183,22 +183,22 @@ class ServoListener(Protocol):
         sound_s : float
             Seconds.
         speeds_deg_s : Array
-            (n_servos,); NaN: not known.
+            (n_servos,) in deg/s; NaN: not known.
         """
 
 
 class LiveRecognizer(Protocol):
-    """Phonemes from sound as it comes. What was fed is all it knows: no clock is passed in."""
+    """A recogniser of phonemes in live sound; all it knows is what it was fed, and no clock."""
 
     @property
     def latency_s(self) -> float:
-        """At sound time t the phonemes before t - latency_s are settled."""
+        """Seconds until phonemes are settled: at sound time t, those before t - latency_s are."""
 
     def feed(self, block: AudioBlock) -> None:
-        """Hear the next block. Blocks of any size; a gap between blocks is heard as silence."""
+        """Process the next block of sound, of any size; a gap before it counts as silence."""
 
     def updates(self) -> list[PhonemeUpdate]:
-        """Return what became known since the last call."""
+        """Return the phoneme updates that are new since the last call."""
 
     def reset(self) -> None:
         """Forget everything, ready for a new stream at sound time 0."""
@@ -208,8 +208,8 @@ class LiveRecognizer(Protocol):
 class RecognizerKind:
     """How to make a live recogniser: an entry of `lipsync.plugins.RECOGNIZERS`.
 
-    make: of the name or file of weights, and of the latency in seconds after which a phoneme is to
-    be settled; one that has no such weights ignores them. latency_s: the least that it needs.
+    make: from the name or file of weights, and the latency in seconds after which a phoneme is to
+    be settled; a recogniser without such weights ignores them. latency_s: the least that it needs.
     """
 
     make: Callable[[str, float], LiveRecognizer]

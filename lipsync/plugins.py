@@ -1,4 +1,4 @@
-"""What comes with lipservo under a name, and what other packages bring under another.
+"""Plug-ins by name: those that come with lipservo, and those of other installed packages.
 
 Built-in ones are a table of strings, loaded at first use. Entry points of installed packages are
 looked up only for a name that is not in it, so that nothing is searched where nothing was added.
@@ -14,14 +14,14 @@ from lipsync.errors import UserError, shown
 
 
 class PluginError(UserError):
-    """A name that nothing installed has, or one that cannot be loaded; one line."""
+    """A plug-in's name is unknown, or the plug-in cannot be loaded; the message is one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plugins:
     """The plug-ins of one kind.
 
-    group: of the entry points. what: one of them, in words. built_in: `module:attribute` by name.
+    group: of the entry points. what: the kind, in words. built_in: `module:attribute` by name.
     """
 
     group: str
@@ -29,12 +29,12 @@ class Plugins:
     built_in: Mapping[str, str]
 
     def names(self) -> list[str]:
-        """Every one that is installed, those that come with lipservo first."""
+        """Return the names of all installed plug-ins, those that come with lipservo first."""
         others = sorted(point.name for point in entry_points(group=self.group))
         return list(dict.fromkeys([*self.built_in, *others]))
 
     def check(self, name: str) -> str:
-        """The name; nothing is loaded. Raises PluginError: what there is, and what to install."""
+        """Return `name` if a plug-in has it, without loading it. Raises PluginError if none has."""
         if name not in self.built_in and not entry_points(group=self.group, name=name):
             raise PluginError(
                 f"{self.what} {shown(name)} is not known here; use one of "
@@ -44,7 +44,7 @@ class Plugins:
         return name
 
     def load(self, name: str) -> Any:
-        """What the entry names. Raises PluginError: an unknown name, or one that fails to load."""
+        """Return the object that a plug-in's name refers to. Raises PluginError where it cannot."""
         if (target := self.built_in.get(name)) is not None:
             module, _, attribute = target.partition(":")
             return getattr(importlib.import_module(module), attribute)

@@ -32,14 +32,14 @@ _SHORTEST_S: Final = 0.01
 
 
 class SpokenTextError(UserError):
-    """Units that cannot be the text of a stream: which, where, and what to do."""
+    """Units cannot be the text of a stream; the message says which, where, and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
 class SpokenUnit:
-    """A piece of text, a word, a phoneme or a viseme; samples of the stream, None: not known.
+    """A piece of text, word, phoneme or viseme, with sample numbers of its stream; None: unknown.
 
-    Without an end it lasts until the next one begins.
+    A unit without an end lasts until the next one begins.
     """
 
     label: str
@@ -49,7 +49,7 @@ class SpokenUnit:
 
 @dataclass(frozen=True, slots=True)
 class PronouncedWord:
-    """A word as it may sound, to be found in its sound (`lipsync/recognition/text_decoder.py`).
+    """A word with its pronunciations, to be found in its sound by `text_decoder`.
 
     pronunciations: at least one; phonemes of the inventory without silence, the commonest first.
     start_s: about when it begins in its stream, None where that is not known.
@@ -109,16 +109,16 @@ class SpokenText:
 
     @property
     def moves_mouth(self) -> bool:
-        """Whether the units are shapes of a mouth, rather than to be found in the sound."""
+        """Whether the units are mouth shapes (phonemes, visemes), not text to find in the sound."""
         return self.kind in ("phoneme", "viseme")
 
     @property
     def is_timed(self) -> bool:
-        """Whether it is known when each unit begins."""
+        """Whether the start of every unit is known."""
         return all(unit.start_sample is not None for unit in self.units)
 
     def revised(self, later: "SpokenText") -> "SpokenText":
-        """The units with those of a later message: appended, or in place of all from its start on.
+        """Return the units revised by `later`: appended, or in place of all from its start on.
 
         The newest are kept where they become too many. Raises SpokenTextError for another kind or
         rate, or where the result goes back in time.
@@ -146,7 +146,7 @@ class SpokenText:
     def events(
         self, from_sample: int = 0, until_sample: int | None = None
     ) -> tuple[PhonemeEvent, ...]:
-        """The phonemes in seconds of the stream, that sound between two samples of it.
+        """Return the phonemes, in seconds of the stream, that sound between two samples of it.
 
         Raises SpokenTextError without times, or for words. Units that take no time are left out.
         """
@@ -179,7 +179,7 @@ class SpokenText:
 
 
 def _joined(kind: UnitKind, units: tuple[SpokenUnit, ...], sample_rate_hz: int) -> SpokenText:
-    """Of units that were checked: a stream may send each phoneme in a message of its own."""
+    """Return a `SpokenText` of units already checked: a stream may send each phoneme by itself."""
     joined = object.__new__(SpokenText)
     fields = {"kind": kind, "units": units, "sample_rate_hz": sample_rate_hz}
     for name, value in fields.items():
@@ -196,7 +196,7 @@ def _start(unit: SpokenUnit) -> int:
 
 
 def _before(units: Sequence[SpokenUnit], start_sample: int) -> Sequence[SpokenUnit]:
-    """Units up to the first that is known to begin at or after a sample; an overlap is cut.
+    """Return the units before the first known to begin at or after a sample; an overlap is cut.
 
     Nothing is before the first sample, whether its time is known or not.
     """

@@ -1,4 +1,4 @@
-"""Reading Praat TextGrids: labelled intervals, and the phonemes of a tier."""
+"""Reading and writing Praat TextGrids: labelled intervals, and the phonemes of a tier."""
 
 from os import PathLike
 from pathlib import Path
@@ -20,9 +20,9 @@ Interval = tuple[str, float, float]
 
 
 def read_tier(path: str | PathLike[str], tier: str) -> tuple[Interval, ...]:
-    """The intervals of `tier` as (label, start_s, end_s), in order, covering the whole file.
+    """Return the intervals of `tier` as (label, start_s, end_s), in order, covering the whole file.
 
-    Labels are stripped of white space; stretches without a label are there, with the label "".
+    Labels are stripped of white space; stretches without a label are included, with the label "".
     Raises LabelError for a missing file, a file that is no TextGrid, and a missing or point tier.
     """
     tiers = read_tiers(path)
@@ -32,9 +32,9 @@ def read_tier(path: str | PathLike[str], tier: str) -> tuple[Interval, ...]:
 
 
 def read_phonemes(path: str | PathLike[str], tier: str = "phones") -> tuple[PhonemeEvent, ...]:
-    """The phonemes of a TextGrid's tier; stretches without a label are silence.
+    """Return the phonemes of a TextGrid's tier; stretches without a label are silence.
 
-    Raises LabelError when the file cannot be read or holds a label outside the inventory.
+    Raises LabelError when the file cannot be read or has a label outside the inventory.
     """
     intervals = read_tier(path, tier)
     for label, start_s, _ in intervals:
@@ -49,7 +49,7 @@ def read_phonemes(path: str | PathLike[str], tier: str = "phones") -> tuple[Phon
 
 
 def read_tiers(path: str | PathLike[str]) -> dict[str, tuple[Interval, ...]]:
-    """Every interval tier of the file by name; see `read_tier`."""
+    """Return a TextGrid's interval tiers, (label, start_s, end_s) by name. Raises LabelError."""
     path = Path(path)
     if not path.is_file():
         raise LabelError(f"{path}: no such file; give the path of a Praat TextGrid")
@@ -86,5 +86,5 @@ def write_tiers(path: str | PathLike[str], tiers: dict[str, tuple[Interval, ...]
 
 
 def is_textgrid(head: bytes) -> bool:
-    """Whether a file that begins so is a TextGrid, as Praat writes them: UTF-8 or UTF-16."""
+    """Return whether a file's first bytes are those of a Praat TextGrid in UTF-8 or UTF-16."""
     return b"ooTextFile" in head.replace(b"\0", b"")

@@ -10,8 +10,8 @@ from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 class PhonemeTimeline:
     """The events of all updates so far, in order of time, not overlapping, with bounded memory.
 
-    `apply` puts an update's belief in place of the older one. What an earlier update called final
-    stays as it is, whatever a later one says; events older than `horizon_s` before what was heard
+    `apply` replaces older events by those of an update. What an earlier update called final stays
+    as it is, whatever a later one contains; events older than `horizon_s` before what was heard
     are forgotten.
     """
 
@@ -24,30 +24,30 @@ class PhonemeTimeline:
 
     @property
     def events(self) -> tuple[PhonemeEvent, ...]:
-        """All that is remembered, in order of time; only the last may have no end."""
+        """All stored events, in order of time; only the last may have no end."""
         return tuple(self._events)
 
     @property
     def final_until_s(self) -> float:
-        """Nothing before it changes again."""
+        """The time in s before which no event changes again."""
         return self._final_until_s
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
-        """The event that goes on at `time_s`, or None where nothing is known."""
+        """Return the event that goes on at `time_s`, or None where nothing is known."""
         index = bisect_right(self._events, time_s, key=_start_s) - 1
         if index < 0 or _end_s(self._events[index]) <= time_s:
             return None
         return self._events[index]
 
     def events_after(self, time_s: float) -> tuple[PhonemeEvent, ...]:
-        """The events that start later than `time_s`, in order."""
+        """Return the events that start later than `time_s`, in order."""
         return tuple(self._events[bisect_right(self._events, time_s, key=_start_s) :])
 
     def apply(self, update: PhonemeUpdate) -> None:
-        """Believe `update` from its `replace_from_s` on, but for what is final already.
+        """Replace the events from the update's `replace_from_s` on by its own, except final ones.
 
-        An event that goes on across that border keeps the start it has here. Raises ValueError for
-        an update whose events are out of order, overlap, or are open before the last.
+        An event that goes on across that time keeps its earlier start. Raises ValueError for an
+        update whose events are out of order, overlap, or are open before the last.
         """
         _refuse_disorder(update)
         from_s = max(update.replace_from_s, self._final_until_s, self._forgotten_until_s)
@@ -66,7 +66,7 @@ class PhonemeTimeline:
             self.forget_before(update.heard_until_s - self._horizon_s)
 
     def forget_before(self, time_s: float) -> None:
-        """Drop the events that end at or before `time_s`; what was forgotten does not come back."""
+        """Drop the events that end at or before `time_s`; later updates do not restore them."""
         self._forgotten_until_s = max(self._forgotten_until_s, time_s)
         n_old = 0
         while n_old < len(self._events) and _end_s(self._events[n_old]) <= time_s:
@@ -74,7 +74,7 @@ class PhonemeTimeline:
         del self._events[:n_old]
 
     def _cut_at(self, time_s: float) -> PhonemeEvent | None:
-        """Drop what lies after `time_s`; the event that reached to it or beyond, now cut there."""
+        """Drop what lies after `time_s`; return the event that reached it, cut there, or None."""
         while self._events and self._events[-1].start_s >= time_s:
             self._events.pop()
         if not self._events or _end_s(self._events[-1]) < time_s:

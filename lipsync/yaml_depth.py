@@ -1,4 +1,4 @@
-"""How deep a YAML text is nested, found out before anything is built of it.
+"""A check of how deep a YAML text is nested, before anything is built of it.
 
 PyYAML recurses: its own reader ends in a RecursionError after seconds of work, libyaml's crashes
 the whole program.
@@ -11,7 +11,7 @@ _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 def is_nested_deeper(text: str, levels: int) -> bool:
-    """Whether lists and mappings lie in one another more than `levels` times.
+    """Return whether lists and mappings are nested in one another more than `levels` times.
 
     Raises yaml.YAMLError where the text is no YAML before that.
     """

@@ -1,1 +1,1 @@
-"""Plans of poses, and the trackers and files that bring marker positions."""
+"""Capture of a robot's face: plans of poses, and the trackers and files of marker positions."""

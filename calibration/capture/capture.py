@@ -1,9 +1,9 @@
-"""Poses that a robot is moved through to learn its face, and what the tracker saw of them.
+"""Plans of robot poses from which a face is learnt, and the capture of markers in each pose.
 
 Every pose is reached by a short last step from a known side of each joint, so that backlash lies on
-a known side too: from below a joint's horn lags by half the backlash, from above it leads by half.
-Poses are thereby independent of one another, and a capture, of which every pose is kept, can stop
-and go on. Knows no bus: `move` and `measure` are functions of the caller.
+a known side too: from below, a joint's horn lags by half the backlash; from above, it leads by
+half. Poses are thereby independent of one another, and an interrupted capture, of which every pose
+is kept, can be resumed. Talks to no bus: `move` and `measure` are functions of the caller.
 Loads SciPy; the live path never does.
 """
 
@@ -36,11 +36,12 @@ _LEAST_CUBE = 16
 
 @dataclass(frozen=True, slots=True)
 class PosePlan:
-    """Poses in their order, all within the limits.
+    """Poses in the order in which they are taken, all within the joint limits.
 
     goals_deg: (n, n_servos); from_below: (n, n_servos), 1 or -1: the side that the last step comes
-    from; start_deg: (n, n_servos), where that step begins. ladders: (n,), of poses that close the
-    lips step by step from which ladder they are, from 1; 0 for all others; empty for none at all.
+    from; start_deg: (n, n_servos), where the last step begins. ladders: (n,), the number of the
+    ladder (poses that close the lips step by step), from 1, that a pose belongs to, 0 for none;
+    empty where the plan has no ladders.
     """
 
     servo_names: tuple[str, ...]
@@ -54,12 +55,12 @@ class PosePlan:
 
 
 def least_poses(n_servos: int, per_sweep: int = _FEWEST_PER_SWEEP) -> int:
-    """The fewest poses that a face of so many servos is learnt from: its sweeps, and as many."""
+    """Return the fewest poses to learn a face from: neutral, each servo's sweeps, as many more."""
     return _NEUTRAL_POSES + 2 * per_sweep * n_servos
 
 
 def usual_poses(n_servos: int) -> int:
-    """The fewest with every joint seen alone from both sides; what is more may lie in speech."""
+    """Return the fewest poses of a plan that sweeps every joint alone from both sides."""
     return least_poses(n_servos, _POSES_PER_SWEEP)
 
 
@@ -70,11 +71,12 @@ def plan_poses(
     rules: Sequence[CouplingRule] = (),
     seed: int = 0,
 ) -> PosePlan:
-    """Neutral, every joint alone from both sides, then a Latin hypercube within the limits.
+    """Return a plan: neutral, every joint alone from both sides, then a Latin hypercube.
 
-    Of few poses each joint is alone in one, from below. Neutral comes again in the middle of the
-    hypercube and at its end.
-    rules: what the joints must not do together; a pose that breaks one is scaled towards neutral.
+    With fewer poses than `usual_poses`, each joint is alone in one pose only, from below. With a
+    hypercube of 16 poses or more, neutral comes again in the middle of the hypercube and at its
+    end.
+    rules: coupling rules; a pose that breaks one is scaled towards neutral.
     Raises CalibrationError for fewer poses than `least_poses`.
     """
     least = least_poses(len(joints))
@@ -104,16 +106,16 @@ def plan_around(
     rules: Sequence[CouplingRule] = (),
     seed: int | None = 0,
 ) -> PosePlan:
-    """Plan given poses, each joint reached from a side drawn by `seed`.
+    """Return a plan of the given poses, each joint reached from a side drawn by `seed`.
 
     Parameters
     ----------
     goals_deg : Array
-        (n, n_servos).
+        (n, n_servos) degrees.
     joints,rules : Sequence[JointRange]
-        Limits that the plan keeps.
+        Joint limits and coupling rules that the plan keeps.
     seed : int | None
-        None: all from below.
+        Seed of the random sides; None: all from below.
 
     Returns
     -------
@@ -127,19 +129,19 @@ def plan_around(
 
 
 def ends_alone(joints: Sequence[JointRange], joint: int) -> Array:
-    """Return the poses with one joint at either end of its range, with room for the last step.
+    """Return two poses with one joint near either end of its range and all others at 0 degrees.
 
     Parameters
     ----------
     joints : Sequence[JointRange]
         Ranges.
     joint : int
-        Its number.
+        Number of the joint that moves.
 
     Returns
     -------
     Array
-        (2, n_servos) degrees.
+        (2, n_servos) degrees, the lower end first.
     """
     ends_deg = np.zeros((2, len(joints)))
     ends_deg[:, joint] = [end[joint] for end in _inside(joints)]
@@ -147,7 +149,7 @@ def ends_alone(joints: Sequence[JointRange], joint: int) -> Array:
 
 
 def plan_rows(plan: PosePlan, rows: Sequence[int]) -> PosePlan:
-    """Some poses of a plan."""
+    """Return a plan of the poses in `rows` only, in that order."""
     chosen = list(rows)
     return replace(
         plan,
@@ -159,7 +161,7 @@ def plan_rows(plan: PosePlan, rows: Sequence[int]) -> PosePlan:
 
 
 def joined(first: PosePlan, second: PosePlan) -> PosePlan:
-    """Join two plans, one after the other."""
+    """Return one plan of the poses of `first` followed by those of `second`."""
     return PosePlan(
         first.servo_names,
         np.concatenate([first.goals_deg, second.goals_deg]),
@@ -172,14 +174,14 @@ def joined(first: PosePlan, second: PosePlan) -> PosePlan:
 def reached_from(
     joints: Sequence[JointRange], goals_deg: Array, side: Array, rules: Sequence[CouplingRule]
 ) -> PosePlan:
-    """Plan poses within limits and rules, each with the beginning of its last step.
+    """Return a plan of poses, clipped to limits and rules, with the start of each last step.
 
     Parameters
     ----------
     joints,rules : Sequence[JointRange]
-        Limits that the plan keeps.
+        Joint limits and coupling rules that the plan keeps.
     goals_deg : Array
-        (n, n_servos).
+        (n, n_servos) degrees.
     side : Array
         (n, n_servos): 1 from below, -1 from above.
 
@@ -196,7 +198,7 @@ def reached_from(
 
 
 def _inside(joints: Sequence[JointRange]) -> tuple[Array, Array]:
-    """The range that leaves room for the last step from either side, as far as there is any."""
+    """Return each joint's least and most angle, less the room for a last step to a pose."""
     low = np.array([j.min_deg for j in joints])
     high = np.array([j.max_deg for j in joints])
     room = np.minimum(LEAD_IN_DEG, (high - low) / 4)
@@ -204,7 +206,10 @@ def _inside(joints: Sequence[JointRange]) -> tuple[Array, Array]:
 
 
 def _sweeps(low: Array, high: Array, per_sweep: int) -> tuple[Array, Array]:
-    """Goals and sides of the neutral poses and of every joint alone, at its wider end."""
+    """Return goals and sides, each (n, n_servos), of neutral and of every joint alone in turn.
+
+    A joint that is alone goes towards its wider end, `per_sweep` times.
+    """
     n_servos = len(low)
     wider = np.where(high >= -low, high, low)
     goals = np.zeros((_NEUTRAL_POSES + per_sweep * n_servos, n_servos))
@@ -232,12 +237,13 @@ STALL_DEG = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Capture:
-    """Captured poses.
+    """Captured poses and their markers.
 
-    goals_deg, from_below: (n, n_servos); markers_mm: (n, n_markers, 3), NaN where lost. stalled: a
-    line for each pose that was left out because a joint did not get there, or for those that were
-    not recorded. n_planned: poses of the plan, those left out among them. rows: of the plan, which
-    of its poses these are, where they were captured pose by pose. ladders: as in the plan.
+    goals_deg, from_below: (n, n_servos); markers_mm: (n, n_markers, 3), NaN where lost. stalled:
+    one line for each pose that was left out because a joint did not reach its goal, or one for all
+    that were not recorded. n_planned: number of poses in the plan, poses left out included. rows:
+    the plan's rows of these poses, where the poses were captured one by one. ladders: as in
+    PosePlan.
     """
 
     servo_names: tuple[str, ...]
@@ -255,12 +261,12 @@ class Capture:
 
 
 def ladders_of(poses: PosePlan | Capture) -> Indices:
-    """(n,): of which ladder each pose is, 0: of none."""
+    """Return the ladder number of each pose, (n,); 0 for a pose of no ladder."""
     return poses.ladders if len(poses.ladders) else np.zeros(len(poses), dtype=np.int64)
 
 
 def outside_ladders(capture: Capture) -> Capture:
-    """The poses in which lips are not closed step by step."""
+    """Return the capture without the poses of ladders, which close the lips step by step."""
     free = ladders_of(capture) == 0
     return replace(
         capture,
@@ -274,7 +280,7 @@ def outside_ladders(capture: Capture) -> Capture:
 
 @dataclass(frozen=True, slots=True)
 class CapturedPose:
-    """One pose of a plan, as it is kept: its number, the encoders, and the markers."""
+    """One captured pose: its row in the plan, encoder angles in degrees and markers in mm."""
 
     index: int
     reached_deg: Array
@@ -293,9 +299,10 @@ def capture_poses(
 ) -> Capture:
     """Move through the plan, measure every pose, and leave the robot at its neutral.
 
-    keep: a file of one line a pose, written at once, so that a capture that was cut short goes on
-    where it stopped; a file of another plan is refused. arrived is called for each pose before it
-    is measured; progress is called with the number of poses done.
+    keep: file to which each pose is written at once, one line a pose, so that an interrupted
+    capture can be resumed from it; None: nothing is written. arrived is called for each pose before
+    the pose is measured; progress is called with the number of poses done. Raises CalibrationError
+    for a `keep` of another plan.
     """
     poses = [] if keep is None else read_kept(keep, plan, marker_names)
     on = Robot(move, measure, arrived, progress)
@@ -304,10 +311,10 @@ def capture_poses(
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """All that a capture knows of a robot and its tracker.
+    """The functions through which a capture moves and measures a robot.
 
-    strained: which servo pulls with all the current that it may draw, None where none does or
-    the load is not measured.
+    strained: returns the name of the servo that draws all the current that it may draw, None where
+    no servo does or the load is not measured.
     """
 
     move: Move
@@ -325,10 +332,10 @@ def take_poses(
     keep: Path | None,
     pressing: Collection[int] = (),
 ) -> list[CapturedPose]:
-    """`poses` and those of the plan that are not among them, which are captured now.
+    """Return `poses` and those of the plan missing from `poses`, which are captured now.
 
-    pressing: poses that close the lips farther and farther; once a servo is strained there, those
-    that follow are left out.
+    The robot is at neutral afterwards. pressing: rows of poses that close the lips farther and
+    farther; once a servo is strained in one of these, the remaining ones are left out.
     """
     poses = list(poses)
     done = {pose.index for pose in poses}
@@ -348,7 +355,7 @@ def take_poses(
 
 
 def take_pose(plan: PosePlan, index: int, on: Robot) -> CapturedPose:
-    """Go to a pose of the plan, from its side, and measure it."""
+    """Move to row `index` of the plan, through the row's start; return the measured pose."""
     on.move(plan.start_deg[index])
     reached_deg = on.move(plan.goals_deg[index])
     on.arrived(index, reached_deg)
@@ -357,7 +364,10 @@ def take_pose(plan: PosePlan, index: int, on: Robot) -> CapturedPose:
 
 
 def gather(plan: PosePlan, marker_names: tuple[str, ...], poses: list[CapturedPose]) -> Capture:
-    """The capture that these poses of the plan make; poses with a stalled joint are left out."""
+    """Return the capture of these poses of the plan, without those in which a joint stalled.
+
+    A joint is stalled where its encoder is more than STALL_DEG from its goal.
+    """
     stalled: list[str] = []
     good: list[CapturedPose] = []
     for pose in sorted(poses, key=lambda p: p.index):
@@ -391,10 +401,10 @@ _LINE_HEAD = '{"pose": '
 def read_kept(
     keep: Path, plan: PosePlan, marker_names: tuple[str, ...], *, goes_on: bool = False
 ) -> list[CapturedPose]:
-    """The poses in a kept file; a last line that a power cut left unfinished is dropped.
+    """Return the poses in a kept file; an unfinished last line is removed from the file.
 
-    goes_on: the plan will be continued; the first pose beyond it, and all that was written after,
-    are left for later: what follows was planned without them.
+    No file: empty list. goes_on: stop at the first pose beyond the plan, because the plan will be
+    extended; that pose and all later lines are ignored.
     Raises CalibrationError for a file of another plan or a damaged one.
     """
     if not keep.exists():
@@ -444,7 +454,10 @@ def _kept_pose(
 def keep_pose(
     keep: Path, pose: CapturedPose, plan: PosePlan, marker_names: tuple[str, ...]
 ) -> None:
-    """Add a line to the kept poses; the last line of a pose counts. Raises CalibrationError."""
+    """Append a pose to the file `keep` as a JSON line; of two lines of one pose the later counts.
+
+    Raises CalibrationError where the file cannot be written.
+    """
 
     def plain(points: Array) -> list[list[float | None]]:
         return [[float(f"{v:.4f}") if np.isfinite(v) else None for v in p] for p in points]

@@ -1,11 +1,11 @@
-"""Coloured dots on a face, found in a folder of pictures from the front, one a pose.
+"""Coloured dots on a robot's face, found in a folder of pictures from the front, one per pose.
 
-A dot is known by its colour and its shape: a disc, seen at an angle an ellipse, and as large as the
-others. A shirt of that colour is none. A single camera sees across and up; forward is given as 0,
-so the calibration learns nothing of it. `dots.csv` in the folder names every dot where it is in one
-of the pictures, in pixels from the top left: `marker,column_px,row_px`. Its size comes from a
-ruler: `mm_per_px` in a fourth column, the same in every row. Pictures end in the number of their
-pose: `pose_7.png`.
+A dot is known by its colour and its shape: a disc, or an ellipse when seen at an angle, about as
+large as the other dots. A shirt of that colour is ignored. A single camera measures across and up;
+forward is given as 0, so the calibration learns nothing of it. `dots.csv` in the folder gives every
+dot's name and its position in one of the pictures, in pixels from the top left:
+`marker,column_px,row_px`. The scale, measured with a ruler, is in a fourth column, `mm_per_px`,
+equal in every row. Pictures end in the number of their pose: `pose_7.png`.
 Needs OpenCV, the extra `dots`; imported only when pictures are read. Loads SciPy.
 """
 
@@ -31,9 +31,9 @@ _FOREIGN: Final = (".heic", ".heif", ".dng", ".cr2", ".nef", ".arw", ".webp", ".
 
 
 def pose_pictures(folder: Path) -> list[tuple[int, Path]]:
-    """Pose and file, by name; none where there are none.
+    """Return pose number and file of every picture in a folder, by name; empty without pictures.
 
-    Raises CalibrationError for a picture that names no pose, or is of a kind that is not read.
+    Raises CalibrationError for a picture whose name has no number or whose format is not read.
     """
     pictures = []
     for path in sorted(folder.iterdir()):
@@ -50,7 +50,7 @@ def pose_pictures(folder: Path) -> list[tuple[int, Path]]:
 
 
 def holds_pictures(folder: Path) -> bool:
-    """Whether there is any picture in it, readable or not."""
+    """Return whether a folder contains any picture, in a supported format or not."""
     return any(path.suffix.lower() in (*PICTURES, *_FOREIGN) for path in folder.iterdir())
 
 
@@ -74,7 +74,7 @@ _LEAST_FILLED = 0.8
 
 @dataclass(frozen=True, slots=True)
 class DotColour:
-    """A range of OpenCV's hue 0..179, and the least saturation and brightness, 0..255.
+    """The colour range of dots: OpenCV's hue 0..179, and least saturation and brightness, 0..255.
 
     The default is blue: neither skin, lips, nor most rubber.
     """
@@ -87,10 +87,10 @@ class DotColour:
 
 @dataclass(frozen=True, slots=True)
 class FoundDots:
-    """What a picture holds. size_px: its height and width.
+    """The dots found in a picture. size_px: the picture's height and width.
 
-    middles_px: (n, 2), column and row of every dot; n_merged: how many pairs touch, each counted as
-    the two dots that it is; n_other: spots of that colour that are no dots.
+    middles_px: (n, 2), column and row of every dot; n_merged: number of touching pairs, each pair
+    counted in middles_px as two dots; n_other: spots of the dots' colour that are no dots.
     """
 
     middles_px: Array
@@ -101,7 +101,10 @@ class FoundDots:
 
 @dataclass(frozen=True, slots=True)
 class _Spot:
-    """Pixels of one colour that hang together. length: of its long axis over its short one."""
+    """A connected region of pixels of one colour. length: ratio of its long axis to its short one.
+
+    pixels: (n, 2), column and row; filled: its area as a share of an equal-spread ellipse's area.
+    """
 
     pixels: Array
     area_px: float
@@ -110,14 +113,14 @@ class _Spot:
 
     @property
     def is_round(self) -> bool:
-        """Whether it may be one dot."""
+        """Whether the spot has the shape of one dot: not too long, and filled."""
         return self.length <= _LONGEST and self.filled >= _LEAST_FILLED
 
 
 def find_dots(picture: Path, colour: DotColour, *, least_area_px: int = 12) -> FoundDots:
-    """Every dot of that colour.
+    """Return every dot of `colour` in a picture; spots below `least_area_px` are ignored.
 
-    Raises CalibrationError for what is not a picture, MissingExtraError without OpenCV.
+    Raises CalibrationError if the file is not a picture, MissingExtraError without OpenCV.
     """
     check_extra("cv2", f"{picture}: finding dots")
     import cv2
@@ -141,7 +144,7 @@ def find_dots(picture: Path, colour: DotColour, *, least_area_px: int = 12) -> F
 
 
 def _spot(pixels: Array) -> _Spot:
-    """pixels: (n, 2). The pixels of an ellipse spread by a quarter of its half axes, squared."""
+    """Return the spot of `pixels`, (n, 2), with its area, length and filled share of an ellipse."""
     # A pixel is a square: it spreads by a twelfth of itself.
     spread = np.linalg.eigvalsh(np.cov(pixels.T, bias=True)) + 1.0 / 12.0
     area_px = float(len(pixels))
@@ -169,7 +172,7 @@ def _dots_among(spots: list[_Spot], size_px: tuple[int, int]) -> FoundDots:
 
 
 def _usual(spots: list[_Spot]) -> tuple[float, float]:
-    """Area and length of one dot: those that most spots are near to; a shirt may be round too."""
+    """Return area in pixels and length of a usual dot, by the usual size of round spots."""
     alone = [spot for spot in spots if spot.is_round]
     if not alone:
         return 1.0, 1.0
@@ -182,9 +185,9 @@ def _usual(spots: list[_Spot]) -> tuple[float, float]:
 
 
 def _two_dots(pixels: Array) -> Array:
-    """(2, 2): the middles of two equal discs whose pixels (n, 2) these are.
+    """Return the centres, (2, 2) pixels, of the two equal discs that `pixels`, (n, 2), consist of.
 
-    Discs that are d apart spread the pixels along their line by d^2 / 4 more than across it.
+    The variance along the line between two discs d apart is d^2 / 4 greater than across it.
     """
     spread, axes = np.linalg.eigh(np.cov(pixels.T))
     half = np.sqrt(max(0.0, spread[1] - spread[0])) * axes[:, 1]
@@ -195,25 +198,25 @@ def _two_dots(pixels: Array) -> Array:
 def name_dots(
     dots_px: Array, expected_px: Mapping[str, Array], *, furthest_px: float, sure_px: float
 ) -> dict[str, Array]:
-    """Assign dots of a picture to expected dots, with the least sum of squared ways.
+    """Assign dots of a picture to expected dots, with the least sum of squared distances.
 
-    Dots in a row keep their order so. NaN for one that nothing is near enough to, within
-    `furthest_px`; and for all, when one is hidden while others moved farther than `sure_px`: a row
-    with a gap may have moved up by one place, and a wrong name is worse than none.
+    So dots in a row keep their order. A dot is NaN where no found dot is within `furthest_px`. All
+    are NaN when one is hidden while another moved farther than `sure_px`: a row with a gap may have
+    moved up by one position, and a wrong name is worse than none.
 
     Parameters
     ----------
     dots_px : Array
-        (n, 2).
+        (n, 2) pixels.
     expected_px : Mapping[str, Array]
-        (2,) by name.
+        (2,) pixels by name: column and row.
     furthest_px,sure_px : float
-        Pixels.
+        Largest distance of a match, and the largest that is sure while a dot is hidden.
 
     Returns
     -------
     dict[str, Array]
-        (2,) pixels by name.
+        (2,) pixels by name, NaN where not found.
     """
     names = list(expected_px)
     places = {name: np.full(2, np.nan) for name in names}
@@ -234,16 +237,16 @@ def name_dots(
 
 
 def dots_mm(places_px: Mapping[str, Array], origin_px: Array, mm_per_px: float) -> dict[str, Array]:
-    """Return places in mm: across to the robot's left (right in its picture), up, and 0 forward.
+    """Return dots in mm: across to the robot's left (right in its picture), up, and 0 forward.
 
     Parameters
     ----------
     places_px : Mapping[str, Array]
-        (2,) by name.
+        (2,) pixels by name: column and row.
     origin_px : Array
-        (2,).
+        (2,) pixels of the point that becomes 0.
     mm_per_px : float
-        Scale.
+        Millimetres of a pixel.
 
     Returns
     -------
@@ -269,24 +272,24 @@ _FURTHEST_MM, _SURE_MM = 60.0, 10.0
 
 @dataclass(frozen=True, slots=True)
 class DotNames:
-    """Where each dot was when it was named, (2,) pixels, and the scale."""
+    """The position of each dot in the picture in which it was named, (2,) pixels, and the scale."""
 
     first_px: dict[str, Array]
     mm_per_px: float
 
 
 def is_dots_folder(folder: Path) -> bool:
-    """Whether this folder is one of pictures: it says what their dots are called."""
+    """Return whether a folder contains `dots.csv`, which names the dots of its pictures."""
     return (folder / NAMES_FILE).is_file()
 
 
 class DotsFolder:
-    """Pictures as they come; all of one size, for `dots.csv` counts in pixels."""
+    """Reader of dots in a folder of pictures of one size, which may still be filled."""
 
     def __init__(self, folder: Path, tell: Callable[[str], None] = lambda _: None) -> None:
-        """tell: called for dots that touch, or that no picture shows, with a line for each picture.
+        """Read `dots.csv`. tell: called with a line for each picture with touching or hidden dots.
 
-        Raises CalibrationError for a `dots.csv` that is not as described above.
+        Raises CalibrationError for a `dots.csv` that lacks a column, a number or a single scale.
         """
         self._folder, self._tell = folder, tell
         self._names = read_names(folder / NAMES_FILE)
@@ -294,14 +297,20 @@ class DotsFolder:
         self._warned: set[str] = set()
 
     def readings(self, pose: int) -> list[Reading]:
-        """Return the readings of one pose. Raises CalibrationError."""
+        """Return pose, marker and position (3,) in mm, NaN if hidden, of every dot in one pose.
+
+        Empty without a picture of the pose. Raises CalibrationError for an unusable picture.
+        """
         pictures = pose_pictures(self._folder)
         return [
             each for number, path in pictures if number == pose for each in self._look(number, path)
         ]
 
     def all_readings(self) -> list[Reading]:
-        """Return the readings of every picture. Raises CalibrationError."""
+        """Return pose, marker and position (3,) in mm, NaN if hidden, of every dot in all pictures.
+
+        Raises CalibrationError without pictures, or for an unreadable one or one of another size.
+        """
         pictures = pose_pictures(self._folder)
         if not pictures:
             raise CalibrationError(f"{self._folder}: no picture in it; expected pose_1.png, ...")
@@ -351,16 +360,20 @@ class DotsFolder:
 
 
 def read_dots_folder(folder: Path, only: int | None = None) -> list[Reading]:
-    """Pose, marker, place (3,) in mm of every dot; NaN for one that is hidden; only: one pose.
+    """Return pose, marker and position (3,) in mm, NaN if hidden, of every dot in the pictures.
 
-    The middle of the named dots is the origin. Raises CalibrationError, with file and line.
+    only: a single pose to read; None: all. The origin is the mean of the dots in `dots.csv`. Raises
+    CalibrationError, with the file, for an unreadable picture or `dots.csv`.
     """
     pictures = DotsFolder(folder)
     return pictures.all_readings() if only is None else pictures.readings(only)
 
 
 def read_names(path: Path) -> DotNames:
-    """Raises CalibrationError for anything that is not as described above."""
+    """Return each dot's name, position in pixels and the scale from a `dots.csv`.
+
+    Raises CalibrationError for a missing column or number, a repeated name, or differing scales.
+    """
     try:
         rows = list(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8-sig"))))
     except (OSError, UnicodeDecodeError) as error:

@@ -1,8 +1,8 @@
-"""Markers of a robot's face by the face mesh that finds people's faces in pictures.
+"""Markers of a robot's face, by the face mesh that finds people's faces in pictures.
 
-They come from a folder of photographs, one a pose, or from a camera, a few pictures a pose. A
-robot's face is found where it is human enough. Across and up are seen; forward is a network's
-estimate of what people's faces look like, and no measurement.
+The pictures come from a folder of photographs, one per pose, or from a camera, a few per pose. A
+robot's face is found where it is human enough. Across and up are measured; forward is a network's
+estimate from people's faces, and no measurement.
 """
 
 from collections.abc import Callable, Sequence
@@ -39,11 +39,13 @@ _TO_FACE_AXES: Final = np.array([1.0, -1.0, -1.0])
 
 
 class NoFaceError(CalibrationError):
-    """Nothing in a picture that is one face; says what is there, not where."""
+    """A picture does not show exactly one face; the message contains why, but not the file."""
 
 
 def one_face(tracker: FaceTracker, picture: Picture) -> Array:
-    """Return the points of the only face in a picture. Raises NoFaceError.
+    """Return the mesh points of the only face in a picture.
+
+    Raises NoFaceError for no face, or for a second one at least half as wide as the widest.
 
     Parameters
     ----------
@@ -67,10 +69,10 @@ def one_face(tracker: FaceTracker, picture: Picture) -> Array:
 
 
 class MeshFrame:
-    """The head as it was in a first picture: lays every other one on it, in millimetres."""
+    """The head's frame in a first picture, onto which mesh points are laid in millimetres."""
 
     def __init__(self, points_px: Array, eye_distance_mm: float) -> None:
-        """points_px: (478, 3), of neutral; eye_distance_mm: between the outer corners."""
+        """Set the frame by points_px (478, 3) of neutral and the mm between outer eye corners."""
         face = points_px * _TO_FACE_AXES
         right, left = face[list(_EYES)]
         scale = eye_distance_mm / float(np.linalg.norm(left - right))
@@ -79,13 +81,13 @@ class MeshFrame:
     def markers_mm(self, points_px: Array) -> Array:
         """Return markers in the frame of the first picture.
 
-        The similarity that lays what is rigid on the first picture takes away how the camera was
-        held: Umeyama (IEEE PAMI 13(4), 1991), eqs. (39)-(42).
+        The similarity that lays the rigid points on those of the first picture removes the camera's
+        movement: Umeyama (IEEE PAMI 13(4), 1991), eqs. (39)-(42).
 
         Parameters
         ----------
         points_px : Array
-            (478, 3).
+            (478, 3) mesh points of a picture.
 
         Returns
         -------
@@ -98,17 +100,17 @@ class MeshFrame:
 
 
 def median_markers_mm(seen_mm: Sequence[Array]) -> Array:
-    """Return the median of several pictures of one pose.
+    """Return the median of the markers in several pictures of one pose.
 
     Parameters
     ----------
     seen_mm : Sequence[Array]
-        (47, 3) each.
+        (47, 3) mm each.
 
     Returns
     -------
     Array
-        (47, 3).
+        (47, 3) mm.
     """
     return np.asarray(np.median(np.array(seen_mm), axis=0))
 
@@ -126,7 +128,7 @@ _MOST_NAMED: Final = 8
 
 
 class MeshFolder:
-    """Photographs as they come. `readings` looks at each file once, and again when it changes."""
+    """Reader of photographs in a folder that is being filled; it reads changed files again."""
 
     def __init__(
         self,
@@ -135,7 +137,7 @@ class MeshFolder:
         eye_distance_mm: float,
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """tell: called with the reason why a photograph is of no use."""
+        """Open a folder. tell: called with the reason why a photograph is of no use."""
         self._folder, self._tracker = folder, tracker
         self._eye_distance_mm = eye_distance_mm
         self._tell = tell
@@ -145,7 +147,7 @@ class MeshFolder:
         self._seen: dict[Path, tuple[tuple[int, int], Array | str]] = {}
 
     def readings(self, pose: int) -> list[Reading]:
-        """What is seen of one pose; nothing where there is no photograph or no face in it."""
+        """Return pose, marker and position (3,) in mm, from every photograph of one pose."""
         readings = []
         for number, path in pose_pictures(self._folder):
             if number == pose:
@@ -155,7 +157,10 @@ class MeshFolder:
         return readings
 
     def all_readings(self) -> list[Reading]:
-        """Of every photograph. Raises CalibrationError, naming each that is of no use."""
+        """Return pose, marker and position (3,) in mm, from every photograph.
+
+        Raises CalibrationError without pictures, or with the names of pictures without one face.
+        """
         pictures = pose_pictures(self._folder)
         if not pictures:
             raise CalibrationError(f"{self._folder}: no picture in it; expected pose_1.jpg, ...")
@@ -232,12 +237,12 @@ _CAMERA_REMEDY: Final = (
 
 
 class CameraTracker:
-    """Sees 47 markers or none. Pose 0 is the robot in neutral, to which all is referred."""
+    """Tracker of 47 markers with a camera; the frame is that of the robot's neutral, pose 0."""
 
     marker_names = MARKERS_47.names
 
     def __init__(self, see: See, eye_distance_mm: float, say: Callable[[str], None]) -> None:
-        """Look at neutral. Raises CalibrationError where no face is found there."""
+        """Take pictures of neutral. Raises CalibrationError unless 5 of 15 contain a face."""
         self._see, self._say = see, say
         points_px, why = self._pictures()
         if not points_px:
@@ -258,7 +263,7 @@ class CameraTracker:
         self._pose = pose + 1
 
     def measure(self) -> Array:
-        """Measure the markers in some pictures of the pose.
+        """Return the median of the markers in 5 pictures of the pose.
 
         Returns
         -------
@@ -283,7 +288,10 @@ class CameraTracker:
         return np.full((len(self.marker_names), 3), np.nan)
 
     def _pictures(self) -> tuple[list[Array], str]:
-        """Faces, and why there were none in the last picture that had none."""
+        """Return the mesh points, (478, 3) pixels, of 5 pictures; [] if fewer of 15 contain a face.
+
+        The second value is the reason why the last picture without a face had none; else empty.
+        """
         found: list[Array] = []
         why = ""
         for _ in range(_MOST_PICTURES):

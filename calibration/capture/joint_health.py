@@ -1,11 +1,11 @@
-"""Joints that are dead, or that stopped, slipped or came loose while a capture went on.
+"""Joints that are dead, or that stopped, slipped or came loose during a capture.
 
 A weak joint among many moves the skin by as little as a tracker's noise among so few poses. What
-tells it from a dead one is more poses in which nothing else moves: it is looked at again, alone,
-end to end. Every suspicion of a fault is a model of the whole capture, fitted by least squares
-beside the healthy one: a joint that stands still from some pose on, or everything shifted from some
-pose on. A suspicion must explain far more than chance, and the accused far more than any other
-joint.
+tells it from a dead one is more poses in which nothing else moves: the joint is captured again,
+alone, end to end. Every suspicion of a fault is a model of the whole capture, fitted by least
+squares beside the healthy one: a joint that stops moving from some pose on, or everything shifted
+from some pose on. A suspicion must explain far more than chance, and the accused joint far more
+than any other.
 """
 
 from collections.abc import Sequence
@@ -40,9 +40,10 @@ _STILL_DEG, _END_SHARE, _LEAST_RANGE_DEG = 0.1, 0.05, 1.0
 
 
 def doubtful_joints(capture: Capture, looked_at: Sequence[int] | None = None) -> list[int]:
-    """Joints that may be dead as well as weak, as far as the capture tells.
+    """Return the numbers of joints that may be dead, or only weak, by the capture.
 
-    looked_at: those that had a second look; None: there was none yet.
+    looked_at: joints that were captured again alone, of which those found dead are returned; None:
+    none were yet, so all joints are examined.
     """
     lines = straight_lines(capture)
     if looked_at is None:
@@ -52,7 +53,7 @@ def doubtful_joints(capture: Capture, looked_at: Sequence[int] | None = None) ->
 
 
 def unseen_alone(capture: Capture) -> list[int]:
-    """Joints that may be dead as well as weak and were not looked at alone, end to end."""
+    """Return the numbers of joints that may be dead and lack enough poses alone at both ends."""
     return [
         joint
         for joint in doubtful_joints(capture)
@@ -66,27 +67,27 @@ def extra_poses(
     *,
     rules: Sequence[CouplingRule] = (),
 ) -> PosePlan:
-    """Each of these alone, from one end of its range to the other, several times over.
+    """Return a plan of each doubtful joint alone, at either end of its range, 6 times over.
 
-    All joints come from below each time, so that the play of the others is the same in all poses.
+    All joints come from below each time, so that the backlash of the others is alike in all poses.
     """
     goals_deg = [np.tile(ends_alone(joints, joint), (_TIMES, 1)) for joint in doubtful]
     return plan_around(np.concatenate(goals_deg), joints, rules=rules, seed=None)
 
 
 def alive(lines: StraightLines, joint: int) -> float:
-    """Mean square effect of joint number `joint` on the three markers that it moves most.
+    """Return the mean square effect of joint number `joint` on the three markers it moves most.
 
-    In square standard errors: noise alone gives 8 to 13.
+    The unit is square standard errors: noise alone gives 8 to 13.
     """
     chance_mm = lines.chance_mm[joint] * lines.own_noise_mm / max(lines.noise_mm, 1e-9)
     return _mean_of_most(lines.slopes_mm[joint], chance_mm)
 
 
 def is_dead(capture: Capture, lines: StraightLines, joint: int) -> bool:
-    """Whether joint number `joint` moves no marker by more than chance.
+    """Return whether joint number `joint` moves no marker by more than chance.
 
-    By what it did alone where it was seen so several times at both ends, else by the lines.
+    Judged by its poses alone where there are at least 5 at both ends, else by the fitted lines.
     """
     ends = _ends_alone(capture, joint)
     if min(map(len, ends)) < _LEAST_TIMES:
@@ -100,14 +101,14 @@ def is_dead(capture: Capture, lines: StraightLines, joint: int) -> bool:
 
 
 def moved_alone_mm(capture: Capture, joint: int) -> Array:
-    """Return the motion of the markers from a joint's lower to its upper end, with all others at 0.
+    """Return how far markers move from a joint's lower to its upper end, with all others at 0.
 
     Parameters
     ----------
     capture : Capture
-        Has such poses.
+        A capture with poses in which only this joint is off 0.
     joint : int
-        Its number.
+        Number of the joint.
 
     Returns
     -------
@@ -119,7 +120,10 @@ def moved_alone_mm(capture: Capture, joint: int) -> Array:
 
 
 def _apart_mm(upper_mm: Array, lower_mm: Array) -> Array:
-    """(n, n_markers, 3) each, masked where not seen -> (n_markers, 3), the means apart."""
+    """Return the difference of mean markers, (n_markers, 3) mm, upper less lower; NaN if unseen.
+
+    upper_mm, lower_mm: (n, n_markers, 3), masked where not seen.
+    """
     apart_mm = np.ma.mean(upper_mm, axis=0) - np.ma.mean(lower_mm, axis=0)
     return np.asarray(np.ma.filled(apart_mm, np.nan))
 
@@ -130,7 +134,7 @@ def _mean_of_most(effects_mm: Array, errors_mm: Array) -> float:
 
 
 def _ends_alone(capture: Capture, joint: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Poses in which no other joint is off 0, and this one at either end of where it is then."""
+    """Return the rows with `joint` at its upper end and those at its lower, all others at 0."""
     still = (np.abs(np.delete(capture.goals_deg, joint, axis=1)) < _STILL_DEG).all(axis=1)
     rows = np.flatnonzero(still)
     own_deg = capture.goals_deg[rows, joint]
@@ -157,14 +161,17 @@ _KINDS = {
 
 @dataclass(frozen=True, slots=True)
 class JointFault:
-    """kind: `stopped` or `slipped`, or `shifted` with no joint (-1) to blame; pose from 1."""
+    """A joint's fault in a capture: `stopped`, `slipped`, or `shifted` with joint -1 (unknown).
+
+    pose: the first pose with the fault, counted from 1.
+    """
 
     kind: str
     joint: int
     pose: int
 
     def description(self, names: tuple[str, ...]) -> str:
-        """Describe the fault in one line, with what to do."""
+        """Return the fault in one line, with the remedy, by the servos' names."""
         if self.joint < 0:
             return (
                 f"from pose {self.pose} on the face is another one than before: was the tracker or "
@@ -177,9 +184,9 @@ class JointFault:
 
 
 def joint_fault(capture: Capture, lines: StraightLines, sure: float = SURE) -> JointFault | None:
-    """The one thing that went wrong, if one explains the capture so much better than none.
+    """Return the one fault that explains the capture much better than no fault; None without one.
 
-    sure: the F value from which it does.
+    sure: F value that a fault must exceed at least. None also where the capture has too few poses.
     """
     n = len(capture)
     low, high = capture.goals_deg.min(axis=0), capture.goals_deg.max(axis=0)
@@ -202,7 +209,7 @@ def joint_fault(capture: Capture, lines: StraightLines, sure: float = SURE) -> J
 
 
 def _by_chance(inputs: Array, y: Array, n_tries: int) -> float:
-    """The F value that one of so many suspicions of a healthy robot comes to, once in a thousand.
+    """Return the F value that the best of `n_tries` faults reaches by chance once in a thousand.
 
     Noise of many markers is of many dimensions, and its mean is sure; what a good tracker sees of
     skin that is not quadratic is of two or three, and varies by as much as it is (the effective
@@ -215,7 +222,7 @@ def _by_chance(inputs: Array, y: Array, n_tries: int) -> float:
 
 
 def _left(inputs: Array, y: Array) -> float:
-    """Return the residual sum of squares of a least-squares fit."""
+    """Return the residual sum of squares of a least-squares fit of `y` by `inputs`."""
     basis = np.linalg.qr(inputs)[0]
     return float((y**2).sum() - ((basis.T @ y) ** 2).sum())
 
@@ -223,7 +230,10 @@ def _left(inputs: Array, y: Array) -> float:
 def _stops(
     base: Array, x: Array, y: Array, healthy: float, sure: float
 ) -> list[tuple[float, JointFault]]:
-    """The joint whose loss of motion from some pose on explains the capture best."""
+    """Return the F value and fault of the joint whose stop from some pose on explains most.
+
+    The list is empty if that is below `sure` or hardly more than another joint explains.
+    """
     n, n_servos = x.shape
     freedom = n - base.shape[1]
     best = []
@@ -246,7 +256,10 @@ def _stops(
 def _shifts(
     base: Array, x: Array, y: Array, healthy: float, sure: float
 ) -> list[tuple[float, JointFault]]:
-    """Everything shifted from some pose on: by whom, if it is what one joint does."""
+    """Return the F value and fault of a shift of all markers from some pose on; [] below `sure`.
+
+    The fault is `slipped` where the shift is like one joint's motion alone, else `shifted`.
+    """
     n, n_servos = x.shape
     tries = []
     for k in range(_FIRST, n - _LAST):

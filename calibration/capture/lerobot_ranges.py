@@ -1,8 +1,8 @@
-"""Range files of LeRobot, as a start: which ticks each servo may go between.
+"""Range files of LeRobot, which contain the recorded range of each servo in ticks.
 
-A file holds, for each joint, `id, drive_mode, homing_offset, range_min, range_max` in ticks
-(4,096 a turn). What they mean in joint degrees needs one more thing, the tick of the neutral:
-without it, the middle of the range is taken.
+A file contains, for each joint, `id, drive_mode, homing_offset, range_min, range_max` in ticks
+(4,096 per turn). Joint degrees need the tick of the neutral besides: without it, the middle of the
+range is taken.
 """
 
 import json
@@ -29,7 +29,10 @@ class RecordedRange:
     most_tick: int
 
     def limits_deg(self, neutral_tick: int | None = None) -> tuple[float, float]:
-        """Joint degrees of the two ends, neutral = 0; turned round for a reversed drive."""
+        """Return both ends of the range in joint degrees from neutral, ascending.
+
+        neutral_tick: None takes the middle of the range; a reversed drive changes both signs.
+        """
         neutral = (self.least_tick + self.most_tick) / 2 if neutral_tick is None else neutral_tick
         ends = [
             (tick - neutral) * 360.0 / TICKS_A_TURN for tick in (self.least_tick, self.most_tick)
@@ -38,7 +41,10 @@ class RecordedRange:
 
 
 def read_ranges(path: Path) -> Mapping[str, RecordedRange]:
-    """By joint. Raises CalibrationError, naming the joint and key, for any other file."""
+    """Return the recorded ranges in a LeRobot JSON file, by joint.
+
+    Raises CalibrationError, with joint and key, for a missing, unreadable or malformed file.
+    """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -53,7 +59,7 @@ def read_ranges(path: Path) -> Mapping[str, RecordedRange]:
 
 
 def by_id(ranges: Mapping[str, RecordedRange]) -> dict[int, RecordedRange]:
-    """Raises CalibrationError where two joints have one id."""
+    """Return the ranges by servo id. Raises CalibrationError where two joints have one id."""
     found: dict[int, RecordedRange] = {}
     for recorded in ranges.values():
         other = found.setdefault(recorded.servo_id, recorded)
@@ -92,9 +98,10 @@ def _parse(place: str, name: str, entry: object) -> RecordedRange:
 def check_within_recorded(
     ranges: Mapping[str, RecordedRange], limits_deg: Mapping[str, tuple[float, float]]
 ) -> None:
-    """Raises CalibrationError for a joint whose limits are wider than what was recorded for it.
+    """Raise CalibrationError for a joint whose limits are wider than, or without, a recorded range.
 
-    limits_deg: of the face, by joint. Widths only: where the neutral lies is the face's to say.
+    limits_deg: of the face, by joint. Only widths are compared: the face's YAML defines the
+    neutral.
     """
     for name, (low, high) in limits_deg.items():
         if name not in ranges:

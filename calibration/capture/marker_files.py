@@ -1,10 +1,10 @@
-"""Pose plans and marker positions in files: what any tracker, or a person with callipers, writes.
+"""Pose plans and marker positions in files, written by any tracker or by a person with callipers.
 
 A plan is CSV: `pose`, then the goal of each joint as `<servo>_deg` and the side of the last step as
 `<servo>_from` (1 below, -1 above). Markers are CSV with the columns `pose, marker, x_mm, y_mm,
 z_mm`, or JSON as a list of objects with those keys; several readings of one marker in one pose
 count as their median, and an empty or missing reading as lost. A folder of C3D files, as
-motion-capture systems write them, holds one file a pose; they need ezc3d, the extra `mocap`,
+motion-capture systems write them, holds one file per pose; they need ezc3d, the extra `mocap`,
 imported only when such files are read.
 """
 
@@ -30,14 +30,15 @@ _AXIS = re.compile(r"^([+-]?)([xyz])$")
 
 
 def read_c3d_folder(folder: Path, axes: str = "x y z") -> list[tuple[int, str, Array]]:
-    """Read every `*.c3d` of a folder; the last number in its name is the pose.
+    """Read every `*.c3d` of a folder; the last number in a file's name is the pose.
 
-    Points that the system marks as lost are NaN. Raises CalibrationError for other files.
+    Points that the system marks as lost are NaN. Raises CalibrationError without such files, for a
+    name without a number, and for a file that is not readable as C3D.
 
     Parameters
     ----------
     folder : Path
-        Of C3D files.
+        Folder of C3D files.
     axes : str
         Which of the file's axes point to the robot's left, up and forward, such as `x z -y`.
 
@@ -61,7 +62,7 @@ def read_c3d_folder(folder: Path, axes: str = "x y z") -> list[tuple[int, str, A
 
 
 def read_c3d(path: Path) -> dict[str, Array]:
-    """Read the median position of each labelled point of a C3D file.
+    """Return the median position of each labelled point of a C3D file.
 
     Parameters
     ----------
@@ -76,7 +77,7 @@ def read_c3d(path: Path) -> dict[str, Array]:
     Raises
     ------
     CalibrationError
-        The file is no C3D file.
+        The file is no C3D file, or its unit is unknown.
     MissingExtraError
         ezc3d is not installed.
     """
@@ -102,7 +103,7 @@ def read_c3d(path: Path) -> dict[str, Array]:
 
 
 def _axes_matrix(axes: str) -> Array:
-    """(3, 3): what the file says -> left, up, forward."""
+    """Return the matrix (3, 3) from a file's axes to left, up, forward. Raises CalibrationError."""
     matrix = np.zeros((3, 3))
     matches = [_AXIS.match(part) for part in axes.split()]
     if len(matches) != 3 or len({m.group(2) for m in matches if m}) != 3:
@@ -123,7 +124,7 @@ _MOST_NAMED = 8
 
 
 def write_plan(plan: PosePlan, path: Path) -> None:
-    """Write the plan whole or not at all; poses are counted from 1. Raises OutputError."""
+    """Write a plan as CSV, whole or not at all; poses count from 1. Raises OutputError."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     degrees = [f"{name}_deg" for name in plan.servo_names]
@@ -137,12 +138,12 @@ def write_plan(plan: PosePlan, path: Path) -> None:
 
 
 def read_plan(path: Path, servo_names: tuple[str, ...]) -> PosePlan:
-    """A plan that was written before. Raises CalibrationError, with file and line."""
+    """Return the plan in a CSV file. Raises CalibrationError, with file and line."""
     return read_numbered_plan(path, servo_names)[1]
 
 
 def read_numbered_plan(path: Path, servo_names: tuple[str, ...]) -> tuple[list[int], PosePlan]:
-    """Read a plan with the number of each pose, as its line has it."""
+    """Return the pose numbers in a plan's CSV file, and the plan. Raises CalibrationError."""
     numbers, goals_deg, from_below, ladders = _read_plan(path, servo_names)
     start_deg = goals_deg - LEAD_IN_DEG * from_below
     return numbers, PosePlan(servo_names, goals_deg, from_below, start_deg, ladders)
@@ -156,20 +157,20 @@ def read_capture(
     axes: str = "x y z",
     read: Callable[[], list[tuple[int, str, Array]]] | None = None,
 ) -> Capture:
-    """Read the poses of a plan that markers were recorded for.
+    """Return a capture: the poses of a plan's file that markers were recorded for.
 
     Parameters
     ----------
     plan_path : Path
-        As `write_plan` wrote it.
+        CSV file of the plan.
     markers_path : Path
-        As of `read_readings`, or what `read` reads.
+        CSV, JSON or folder of the markers.
     servo_names : tuple[str, ...]
-        Of the face.
+        Names of the face's servos.
     axes : str
-        Of C3D files, named as in `read_c3d_folder`.
+        Axes of C3D files to the robot's left, up and forward, such as `x z -y`.
     read : Callable[[], list[tuple[int, str, Array]]] | None
-        Reads the markers in another way; None: by `read_readings`.
+        Function that returns the readings; None: `markers_path` is read.
 
     Returns
     -------
@@ -179,7 +180,7 @@ def read_capture(
     Raises
     ------
     CalibrationError
-        With file and line, for anything that is not as the module describes.
+        A file is malformed, has no readings, or readings of a pose not in the plan.
     """
     return read_recorded(plan_path, markers_path, servo_names, axes=axes, read=read)[1]
 
@@ -192,12 +193,12 @@ def read_recorded(
     axes: str = "x y z",
     read: Callable[[], list[tuple[int, str, Array]]] | None = None,
 ) -> tuple[list[int], Capture]:
-    """Read a capture as `read_capture` does, with the row of the plan of each of its poses.
+    """Return the poses of a plan that markers were recorded for, and their rows in the plan.
 
     Parameters
     ----------
     plan_path,markers_path,servo_names,axes,read : Path
-        As of `read_capture`.
+        Plan's file, markers' file or folder, servos, C3D axes; `read` returns readings instead.
 
     Returns
     -------
@@ -236,7 +237,7 @@ def read_recorded(
 
 
 def _left_out(poses: list[int], n_poses: int) -> tuple[str, ...]:
-    """A line for a person, where nothing was recorded in some poses of the plan."""
+    """Return one line of text about poses of a plan without markers; () if there are none."""
     if not poses:
         return ()
     named = ", ".join(str(pose) for pose in poses[:_MOST_NAMED])
@@ -245,17 +246,17 @@ def _left_out(poses: list[int], n_poses: int) -> tuple[str, ...]:
 
 
 def median_place(places_mm: list[Array]) -> Array:
-    """Return the median of the whole readings: one wild one among several counts for nothing.
+    """Return the median of the readings that are finite, so that one outlier counts for nothing.
 
     Parameters
     ----------
     places_mm : list[Array]
-        (3,) each.
+        (3,) mm each.
 
     Returns
     -------
     Array
-        (3,) mm; NaN without a whole reading.
+        (3,) mm; NaN if no reading is finite.
     """
     whole = [place for place in places_mm if np.isfinite(place).all()]
     return np.asarray(np.median(whole, axis=0)) if whole else np.full(3, np.nan)
@@ -284,21 +285,21 @@ def _read_plan(path: Path, servo_names: tuple[str, ...]) -> tuple[list[int], Arr
 
 
 def read_readings(path: Path, axes: str = "x y z") -> list[tuple[int, str, Array]]:
-    """Read every reading in a file or folder.
+    """Return every marker reading in a file or folder.
 
-    A folder holds C3D files, or pictures of coloured dots with a `dots.csv`.
+    A folder contains C3D files, or pictures of coloured dots with a `dots.csv`.
 
     Parameters
     ----------
     path : Path
         CSV, JSON or a folder.
     axes : str
-        Of C3D files, named as in `read_c3d_folder`.
+        Axes of C3D files to the robot's left, up and forward, such as `x z -y`.
 
     Returns
     -------
     list[tuple[int, str, Array]]
-        Pose, marker and place (3,) in mm, NaN where lost.
+        Pose, marker and position (3,) in mm, NaN where lost.
     """
     if path.is_dir():
         return read_dots_folder(path) if is_dots_folder(path) else read_c3d_folder(path, axes)
@@ -314,7 +315,10 @@ def read_readings(path: Path, axes: str = "x y z") -> list[tuple[int, str, Array
 
 
 def csv_rows(path: Path, needed: Iterable[str]) -> Iterable[tuple[str, Mapping[str, object]]]:
-    """Every line of a CSV file with its place. Raises CalibrationError."""
+    """Yield `file, line n` and the row, by column, of every line of a CSV file.
+
+    Raises CalibrationError for an unreadable file, a missing column, or a line with surplus values.
+    """
     reader = csv.DictReader(io.StringIO(_text(path)))
     try:
         for column in needed:
@@ -357,7 +361,7 @@ def _text(path: Path) -> str:
 
 
 def _millimetres(value: object, place: str, axis: str) -> float:
-    """NaN for a lost point."""
+    """Return a coordinate in mm, NaN if empty. Raises CalibrationError beyond a hundred metres."""
     number = number_in(value, place, lost=True)
     if abs(number) > _FARTHEST_MM:
         raise CalibrationError(f"{place}: {axis} is {shown(value)}; are these millimetres?")
@@ -365,7 +369,10 @@ def _millimetres(value: object, place: str, axis: str) -> float:
 
 
 def number_in(value: object, place: str, *, lost: bool = False) -> float:
-    """A finite number; where lost is allowed, NaN for nothing. Raises CalibrationError."""
+    """Return `value` as a finite number; NaN if it is empty or nan and `lost` allows that.
+
+    Raises CalibrationError, which names `place`, for anything else.
+    """
     if lost and (value is None or str(value).strip() == ""):
         return math.nan
     if value is None:

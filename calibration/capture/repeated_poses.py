@@ -1,10 +1,10 @@
-"""What changed on a face between a pose and the same pose later: horns, rods, all of it.
+"""What changed on a face between a pose and a later repetition of that pose.
 
-A face in the same pose, from the same side, looks the same, however crooked its skin
-is: nothing has to be learnt first. The first part of a plan, neutral and every joint alone, is
-taken again at the end. What all of these poses are off by alike, and along what one joint does, is
-a horn that slipped; where a joint alone does less than it did, it stopped, or its rod is torn. Of
-several suspicions the one counts that explains most of what changed.
+A face in an equal pose, reached from an equal side, has equal markers, however crooked its skin is:
+nothing has to be learnt first. The first part of a plan, neutral and every joint alone, is taken
+again at the end. A common shift of all these poses along one joint's motion is a horn that slipped;
+where a joint alone moves the face less than before, it stopped, or its rod is torn. Of several
+suspicions the one counts that explains most of the change.
 """
 
 import math
@@ -37,10 +37,10 @@ _APART = 0.3
 
 @dataclass(frozen=True, slots=True)
 class FaceChange:
-    """kind: `slipped` by degrees, `stopped` by a share, or `shifted` (joint -1) by millimetres.
+    """A change of the face: `slipped` by degrees, `stopped` by a share, or `shifted` by mm.
 
-    first, last: poses between which it happened, counted from 1. errors: by how many standard
-    errors of noise.
+    joint: -1 for `shifted`. first, last: poses between which it happened, counted from 1. errors:
+    the change in standard errors of noise.
     """
 
     kind: str
@@ -51,7 +51,7 @@ class FaceChange:
     last: int
 
     def description(self, names: tuple[str, ...]) -> str:
-        """Describe the change in one line, with what to do."""
+        """Return the change in one line, with the remedy; `names` are those of the servos."""
         where = f"between poses {self.first} and {self.last}"
         if self.joint < 0:
             return (
@@ -71,7 +71,7 @@ class FaceChange:
 
 
 def first_part(plan: PosePlan) -> PosePlan:
-    """Neutral and every joint alone, from either side: the poses of a plan that are taken again."""
+    """Return a plan's poses to repeat: neutral and every joint alone, once from each side."""
     rows = np.flatnonzero((np.abs(plan.goals_deg) > _STILL_DEG).sum(axis=1) <= 1)
     keys = np.hstack([plan.goals_deg[rows], plan.from_below[rows]])
     first = np.unique(keys, axis=0, return_index=True)[1]
@@ -79,7 +79,7 @@ def first_part(plan: PosePlan) -> PosePlan:
 
 
 def repeats(capture: Capture) -> list[tuple[int, int]]:
-    """Rows of the first and the last time that a pose was taken, where much lies between."""
+    """Return the rows of a pose's first and last capture, for poses repeated long afterwards."""
     keys = np.hstack([np.rint(capture.goals_deg / _SAME_DEG), capture.from_below])
     alike = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
     pairs = []
@@ -91,21 +91,21 @@ def repeats(capture: Capture) -> list[tuple[int, int]]:
 
 
 def is_repeated(capture: Capture) -> bool:
-    """Whether every joint was seen alone early and late."""
+    """Return whether every joint was captured alone both early and late."""
     goals_deg = capture.goals_deg[[early for early, _ in repeats(capture)]]
     return bool(len(goals_deg)) and bool((np.abs(goals_deg) > _STILL_DEG).any(axis=0).all())
 
 
 @dataclass(frozen=True, slots=True)
 class ChangedPoses:
-    """What repeated poses say, (n_servos,) each.
+    """Measures of change over the repeated poses of a capture; arrays are (n_servos,).
 
-    did_mm: how far each joint moved the face along its own way when it was alone, early; does_mm:
-    the same late; lost_error_mm: what noise makes of the difference; turned_deg: by turning so far.
-    slid_mm: how far all poses alike are off along that way, and what noise makes of it in
-    slid_error_mm; alike: the cosine between the two, without the noise. common_mm: (n_markers, 3),
-    what all are off by; noise_mm: of each difference. n: so many poses were repeated; first, last:
-    before the first and after the last of which nothing happened, counted from 1.
+    did_mm: how far each joint, alone, moved the face along its usual direction, early; does_mm: the
+    same measure late; lost_error_mm: standard error of the difference; turned_deg: the joint's
+    angle. slid_mm: common shift of all poses along that direction; slid_error_mm: its standard
+    error; alike: the cosine between common shift and direction, without the noise. common_mm:
+    (n_markers, 3), the common shift; noise_mm: of each difference. n: number of repeated poses;
+    first, last: the change happened between these poses, counted from 1.
     """
 
     did_mm: Array
@@ -123,18 +123,18 @@ class ChangedPoses:
 
     @property
     def lost(self) -> Array:
-        """The share of each joint's early motion that it lacks late.
+        """The share of each joint's early motion that is missing late.
 
         Returns
         -------
         Array
-            (n_joints,), 0 to 1.
+            (n_joints,): 0 none, 1 all.
         """
         return np.asarray(1.0 - self.does_mm / self.did_mm)
 
     @property
     def slipped_deg(self) -> Array:
-        """How far each horn would have slipped, were it alone to blame.
+        """How far each horn would have slipped if it alone caused the common shift.
 
         Returns
         -------
@@ -145,12 +145,15 @@ class ChangedPoses:
 
     @property
     def common_error_mm(self) -> float:
-        """Of common_mm: of a median."""
+        """The standard error of common_mm, in mm: that of a median over n poses."""
         return 1.25 * self.noise_mm / math.sqrt(self.n)
 
 
 def changed_poses(capture: Capture, lines: StraightLines) -> ChangedPoses | None:
-    """None where not every joint was seen alone twice. lines: of this capture."""
+    """Return the changes over repeated poses; None unless every joint was captured alone twice.
+
+    lines: the fitted lines of this capture.
+    """
     if not is_repeated(capture):
         return None
     pairs = repeats(capture)
@@ -203,19 +206,19 @@ def changed_poses(capture: Capture, lines: StraightLines) -> ChangedPoses | None
 
 
 def _farthest_alone(moved: NDArray[np.bool_], goals_deg: Array, joint: int) -> NDArray[np.int64]:
-    """Rows in which no other joint is off 0 and this one most."""
+    """Return the rows in which `joint` is at its largest angle and all others are at 0."""
     rows = np.flatnonzero(moved[:, joint] & (moved.sum(axis=1) == 1))
     most_deg = goals_deg[rows[np.abs(goals_deg[rows, joint]).argmax()], joint]
     return np.asarray(rows[np.abs(goals_deg[rows, joint] - most_deg) < _STILL_DEG])
 
 
 def _middle(seen_mm: Array) -> Array:
-    """(n, n_markers, 3) -> (n_markers, 3), NaN where none was seen."""
+    """Return the mean of (n, n_markers, 3) over n, (n_markers, 3); NaN where never seen."""
     return np.asarray(np.ma.filled(np.ma.masked_invalid(seen_mm).mean(axis=0), np.nan))
 
 
 def bears_out(changed: ChangedPoses, fault: JointFault) -> bool:
-    """Return whether repeated poses, too, show a fault found by a model of the whole capture."""
+    """Return whether the repeated poses confirm a fault that a model of the capture suggests."""
     if fault.joint < 0:
         return False
     if fault.kind == "slipped":
@@ -224,7 +227,7 @@ def bears_out(changed: ChangedPoses, fault: JointFault) -> bool:
 
 
 def face_change(changed: ChangedPoses) -> FaceChange | None:
-    """The one thing that changed and explains most of it, beyond doubt; None where nothing did."""
+    """Return the change beyond doubt that explains most of the differences; None without one."""
     where = changed.first, changed.last
     slip_errors = np.abs(changed.slid_mm) / changed.slid_error_mm
     lost_mm = changed.did_mm - changed.does_mm
@@ -255,6 +258,6 @@ def face_change(changed: ChangedPoses) -> FaceChange | None:
 
 
 def _filled(off_mm: Array) -> Array:
-    """Points that one of the two did not see changed by nothing."""
+    """Return the differences with 0 for points that are NaN."""
     seen: NDArray[np.bool_] = np.isfinite(off_mm)
     return np.where(seen, off_mm, 0.0)

@@ -1,9 +1,9 @@
-"""What can be wrong with a capture, found before it becomes a calibration, and named.
+"""Checks of a capture before it becomes a calibration, with a message for each fault.
 
-Markers that are not in millimetres, x to the robot's left, y up, z forward, or that swapped names;
-a joint that moves nothing or the wrong way, points that the tracker lost, poses that did not get
-there. Axes are compared with the speaker's closed mouth by every exchange and turning round: a
-robot is another face, but its nose is above its chin and its left is not its right.
+Faults are markers that are not in millimetres, x to the robot's left, y up, z forward, or that
+swapped names; a joint that moves nothing or is reversed; points that the tracker lost; poses that
+did not reach their goals. Axes are compared with the speaker's closed mouth under every exchange
+and reversal: a robot is another face, but its nose is above its chin and its left is not its right.
 """
 
 from collections.abc import Mapping, Sequence
@@ -64,21 +64,21 @@ _NAMES: dict[tuple[int, ...], str] = {
 def frame_faults(
     marker_names: tuple[str, ...], usual_mm: Array, model: FaceModel
 ) -> tuple[str | None, str | None]:
-    """Return what is wrong with the axes, and with the size, of a capture's usual markers.
+    """Return one message about wrong axes and one about an odd size of the markers, or None.
 
     Parameters
     ----------
     marker_names : tuple[str, ...]
         n_markers.
     usual_mm : Array
-        (n_markers, 3).
+        (n_markers, 3) mm, the usual position of each.
     model : FaceModel
         A person's face in mm.
 
     Returns
     -------
     tuple[str | None, str | None]
-        A line each, or None.
+        Message about the axes and about the size, None where right or unknown.
     """
     known = [i for i, name in enumerate(marker_names) if name in MARKERS_47.names]
     known = [i for i in known if np.isfinite(usual_mm[i]).all()]
@@ -123,7 +123,7 @@ def frame_faults(
 
 
 def is_flat(capture: Capture) -> bool:
-    """Whether no marker ever moves forward or back: nothing measured depth."""
+    """Return whether no marker ever moves forward or back, so that depth was not measured."""
     depths_mm = capture.markers_mm[..., 2]
     return bool((np.nanmax(depths_mm, axis=0) - np.nanmin(depths_mm, axis=0) < _FLAT_MM).all())
 
@@ -131,14 +131,14 @@ def is_flat(capture: Capture) -> bool:
 def check_frame(
     marker_names: tuple[str, ...], usual_mm: Array, model: FaceModel, *, accept: bool
 ) -> tuple[str, ...]:
-    """Check axes and size of a capture's usual markers.
+    """Check the axes and the size of a capture's usual markers against a person's face.
 
     Parameters
     ----------
     marker_names : tuple[str, ...]
         n_markers.
     usual_mm : Array
-        (n_markers, 3).
+        (n_markers, 3) mm, the usual position of each.
     model : FaceModel
         A person's face in mm.
     accept : bool
@@ -147,7 +147,7 @@ def check_frame(
     Returns
     -------
     tuple[str, ...]
-        Warnings.
+        Warning about the size, or empty.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def check_frame(
 
 
 def _likeness(robot: Array, human: Array) -> float:
-    """Return how alike two shapes are; 1: equal but for size, and not turned."""
+    """Return how alike two shapes are, at most 1: equal up to their size, and not rotated."""
     return float((robot * human).sum() / (np.linalg.norm(robot) * np.linalg.norm(human) + 1e-12))
 
 
@@ -183,15 +183,15 @@ _RIGHT, _LEFT = "outer_lip_61", "outer_lip_291"
 
 
 def least_poses_to_fit(n_servos: int) -> int:
-    """A straight line for each joint and one constant need n + 1 poses; half as many again."""
+    """Return the fewest poses of a fit: 1.5 times the parameters of a line for each joint."""
     return round(1.5 * (n_servos + 1))
 
 
 @dataclass(frozen=True, slots=True)
 class CheckedCapture:
-    """A capture with wrong readings left out, and what there is to say about it.
+    """A capture without its wrong readings, and warnings about it.
 
-    still: joints that move nothing which is seen, accepted as they are.
+    still: numbers of joints that move no marker visibly, which is accepted; they stay at 0.
     """
 
     capture: Capture
@@ -202,12 +202,13 @@ class CheckedCapture:
 def check_capture(
     capture: Capture, model: FaceModel, positive: Sequence[str] = (), *, accept: bool = False
 ) -> CheckedCapture:
-    """Warnings, one line each: stalled poses, lost points, points far off, weak joints.
+    """Return the capture without wrong readings, with a warning each for lesser faults.
 
-    What makes a calibration worthless raises CalibrationError and is named: axes and units, too few
-    poses, swapped markers, a marker hardly ever seen, a dead, reversed, stopped or slipped joint.
-    positive: the word of the face YAML for each joint, where reversed joints shall be found.
-    accept: what is judgement, of size and of joints, only warns.
+    Warnings are about stalled poses, lost points, outliers and weak joints. Raises CalibrationError
+    for what makes a calibration worthless: wrong axes or units, too few poses, swapped markers, a
+    marker hardly ever seen, a dead, reversed, stopped or slipped joint.
+    positive: what a positive angle of each joint does, from the face's YAML; empty: reversed joints
+    are not found. accept: doubts about size, swaps and joints become warnings.
     """
     least = least_poses_to_fit(len(capture.servo_names))
     if len(capture) < least:
@@ -245,7 +246,7 @@ def check_capture(
 
 
 def _check_range(capture: Capture) -> None:
-    """Refuse a plan that never moves a joint, which cannot be learnt."""
+    """Raise CalibrationError for a joint that no captured pose moves; it cannot be learnt."""
     still = np.ptp(capture.goals_deg, axis=0) < _LEAST_RANGE_DEG
     if still.any():
         name = capture.servo_names[int(still.argmax())]
@@ -256,7 +257,7 @@ def _check_range(capture: Capture) -> None:
 
 @dataclass(slots=True)
 class _JointFindings:
-    """Findings about joints: certain ones are refused unless accepted. still: the dead ones."""
+    """Messages about joints: certain ones are refused unless accepted. still: the dead joints."""
 
     certain: list[str] = field(default_factory=list)
     doubtful: list[str] = field(default_factory=list)
@@ -266,7 +267,10 @@ class _JointFindings:
 def _joint_warnings(
     capture: Capture, lines: StraightLines, positive: Sequence[str]
 ) -> _JointFindings:
-    """Poses that were taken twice know best what happened on the way, and bear out the rest."""
+    """Return the faults of joints: stopped, slipped, dead, reversed or weak.
+
+    Poses that were taken twice are preferred as evidence of what happened during the capture.
+    """
     found = _JointFindings()
     changed = changed_poses(capture, lines)
     fault: JointFault | FaceChange | None
@@ -310,10 +314,10 @@ def _joint_warnings(
 
 
 def _is_reversed(capture: Capture, lines: StraightLines, joint: int, word: str) -> bool:
-    """By the markers that it moves most, where the word speaks of them.
+    """Return whether a joint does the opposite of `word`, by the markers that it moves most.
 
-    The lines must say so and, where it was seen alone, what it did then: lines of many joints are
-    not quite straight.
+    The fitted lines must show it and, where the joint was captured alone, its motion then: lines of
+    many joints are not quite straight.
     """
     slope_mm = lines.slopes_mm[joint]
     wanted = _wanted_direction(capture.marker_names, slope_mm, word)
@@ -348,7 +352,7 @@ def _lost_points(capture: Capture) -> tuple[str, ...]:
 
 
 def _check_doubles(capture: Capture) -> None:
-    """Refuse one dot under two names: no other marker is in the same place in every pose."""
+    """Raise CalibrationError for two markers at one position in every pose: one dot, two names."""
     for a, b in combinations(range(len(capture.marker_names)), 2):
         apart_mm = np.linalg.norm(capture.markers_mm[:, a] - capture.markers_mm[:, b], axis=1)
         if np.nanmax(apart_mm, initial=0.0) < _SAME_DOT_MM:
@@ -360,9 +364,9 @@ def _check_doubles(capture: Capture) -> None:
 
 
 def _wanted_direction(names: tuple[str, ...], slope_mm: Array, word: str) -> Array | None:
-    """(n_markers, 3), or None for a word that says nothing of markers.
+    """Return the direction in which `word` moves each marker, (n_markers, 3); None: unknown word.
 
-    Of the corners only those count that the joint moves: its name says nothing.
+    Of the mouth's corners only those count that the joint moves, because words contain no side.
     """
     lips = [i for i, name in enumerate(names) if name in MARKERS_47.names and "lip" in name]
     wanted = np.zeros((len(names), 3))
@@ -399,7 +403,7 @@ _WORDS: Mapping[Channel, tuple[str, str]] = {
 
 
 def _usual_word(name: str, word: str) -> str:
-    """For a jaw that drops: opens. Words that say what moves by themselves stay."""
+    """Return `word` as a known verb, by the joint's name: `opens` for a jaw that `drops`."""
     if any(word in pair for pair in _WORDS.values()):
         return word
     motion = joint_motion(name, word)

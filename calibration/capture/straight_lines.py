@@ -1,10 +1,9 @@
-"""Captured markers by joint, in lines nearly straight that single wrong points do not bend.
+"""Lines through captured markers over each joint's angle, robust against single wrong points.
 
-Lost points are filled in, points that are far off are left out, and both are counted. Markers are
-counted from the head where a tripod was knocked or a camera held in the hand: the nose does not
-move with the mouth. Where its markers go to and fro together, by more than the tracker's noise,
-each reading is laid on the usual place of the rigid markers by the best rotation and shift (Kabsch
-1976).
+Lost points are filled in, outliers are left out, and both are counted. Markers are referred to the
+head where a tripod was knocked or a camera held in the hand: the nose does not move with the mouth.
+Where its markers move together, by more than the tracker's noise, each reading is laid on the usual
+position of the rigid markers by the best rotation and shift (Kabsch 1976).
 """
 
 from dataclasses import dataclass, replace
@@ -29,12 +28,12 @@ _SENSELESS_MM, _FARTHEST_MM = 1e5, 80.0
 
 @dataclass(frozen=True, slots=True)
 class StraightLines:
-    """What each joint does, and what does not fit.
+    """How each joint moves the markers, by fitted lines, and the points off these lines.
 
     slopes_mm: (n_servos, n_markers, 3), over each joint's captured range; chance_mm: (n_servos,),
-    what noise alone gives them in each axis; expected_mm as captured; far: (n, n_markers), the
-    points that are left out; noise_mm: in each axis, what is not straight included; own_noise_mm:
-    (n_markers,), the same of each marker.
+    standard error of the slopes in each axis; expected_mm: (n, n_markers, 3), the fitted markers;
+    far: (n, n_markers), points that are left out; noise_mm: rms distance from the lines in each
+    axis; own_noise_mm: (n_markers,), that distance of each marker.
     """
 
     slopes_mm: Array
@@ -46,7 +45,7 @@ class StraightLines:
 
 
 def straight_lines(capture: Capture) -> StraightLines:
-    """By least squares in rounds, without what is far off."""
+    """Return lines through the markers, fitted in rounds by least squares without outliers."""
     low, high = capture.goals_deg.min(axis=0), capture.goals_deg.max(axis=0)
     x = (capture.goals_deg - low) / np.maximum(high - low, 1e-6) - 0.5
     n_servos = x.shape[1]
@@ -82,7 +81,7 @@ def straight_lines(capture: Capture) -> StraightLines:
 
 
 def without_far_points(capture: Capture, lines: StraightLines) -> tuple[Capture, tuple[str, ...]]:
-    """The capture with points that are far off counted as lost, and a line that says so."""
+    """Return the capture with outliers as NaN, and one line about them; () without outliers."""
     left_out = lines.far & np.isfinite(capture.markers_mm).all(axis=2)
     if not left_out.any():
         return capture, ()
@@ -107,7 +106,10 @@ _MOVES_MM, _TIMES_NOISE = 1.2, 2.0
 
 
 def in_head_frame(capture: Capture, lines: StraightLines) -> tuple[Capture, tuple[str, ...]]:
-    """The same where the head keeps still or no rigid marker is seen; else laid on one another."""
+    """Return the capture with each pose laid on the usual rigid markers, and a line of text.
+
+    Unchanged, with (), where the head is still or fewer than three nose markers are captured.
+    """
     nose = [i for i, name in enumerate(capture.marker_names) if name.startswith("nose")]
     rigid = [i for i, name in enumerate(capture.marker_names) if name.startswith(_RIGID)]
     if len(nose) < _LEAST_MARKERS:
@@ -140,24 +142,24 @@ def in_head_frame(capture: Capture, lines: StraightLines) -> tuple[Capture, tupl
 def on_head(
     markers_mm: Array, usual_mm: Array, marker_names: tuple[str, ...]
 ) -> tuple[Array, bool]:
-    """Lay markers on the head as it was, where the nose is elsewhere than in `usual_mm`.
+    """Lay markers on the usual position of the head, if the nose has moved from `usual_mm`.
 
-    First as one piece, as a tripod that was moved needs it, then pose by pose where the nose still
-    moves.
+    First all poses as one rigid body, for a tripod that was moved, then pose by pose if the nose
+    still moves.
 
     Parameters
     ----------
     markers_mm : Array
-        (n, n_markers, 3).
+        (n, n_markers, 3) mm.
     usual_mm : Array
-        (n, n_markers, 3), where rigid markers were.
+        (n, n_markers, 3) mm, usual positions of the markers.
     marker_names : tuple[str, ...]
-        n_markers.
+        Names of the n_markers markers.
 
     Returns
     -------
     tuple[Array, bool]
-        (n, n_markers, 3), and whether it was needed.
+        (n, n_markers, 3) mm, and whether they were laid on the head.
     """
     nose = [i for i, name in enumerate(marker_names) if name.startswith("nose")]
     rigid = [i for i, name in enumerate(marker_names) if name.startswith(_RIGID)]
@@ -178,7 +180,7 @@ def on_head(
 
 
 def _nose_moves_mm(off_mm: Array, nose: list[int]) -> float:
-    """How far the nose is off as one piece, rms over poses in which all of it was seen."""
+    """Return the rms shift of the nose as one piece, over poses with all its markers; 0 if none."""
     whole = np.isfinite(off_mm[:, nose]).all(axis=(1, 2))
     if not whole.any():
         return 0.0
@@ -187,12 +189,15 @@ def _nose_moves_mm(off_mm: Array, nose: list[int]) -> float:
 
 
 def _middle_of(points_mm: Array) -> Array:
-    """(n, n_points, 3) -> (n, 1, 3)."""
+    """Return the median over points of (n, n_points, 3), as (n, 1, 3)."""
     return np.asarray(np.median(points_mm, axis=1, keepdims=True))
 
 
 def _laid_on(points_mm: Array, rigid_mm: Array, usual_mm: Array, *, may_turn: bool = True) -> Array:
-    """(n, 3) by the rotation and shift that bring rigid_mm nearest to usual_mm, or the shift."""
+    """Return points (n, 3) moved by the rotation and shift that lay rigid_mm on usual_mm.
+
+    may_turn False: by the shift alone.
+    """
     centre, target = rigid_mm.mean(axis=0), usual_mm.mean(axis=0)
     if not may_turn:
         return np.asarray(points_mm - centre + target)

@@ -1,8 +1,8 @@
-"""Two markers whose names were exchanged: in every pose, or in some, found, corrected and reported.
+"""Pairs of markers whose names were exchanged, in every pose or in some: found and corrected.
 
-A tracker that follows dots takes one for its neighbour now and then. Which two and in which pose is
-plain from what the other poses say; so the pose is looked at again, and where three looks agree the
-two names are exchanged.
+A tracker that follows dots confuses neighbours now and then. Which two and in which pose follows
+from the other poses; so the pose is captured again, and where three readings agree the two names
+are exchanged.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -42,7 +42,7 @@ _OPPOSED = -0.5
 
 @dataclass(frozen=True, slots=True)
 class Swap:
-    """Two markers, by name, that changed places; pose: from 0, None: in every one."""
+    """Two markers, by name, that exchanged positions; pose: counted from 0, None: in every pose."""
 
     one: str
     other: str
@@ -54,18 +54,18 @@ class Swap:
         return self.one, self.other
 
     def description(self) -> str:
-        """The swap in half a line, for messages."""
+        """Return text for messages: both names, and the pose counted from 1, or `in every pose`."""
         where = "in every pose" if self.pose is None else f"in pose {self.pose + 1}"
         return f"{self.one!r} and {self.other!r} have changed places {where}"
 
 
 def described_swaps(swaps: Sequence[Swap]) -> str:
-    """Describe all swaps in half a line."""
+    """Return all swaps as one text for messages, separated by semicolons."""
     return "; ".join(swap.description() for swap in swaps)
 
 
 def refuse_swaps(swaps: Sequence[Swap]) -> None:
-    """Raises CalibrationError with all of them in one line."""
+    """Raise CalibrationError with all swaps in one line; return if there are none."""
     if swaps:
         described = described_swaps(swaps)
         raise CalibrationError(
@@ -75,12 +75,12 @@ def refuse_swaps(swaps: Sequence[Swap]) -> None:
 
 
 def exchanged(capture: Capture, swaps: Sequence[Swap]) -> Array:
-    """Return the markers of a capture with the names of these swaps corrected.
+    """Return the markers of a capture with the names in `swaps` corrected.
 
     Parameters
     ----------
     capture : Capture
-        n poses.
+        Capture of n poses.
     swaps : Sequence[Swap]
         Pose and two names each.
 
@@ -97,9 +97,9 @@ def exchanged(capture: Capture, swaps: Sequence[Swap]) -> Array:
 
 
 def swapped_everywhere(capture: Capture, model: FaceModel) -> list[Swap]:
-    """Two names exchanged throughout: the robot's neutral looks more like a face the other way.
+    """Return pairs exchanged in every pose: corrected, neutral is more like a person's face.
 
-    Compared with the speaker's rest after moving and scaling one onto the other, axis by axis.
+    Compared with the speaker's rest after moving and scaling each axis; else by how lips move.
     """
     human_mm = model.markers_mm(model.rest[None])[0]
     known = [i for i, name in enumerate(capture.marker_names) if name in MARKERS_47.names]
@@ -107,7 +107,7 @@ def swapped_everywhere(capture: Capture, model: FaceModel) -> list[Swap]:
     robot_mm = np.nanmedian(capture.markers_mm, axis=0)[known]
 
     def like(points_mm: Array) -> Array:
-        """Standardised in each axis."""
+        """Return points less their median, scaled by the median distance from it, by axis."""
         centred = points_mm - np.median(points_mm, axis=0)
         return np.asarray(centred / np.maximum(np.median(np.abs(centred), axis=0), 1e-6))
 
@@ -119,7 +119,7 @@ def swapped_everywhere(capture: Capture, model: FaceModel) -> list[Swap]:
 
 
 def _swapped_lips(capture: Capture) -> list[Swap]:
-    """Inner lips that come nearer, upper below lower, the farther the outer ones part."""
+    """Return inner-lip pairs with exchanged names: they come nearer as the outer lips part."""
     found: list[Swap] = []
     if _OUTER_LIPS[0] not in capture.marker_names or _OUTER_LIPS[1] not in capture.marker_names:
         return found
@@ -136,19 +136,19 @@ def _swapped_lips(capture: Capture) -> list[Swap]:
 
 
 def swapped_in_poses(capture: Capture, expected_mm: Array | None = None) -> list[Swap]:
-    """Find poses in which the names of two markers were exchanged.
+    """Return the pairs of markers whose names were exchanged in single poses.
 
     Parameters
     ----------
     capture : Capture
-        n poses.
+        Capture of n poses.
     expected_mm : Array | None
-        (n, n_markers, 3) as captured; None: by joint, in lines.
+        (n, n_markers, 3) mm, expected markers; None: by fitted lines.
 
     Returns
     -------
     list[Swap]
-        One a pose at most.
+        Pairs, each with its pose.
     """
     if expected_mm is None:
         expected_mm = straight_lines(capture).expected_mm
@@ -168,10 +168,10 @@ def _pairs(
     *,
     near_mm: float = np.inf,
 ) -> Iterator[Swap]:
-    """Pairs of markers that changed places, the clearest first; a marker is in one at most.
+    """Yield pairs of exchanged markers, the clearest first; a marker is in one pair at most.
 
-    off_mm: (n, 3), how far each point is from where its name belongs; near_mm: how near it must
-    come to where the other's belongs.
+    off_mm: (n, 3), each point's offset from its expected position; near_mm: how near each must be
+    to the other's expected position.
     """
     sizes_mm = np.linalg.norm(off_mm, axis=1)
     pairs = []
@@ -205,30 +205,27 @@ def put_right(
     report: Callable[[str], None] = lambda _: None,
     expected_mm: Array | None = None,
 ) -> list[CapturedPose]:
-    """Return the poses; one in which two names were exchanged is captured again, and reported.
+    """Return the poses, those with two exchanged marker names captured again and reported.
 
-    Where all of three readings agree, the names are exchanged. expected_mm: (n, n_markers, 3), of
-    the plan; None: by what the other poses say.
-
-    Where all of three readings agree, the names are exchanged.
+    Where all three readings of a pose agree, the names are exchanged back.
 
     Parameters
     ----------
     plan,marker_names,on : PosePlan
-        As of the capture.
+        The capture's plan, its markers' names, and the robot to move.
     poses : list[CapturedPose]
-        All that were captured.
+        All captured poses.
     keep : Path | None
-        File of the poses.
+        File to which the corrected poses are added; None: no file.
     report : Callable[[str], None]
         Called with a line for each such pose.
     expected_mm : Array | None
-        (n, n_markers, 3), of the plan; None: by the other poses.
+        (n, n_markers, 3) mm, expected in the plan; None: by lines through the poses.
 
     Returns
     -------
     list[CapturedPose]
-        As many poses.
+        The poses, in their order.
     """
     seen = gather(plan, marker_names, poses)
     rows = seen.rows

@@ -1,7 +1,7 @@
-"""Where markers come from while a robot holds a pose: a file or folder that is filled, or keys.
+"""Sources of markers while a robot holds a pose: a file or folder being filled, or the keyboard.
 
-A tracker gets every pose (`arrived`) and then returns its markers (`measure`). It waits by
-a function that it is given, so that the servos are held meanwhile.
+A tracker gets the number of every pose (`arrived`) and then returns its markers (`measure`). It
+waits by a function that the caller passes, so that the servos are held meanwhile.
 """
 
 import json
@@ -37,25 +37,25 @@ POSE_FILE = "pose.json"
 
 
 class Tracker(Protocol):
-    """What a capture needs of a source of markers."""
+    """The interface of a source of markers for a capture."""
 
     @property
     def marker_names(self) -> tuple[str, ...]:
-        """The names of the markers, in the order of `measure`."""
+        """The names of the markers, in the order in which `measure` returns them."""
 
     def arrived(self, pose: int, reached_deg: Array, /) -> None:
-        """Note that the robot holds a pose.
+        """Receive the number of the pose that the robot now holds, and its angles.
 
         Parameters
         ----------
         pose : int
             Counted from 0.
         reached_deg : Array
-            (n_servos,), by the encoders.
+            (n_servos,) degrees, by the encoders.
         """
 
     def measure(self) -> Array:
-        """Return the markers of the pose.
+        """Return the markers of the pose that the robot holds.
 
         Returns
         -------
@@ -65,11 +65,11 @@ class Tracker(Protocol):
 
 
 class FileTracker:
-    """Markers in a CSV or JSON file that another program adds to, or in a folder it fills.
+    """A tracker that reads a CSV or JSON file, or a folder, to which another program adds markers.
 
-    Poses count from 1, as in a plan; pose 0 is the robot in neutral, a test before anything else:
-    it says which markers there are. `pose.json` (for a file `FILE.pose.json`) says which pose
-    the robot holds, so that a recording program knows it.
+    Poses count from 1, as in a plan; pose 0 is neutral, which defines the names of the markers.
+    `pose.json` in a folder, `FILE.pose.json` beside a file, contains the pose that the robot holds,
+    for the recording program.
     """
 
     def __init__(
@@ -82,9 +82,10 @@ class FileTracker:
         axes: str = "x y z",
         read: ReadPose | None = None,
     ) -> None:
-        """Ask for pose 0, the robot being in neutral.
+        """Wait until pose 0, the neutral, is recorded. Raises CalibrationError after 300 s.
 
-        read: what is there of one pose, where `path` is a folder that is read in its own way.
+        read: function that returns the readings of one pose; None: `path` is read as file or
+        folder.
         """
         self._path = path
         self._servo_names = servo_names
@@ -103,22 +104,22 @@ class FileTracker:
 
     @property
     def marker_names(self) -> tuple[str, ...]:
-        """The names of the markers, as seen in pose 0."""
+        """The names of the markers, as recorded in pose 0."""
         return self._names
 
     def arrived(self, pose: int, reached_deg: Array) -> None:
-        """Announce a pose to the recorder.
+        """Announce a pose to the recorder in `pose.json`, and to the user.
 
-        Raises CalibrationError where the pose was recorded before.
+        Raises CalibrationError where the pose was recorded before this capture.
 
-        A pose that the robot holds a second time keeps its first recording.
+        A pose that the robot holds a second time is not announced again.
 
         Parameters
         ----------
         pose : int
             Counted from 0.
         reached_deg : Array
-            (n_servos,), by the encoders.
+            (n_servos,) degrees, by the encoders.
         """
         if pose + 1 in self._requested:
             self._pose = pose + 1
@@ -132,7 +133,7 @@ class FileTracker:
         self._announce(pose + 1, reached_deg)
 
     def measure(self) -> Array:
-        """Wait until the pose was recorded.
+        """Wait until the pose is recorded; return its markers. Raises CalibrationError after 300 s.
 
         Returns
         -------
@@ -143,7 +144,7 @@ class FileTracker:
         return np.array([found.get(name, np.full(3, np.nan)) for name in self._names])
 
     def close(self) -> None:
-        """No pose stands any more."""
+        """Delete `pose.json`, which contains the pose that the robot holds."""
         self._pose_file.unlink(missing_ok=True)
 
     @property
@@ -175,7 +176,7 @@ class FileTracker:
         )
 
     def _readings(self, pose: int) -> Mapping[str, Array]:
-        """By marker, medians; nothing while the file is not there or being written."""
+        """Return the median of each marker in a pose; {} if the file is missing or incomplete."""
         if not self._path.exists() or self._is_in_mid_line():
             return {}
         try:
@@ -196,13 +197,13 @@ class FileTracker:
         return {name: median_place(seen) for name, seen in places.items()}
 
     def _is_in_mid_line(self) -> bool:
-        """Whether a CSV file is being written just now: its last line has no end."""
+        """Return whether the file is CSV and its last line is still being written."""
         is_csv = self._path.suffix.lower() == ".csv"
         return is_csv and not self._path.read_bytes().endswith(b"\n")
 
 
 class TypedTracker:
-    """Markers measured by hand and typed: three numbers a marker, or nothing where not seen."""
+    """A tracker whose markers a person measures and types: three numbers each, none if hidden."""
 
     def __init__(self, marker_names: tuple[str, ...], ask: Ask) -> None:
         self._names = marker_names
@@ -211,11 +212,11 @@ class TypedTracker:
 
     @property
     def marker_names(self) -> tuple[str, ...]:
-        """The names that it was made with."""
+        """The names of the markers, as passed to the constructor."""
         return self._names
 
     def arrived(self, pose: int, _reached_deg: Array) -> None:
-        """Store the number of the pose.
+        """Store the number of the pose that the robot holds, for the questions.
 
         Parameters
         ----------
@@ -227,7 +228,7 @@ class TypedTracker:
         self._pose = pose + 1
 
     def measure(self) -> Array:
-        """Ask the user until every answer is three numbers or empty.
+        """Ask for each marker until the answer is three numbers or empty; return the markers.
 
         Returns
         -------
@@ -250,33 +251,33 @@ class TypedTracker:
 
 
 class SeenByComputation:
-    """Markers of a face that is computed from where the encoders say that its servos are."""
+    """A tracker whose markers are computed from the encoders' angles, for a simulated face."""
 
     def __init__(self, marker_names: tuple[str, ...], look: Callable[[Array], Array]) -> None:
-        """look: (n_servos,) degrees -> (n_markers, 3)."""
+        """Store `look`, a function from angles (n_servos,) degrees to markers (n_markers, 3) mm."""
         self._names = marker_names
         self._look = look
         self._reached_deg = np.zeros(0)
 
     @property
     def marker_names(self) -> tuple[str, ...]:
-        """The names that it was made with."""
+        """The names of the markers, as passed to the constructor."""
         return self._names
 
     def arrived(self, _pose: int, reached_deg: Array) -> None:
-        """Store where the encoders are.
+        """Store the angles of the pose that the robot holds, by the encoders.
 
         Parameters
         ----------
         _pose : int
             Not used.
         reached_deg : Array
-            (n_servos,).
+            (n_servos,) degrees.
         """
         self._reached_deg = reached_deg
 
     def measure(self) -> Array:
-        """Compute the markers of the last pose.
+        """Return the markers computed from the stored angles.
 
         Returns
         -------

@@ -1,1 +1,1 @@
-"""The calibration file."""
+"""Reading and writing of calibration files."""

@@ -1,6 +1,6 @@
-"""Calibrations on disk: YAML that a person can read, written whole or not at all.
+"""Reading and writing of calibrations as YAML files, which are written whole or not at all.
 
-It is read value by value, so that every mistake names the place where it is.
+A file is parsed value by value, so that every error names the value's keys.
 """
 
 import sys
@@ -46,9 +46,9 @@ _MAX = sys.float_info.max
 
 
 class Place:
-    """One value of the file and the keys that led to it.
+    """One value in a calibration file, with the keys that lead to it.
 
-    Every read is checked; what is wrong raises CalibrationError, which names the keys.
+    Its methods raise CalibrationError, which names the keys, for a value of another type.
     """
 
     def __init__(self, value: object, path: str) -> None:
@@ -61,7 +61,7 @@ class Place:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The keys below this place."""
+        """The keys of this mapping. Raises CalibrationError for no mapping or a key not text."""
         if not isinstance(self._value, dict) or not self._value:
             raise CalibrationError(f"{self._where} should hold `key: value` lines")
         for key in self._value:
@@ -70,31 +70,31 @@ class Place:
         return tuple(self._value)
 
     def at(self, key: str) -> "Place":
-        """Return the place under a key. Raises CalibrationError naming this place."""
+        """Return the value under a key of this mapping. Raises CalibrationError if missing."""
         path = f"{self.path}.{key}" if self.path else key
         if key not in self.names or not isinstance(self._value, dict):
             raise CalibrationError(f"{path} is missing")
         return Place(self._value[key], path)
 
     def text(self) -> str:
-        """The value here as text. Raises CalibrationError naming its place otherwise."""
+        """Return the value, which must be text; CalibrationError names its keys otherwise."""
         if not isinstance(self._value, str):
             raise CalibrationError(f"{self.path} is {shown(self._value)}, expected text in quotes")
         return self._value
 
     def number(self) -> float:
-        """The value here as a finite number. Raises CalibrationError naming its place otherwise."""
+        """Return the value, which must be a finite number; CalibrationError otherwise."""
         value = self._value
         if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _MAX:
             return float(value)
         raise CalibrationError(f"{self.path} is {shown(value)}, expected a finite number")
 
     def has(self, key: str) -> bool:
-        """Whether there is such a key."""
+        """Return whether this mapping contains `key`. Raises CalibrationError for no mapping."""
         return key in self.names
 
     def count(self) -> int:
-        """A whole number, not negative."""
+        """Return the value, which must be a whole number >= 0; CalibrationError otherwise."""
         if isinstance(self._value, bool) or not isinstance(self._value, int) or self._value < 0:
             raise CalibrationError(
                 f"{self.path} is {shown(self._value)}, expected a whole number >= 0"
@@ -102,26 +102,26 @@ class Place:
         return self._value
 
     def flag(self) -> bool:
-        """The value here as a flag. Raises CalibrationError naming its place otherwise."""
+        """Return the value, which must be true or false; CalibrationError otherwise."""
         if not isinstance(self._value, bool):
             raise CalibrationError(f"{self.path} is {shown(self._value)}, expected true or false")
         return self._value
 
     def whole(self) -> int:
-        """The value here as a whole number. Raises CalibrationError naming its place otherwise."""
+        """Return the value, which must be a whole number; CalibrationError otherwise."""
         if isinstance(self._value, bool) or not isinstance(self._value, int):
             raise CalibrationError(f"{self.path} is {shown(self._value)}, expected a whole number")
         return self._value
 
     def places(self) -> list["Place"]:
-        """The places in a list, one at least. Raises CalibrationError otherwise."""
+        """Return the values of a list with at least one; CalibrationError otherwise."""
         values = self._value
         if not isinstance(values, list) or not values:
             raise CalibrationError(f"{self.path} should be a list")
         return [Place(value, f"{self.path}[{i}]") for i, value in enumerate(values)]
 
     def numbers(self, n: int | None = None) -> Array:
-        """(n,), or at least one where n is None."""
+        """Return a list of `n` numbers, at least one if None; CalibrationError otherwise."""
         values = self._value
         if not isinstance(values, list) or not values:
             raise CalibrationError(f"{self.path} should be a list of numbers")
@@ -137,10 +137,10 @@ PREVIOUS_SUFFIX = ".previous"
 
 
 def save_calibration(calibration: Calibration, path: Path) -> None:
-    """Write the file whole or not at all, and keep the file that was there as `.previous`.
+    """Write a calibration whole or not at all, and keep an existing file as `.previous`.
 
-    The same calibration gives the same bytes. Raises OutputError where it cannot be written, and
-    CalibrationError for one that could not be read again, with numbers that are none for instance.
+    Equal calibrations give equal bytes. Raises OutputError if the file cannot be written, and
+    CalibrationError for a calibration that could not be read again, with NaN for instance.
     """
     text = calibration_text(calibration)
     try:
@@ -155,7 +155,7 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
 
 
 def load_calibration(path: Path) -> Calibration:
-    """Read a calibration file. Raises CalibrationError for a missing, damaged or foreign one."""
+    """Return the calibration in a file. Raises CalibrationError if missing, damaged or foreign."""
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
@@ -171,9 +171,9 @@ def load_calibration(path: Path) -> Calibration:
 
 
 def parse_calibration(text: str, source: str) -> Calibration:
-    """The calibration that `text` holds; `source` names it in errors.
+    """Return the calibration that the YAML in `text` contains; `source` names it in errors.
 
-    Raises CalibrationError, one line: where, what is wrong, what was expected.
+    Raises CalibrationError, one line: which value, what is wrong, what was expected.
     """
     try:
         if is_nested_deeper(text, _DEEPEST):
@@ -293,7 +293,7 @@ def _parse_closing(file: Place) -> Closing | None:
 
 
 def _parse_centres(file: Place, servos: list[Place], n_components: int) -> tuple[Array, Array]:
-    """Parse centres and weights of bends that are not quadratic; empty where there are none."""
+    """Return centres and weights of bends that are not quadratic; empty arrays without centres."""
     if not file.has("centres"):
         return np.zeros((0, n_components)), np.zeros((len(servos), 0))
     centres = np.array([centre.numbers(n_components) for centre in file.at("centres").places()])
@@ -314,7 +314,7 @@ def _parse_origin(file: Place, servos: list[Place]) -> Origin:
 
 
 def _parse_memories(servos: list[Place]) -> tuple[ServoMemory, ...]:
-    """Parse the servos' memories; () unless all servos were read."""
+    """Return the servos' memories, one per servo; () if the file contains none."""
     if not any(servo.has("memory") for servo in servos):
         return ()
     keys = [field.name for field in fields(ServoMemory)]
@@ -324,7 +324,7 @@ def _parse_memories(servos: list[Place]) -> tuple[ServoMemory, ...]:
 
 
 def _parse_following(servos: list[Place]) -> Following | None:
-    """None unless the file says how late some servo is; then it must say so of all."""
+    """Return how servos follow; None if none has `lag_s`; CalibrationError if only some have."""
     if not any(servo.has("lag_s") for servo in servos):
         return None
 
@@ -350,7 +350,7 @@ def _parse_touch(file: Place, names: tuple[str, ...]) -> Touch | None:
 
 
 def _parse_trim(file: Place, names: tuple[str, ...]) -> dict[str, Array]:
-    """Parse the trims, whose names are checked: people write them by hand."""
+    """Return the trims; phonemes and servos are checked, because people write trims by hand."""
     if not file.has("trim"):
         return {}
     trim = file.at("trim")
@@ -400,7 +400,7 @@ def _parse_errors(hold_out: Place, servos: list[Place]) -> HoldOutErrors:
 
 
 def _parse_each_marker(hold_out: Place) -> dict[str, float]:
-    """Counted, so that a line that is gone is noticed."""
+    """Return each marker's error; CalibrationError unless there are `n_markers` of them."""
     n_markers = hold_out.at("n_markers").count()
     if n_markers == 0:
         return {}
@@ -411,7 +411,7 @@ def _parse_each_marker(hold_out: Place) -> dict[str, float]:
 
 
 def parse_learnt_lips(file: Place) -> LearntLips | None:
-    """Parse how the lips were learnt. Raises CalibrationError."""
+    """Return how the lips were learnt; None without `learnt_lips`. Raises CalibrationError."""
     if not file.has("learnt_lips"):
         return None
     lips = file.at("learnt_lips")
@@ -425,7 +425,7 @@ def parse_learnt_lips(file: Place) -> LearntLips | None:
 
 
 def parse_grade(file: Place) -> Grade | None:
-    """Parse the grade. Raises CalibrationError."""
+    """Return the grade; None without `grade`. Raises CalibrationError for a malformed one."""
     if not file.has("grade"):
         return None
     grade = file.at("grade")
@@ -440,7 +440,7 @@ def parse_grade(file: Place) -> Grade | None:
 
 
 def parse_coverage(file: Place) -> dict[str, VisemeReach]:
-    """Parse the coverage of viseme classes. Raises CalibrationError."""
+    """Return the reach of each viseme class; {} without `coverage`. Raises CalibrationError."""
     if not file.has("coverage"):
         return {}
     coverage = file.at("coverage")

@@ -1,7 +1,7 @@
-"""A calibration as YAML that a person can read: how every part of it is written.
+"""The text of a calibration file: YAML that a person can read.
 
-Its last line is a checksum over what it says: a digit that changed on the way is noticed. Comments
-and spaces do not count, and neither do trims, which a person may write by hand.
+Its last line is a checksum of the contents, so that a changed digit is noticed. Comments and spaces
+do not count, and neither do trims, which a person may write by hand.
 """
 
 import hashlib
@@ -27,15 +27,15 @@ _NOT_COUNTED: Final = (_KEY, "trim")
 
 
 def with_checksum(text: str) -> str:
-    """The file's text with a last line that holds its checksum."""
+    """Return the file's text with a last line added that contains its checksum."""
     checksum = _checksum(yaml.load(text, Loader=SAFE_LOADER))
     return f'{text}{_KEY}: "{checksum}"  # over all but trims, which may be changed by hand\n'
 
 
 def check_checksum(content: object, source: str) -> None:
-    """Raises CalibrationError where a file says something else than when it was written.
+    """Raise CalibrationError if a file's contents, trims excepted, differ from its checksum.
 
-    content: as parsed. A file without a checksum, as older ones are, passes.
+    content: the parsed YAML. A file without a checksum, as older ones are, passes.
     """
     if not isinstance(content, dict) or _KEY not in content:
         return
@@ -48,7 +48,7 @@ def check_checksum(content: object, source: str) -> None:
 
 
 def _checksum(content: object) -> str:
-    """16 hex digits."""
+    """Return a hash of parsed YAML as 16 hex digits; trims and the checksum itself do not count."""
     counted = content
     if isinstance(content, dict):
         counted = {key: value for key, value in content.items() if key not in _NOT_COUNTED}
@@ -80,7 +80,7 @@ _WRITTEN_APART = ("joint_rms_deg", "each_marker_rms_mm")
 
 
 def calibration_text(calibration: Calibration) -> str:
-    """The whole file as text: weights to 6 significant digits, errors to 4, the rest exactly."""
+    """Return the file's text: weights with 6 significant digits, errors with 4, limits exactly."""
     origin = calibration.origin
     lines = [
         f"version: {CALIBRATION_VERSION}",
@@ -138,7 +138,7 @@ def _servo_lines(calibration: Calibration, i: int) -> list[str]:
 
 
 def _following_lines(following: Following | None, i: int) -> list[str]:
-    """Return the lines of a servo's response; unknown values are left out."""
+    """Return the YAML lines of a servo's response; unknown values are left out."""
     if following is None:
         return []
     lines = [
@@ -175,7 +175,7 @@ def _closing_lines(closing: Closing | None) -> list[str]:
 
 
 def _closure_lines(closure: Closure | None) -> list[str]:
-    """Arrays of two dimensions are written row by row, numbers as they are."""
+    """Return the YAML lines of a closure; two-dimensional arrays row by row; [] for None."""
     if closure is None:
         return []
     lines = ["closure:  # how far the lips are apart, by the joints, so that they meet"]
@@ -210,7 +210,7 @@ def _hold_out_lines(errors: HoldOutErrors) -> list[str]:
 
 
 def _trim_lines(calibration: Calibration) -> list[str]:
-    """Servos that a class leaves as they are, are not written."""
+    """Return the YAML lines of the trims, without zeros; [] where no trim changes a servo."""
     lines = []
     for viseme, degrees in calibration.trim.items():
         parts = [
@@ -250,7 +250,7 @@ def _four(value: float) -> str:
 
 
 def _yaml_float(text: str) -> str:
-    """YAML 1.1 takes 1e-05 for a word; 1.0e-05 is a number."""
+    """Return a number's text so that YAML 1.1 parses it as a number: 1e-05 becomes 1.0e-05."""
     return text if "." in text else text.replace("e", ".0e")
 
 
@@ -258,7 +258,7 @@ _HEAD: Final = "coverage:  # of each viseme class, on the face as learnt; measur
 
 
 def learnt_lips_lines(lips: LearntLips | None) -> list[str]:
-    """Nothing where nothing was learnt."""
+    """Return the YAML line of what was learnt of the lips; [] for None."""
     if lips is None:
         return []
     parts = ", ".join(f"{name}: {_shown(value)}" for name, value in _known(lips))
@@ -266,7 +266,7 @@ def learnt_lips_lines(lips: LearntLips | None) -> list[str]:
 
 
 def grade_lines(grade: Grade | None) -> list[str]:
-    """Nothing where nothing was measured."""
+    """Return the YAML lines of a grade; [] for None."""
     if grade is None:
         return []
     head = "grade:  # measured on the robot, at poses of speech that were never fitted"
@@ -274,7 +274,7 @@ def grade_lines(grade: Grade | None) -> list[str]:
 
 
 def coverage_lines(coverage: Mapping[str, VisemeReach]) -> list[str]:
-    """A line for each viseme class."""
+    """Return the YAML lines of the coverage, one per viseme class; [] without any."""
     if not coverage:
         return []
     phonemes = {viseme[0]: " ".join(viseme) for viseme in VISEME_CLASSES}
@@ -294,7 +294,7 @@ def _known(part: Grade | LearntLips | VisemeReach) -> Iterable[tuple[str, float]
 
 
 def _shown(value: float) -> str:
-    """Numbers to 4 significant digits. YAML 1.1 takes 1e-05 for a word; 1.0e-05 is a number."""
+    """Return a value as YAML text, numbers with 4 significant digits: 1.0e-05, not 1e-05."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int):

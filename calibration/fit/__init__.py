@@ -1,1 +1,1 @@
-"""From captured poses to a calibration."""
+"""Fits: from captured poses to a calibration."""

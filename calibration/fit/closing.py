@@ -1,11 +1,12 @@
-"""Whether lips meet, and where: ladders of small steps that close them, and what the lips do there.
+"""Whether and at which pose lips meet, by ladders: poses that close the lips in small steps.
 
 A ladder begins with the lips open in one of the shapes in which the speaker closes them, and goes
-on in small steps by all joints that close, as far as their limits. How far the lips should come in
-each step says the face as learnt about the open end, by a straight line: so a joint at its limit is
-step of nothing, not lips that touch. Contact is a ladder that goes on closing while the dots
-of upper and lower lip, all of them, come no nearer: the far lip is pushed along. One kink in all
-ladders must explain what was seen far better than none, and leave little of the slope.
+on in small steps by all joints that close, as far as their limits. How far each step should close
+the lips is predicted by a straight line from the learnt face at the open end; so a joint at its
+limit is predicted to do nothing, and is not taken for contact. Contact is a ladder that goes on
+closing while the dots of upper and lower lip, all of them, come no nearer: the far lip is pushed
+along. One kink in all ladders must explain the apertures far better than none, and leave little of
+the slope.
 Loads scikit-learn; the live path never does.
 """
 
@@ -44,10 +45,10 @@ _MarkersOf = Callable[[Array], Array]
 
 @dataclass(frozen=True, slots=True)
 class Ladder:
-    """Steps of one ladder.
+    """Poses of one ladder, which closes the lips in small steps.
 
-    goals_deg: (n_steps, n_servos), the last of them where it can close no farther, if `at_limits`;
-    from_below: (n_servos,), 1 or -1, the side that joints come from.
+    goals_deg: (n_steps, n_servos); at_limits: whether the last step is as closed as the limits
+    allow; from_below: (n_servos,), 1 or -1, the side that joints come from.
     """
 
     goals_deg: Array
@@ -56,16 +57,16 @@ class Ladder:
 
 
 def plan_ladders(retargeting: Retargeting, from_rest: Array, n_steps: int) -> list[Ladder]:
-    """Plan ladders of poses that close the lips step by step, one for each usual closed shape.
+    """Return ladders of poses that close the lips step by step, one for each usual closed shape.
 
     Parameters
     ----------
     retargeting : Retargeting
         The learnt face.
     from_rest : Array
-        (n, n_components), frames in which the speaker's lips are closed.
+        (n, n_components) mm from rest, frames in which the speaker's lips are closed.
     n_steps : int
-        Of each ladder.
+        Largest number of steps of each ladder.
 
     Returns
     -------
@@ -82,7 +83,7 @@ def plan_ladders(retargeting: Retargeting, from_rest: Array, n_steps: int) -> li
 
 
 def _ladder(retargeting: Retargeting, base_deg: Array, n_steps: int) -> Ladder:
-    """Each step a step nearer, all gaps alike, by the joints that have room for it."""
+    """Return the ladder from `base_deg`: steps that close all gaps alike, up to the limits."""
     mouth = retargeting.mouth
     slopes = pair_slopes(mouth.markers_of, base_deg, mouth.names.shape_features.gaps)
     bends = slopes.T @ slopes + _TURN_MM_PER_DEG**2 * np.eye(len(base_deg))
@@ -97,16 +98,16 @@ def _ladder(retargeting: Retargeting, base_deg: Array, n_steps: int) -> Ladder:
 
 
 def pair_slopes(markers_of: _MarkersOf, base_deg: Array, pairs: Sequence[tuple[int, int]]) -> Array:
-    """Return the change of each pair's height by each joint.
+    """Return the change of each marker pair's height per degree of each joint.
 
     Parameters
     ----------
     markers_of : _MarkersOf
-        Poses (k, n_servos) to markers (k, n_markers, 3).
+        Function from poses (k, n_servos) degrees to markers (k, n_markers, 3) mm.
     base_deg : Array
-        (n_servos,).
+        (n_servos,) degrees, the pose at which slopes are taken.
     pairs : Sequence[tuple[int, int]]
-        Marker numbers.
+        Numbers of each upper and lower marker.
 
     Returns
     -------
@@ -132,10 +133,11 @@ _PASSED_MM = 0.8
 
 @dataclass(frozen=True, slots=True)
 class Kink:
-    """Where ladders stop coming nearer. at_mm: (n_ladders,), predicted closing there.
+    """The point of ladders from which lips come no nearer.
 
-    left: the slope beyond as a share of that before; left_sd: its standard error; explained: by
-    how much better, in square standard errors, than without.
+    at_mm: (n_ladders,), the predicted closing there; left: the slope beyond as a share of that
+    before; left_sd: its standard error; explained: how much better the kink fits than a straight
+    line, in square standard errors.
     """
 
     at_mm: tuple[float, ...]
@@ -145,26 +147,26 @@ class Kink:
 
     @property
     def is_contact(self) -> bool:
-        """Whether lips that meet are the one thing that explains it."""
+        """Whether the kink is beyond doubt and the slope after it small, so that lips touch."""
         return self.explained > _SURE and self.left + 2.0 * self.left_sd < _STALLED
 
 
 def find_kink(closes_mm: Sequence[Array], apertures_mm: Sequence[Array], noise_mm: float) -> Kink:
-    """Find where apertures stop to follow the steps of ladders, one kink in all.
+    """Return the kink, fitted to all ladders, from which apertures no longer follow the steps.
 
     Parameters
     ----------
     closes_mm : Sequence[Array]
-        (n,) each: how far the ladder's steps should have come, ascending from 0.
+        (n,) mm each: predicted closing of the ladder's steps, ascending from 0.
     apertures_mm : Sequence[Array]
-        (n,) each.
+        (n,) mm each: measured apertures of the lips.
     noise_mm : float
-        Standard error of an aperture.
+        Standard error of an aperture, in mm.
 
     Returns
     -------
     Kink
-        In mm of the ladders, with its evidence.
+        Its position on each ladder, in mm, with the evidence.
     """
     found = [_kink(x, y / noise_mm, noise_mm) for x, y in zip(closes_mm, apertures_mm, strict=True)]
     weights = np.array([each[3] for each in found])
@@ -179,9 +181,9 @@ def find_kink(closes_mm: Sequence[Array], apertures_mm: Sequence[Array], noise_m
 
 
 def _kink(x: Array, y: Array, noise_mm: float) -> tuple[float, float, float, float]:
-    """Where, what it explains, the share of the slope left, and how well that is known (1 / var).
+    """Return one ladder's kink: position, what it explains, slope left, and 1 / slope's variance.
 
-    y: in standard errors.
+    x: predicted closing in mm; y: apertures in standard errors.
     """
     straight = _left(np.column_stack([np.ones_like(x), -x / noise_mm]), y)[0]
     best = (float(x[-1]), 0.0, 1.0, 0.0)
@@ -195,18 +197,18 @@ def _kink(x: Array, y: Array, noise_mm: float) -> tuple[float, float, float, flo
 
 
 def bent_line(x: Array, y: Array, at: float, noise_mm: float) -> tuple[float, Array, Array]:
-    """Fit a line that bends at `at`.
+    """Fit a line through apertures that bends at `at`.
 
     Parameters
     ----------
     x : Array
-        (n,).
+        (n,) mm, predicted closing.
     y : Array
-        (n,), in standard errors.
+        (n,) apertures, in standard errors.
     at : float
-        Where it bends, mm.
+        Closing at which the line bends, in mm.
     noise_mm : float
-        Standard error.
+        Standard error of an aperture, in mm.
 
     Returns
     -------
@@ -218,7 +220,7 @@ def bent_line(x: Array, y: Array, at: float, noise_mm: float) -> tuple[float, Ar
 
 
 def _left(inputs: Array, y: Array) -> tuple[float, Array, Array]:
-    """Least squares with what is known of the slope before: cost, parameters, their variance."""
+    """Return cost, parameters and variance of least squares with a prior on the first slope."""
     prior = np.zeros((1, inputs.shape[1]))
     prior[0, 1] = 1.0 / _SLOPE_SD
     a = np.vstack([inputs, prior])
@@ -230,10 +232,10 @@ def _left(inputs: Array, y: Array) -> tuple[float, Array, Array]:
 
 @dataclass(frozen=True, slots=True)
 class SeenLadders:
-    """What a capture's ladders show.
+    """The evidence of a capture's ladders.
 
-    rows: of the capture, for each ladder in the order of its steps; touching: (n,), poses of the
-    capture beyond the kink; passed: whether dots of upper and lower lip passed one another.
+    rows: rows of the capture, for each ladder in the order of its steps; touching: (n,), poses of
+    the capture beyond the kink; passed: whether dots of upper and lower lip passed one another.
     """
 
     rows: tuple[NDArray[np.int64], ...]
@@ -243,17 +245,17 @@ class SeenLadders:
 
     @property
     def meet(self) -> bool:
-        """Whether there is evidence that the lips meet."""
+        """Whether there is evidence that the lips meet: a kink by contact, or dots that passed."""
         return self.passed or self.kink.is_contact
 
 
 def begins(capture: Capture) -> NDArray[np.bool_]:
-    """Return which poses are no steps of a ladder in which lips may touch.
+    """Return which poses belong to no ladder or to the first steps of one, so that lips are open.
 
     Parameters
     ----------
     capture : Capture
-        n poses.
+        Capture of n poses.
 
     Returns
     -------
@@ -267,10 +269,11 @@ def begins(capture: Capture) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, slots=True)
 class Apertures:
-    """How high the lips are apart in the steps of ladders, from each ladder's usual height on.
+    """Heights between upper and lower lip in the steps of ladders, less each ladder's median.
 
-    rows: of the capture, for each ladder in the order of its steps; pairs: of dots that are
-    compared; share: of a marker's noise that is in the mean of them; last_mm: of the middle gap.
+    rows: rows of the capture, for each ladder in the order of its steps; mm: (n_steps,) each;
+    pairs: marker numbers of the compared dots; share: noise of the mean over that of one marker;
+    last_mm: middle gap in the last steps.
     """
 
     rows: tuple[NDArray[np.int64], ...]
@@ -281,7 +284,7 @@ class Apertures:
 
 
 def apertures_of(capture: Capture) -> Apertures | None:
-    """None where a capture has no ladders, or dots of only one lip."""
+    """Return the apertures in a capture's ladders; None without ladders or dots on both lips."""
     of, names = ladders_of(capture), capture.marker_names
     pairs = tuple((names.index(a), names.index(b)) for a, b in _OPPOSITE if {a, b} <= set(names))
     rows = [np.flatnonzero(of == ladder) for ladder in np.unique(of[of > 0])]
@@ -300,7 +303,7 @@ def apertures_of(capture: Capture) -> Apertures | None:
 
 
 def see_ladders(capture: Capture, markers_of: _MarkersOf, noise_mm: float) -> SeenLadders | None:
-    """None where a capture has no ladders, or dots of only one lip.
+    """Return the evidence of a capture's ladders; None without ladders or dots on both lips.
 
     markers_of: the face as learnt so far; noise_mm: of a marker in one axis.
     """

@@ -1,7 +1,7 @@
-"""Calibration without a tracker: a person puts the mouth into a dozen named poses, with keys.
+"""Calibration without a tracker: a person moves the mouth to a dozen named poses by keys.
 
 Each pose is a shape that the speaker of the model really made; the person moves the servos until
-the robot looks like it. A line through a dozen points: usable, and coarser than a measured map.
+the robot has that shape. A line through a dozen points: usable, and coarser than a measured map.
 """
 
 import json
@@ -30,7 +30,7 @@ CLOSED = "closed"
 
 @dataclass(frozen=True, slots=True)
 class LandmarkPose:
-    """One pose to make: its name, what to do, and the speaker's frame (n_components,)."""
+    """One pose to make: its name, the instruction, and the speaker's frame, (n_components,)."""
 
     name: str
     instruction: str
@@ -84,7 +84,7 @@ _POSES: tuple[tuple[str, str, tuple[tuple[Callable[[Array], Array], float], ...]
 
 
 def landmark_poses(model: FaceWithAnimPhos) -> tuple[LandmarkPose, ...]:
-    """The closed mouth, then the poses above, each a frame of the speaker's."""
+    """Return the closed mouth, then 13 extreme shapes, each with a frame of the speaker's."""
     frames = model.animphos.frames
     markers_mm = model.markers_mm(frames)
     poses = [LandmarkPose(CLOSED, "close the mouth, lips just touching", model.rest)]
@@ -105,27 +105,27 @@ def fit_guided(
     *,
     date: str = "",
 ) -> Calibration:
-    """Fit the map to poses that a person made.
+    """Fit a calibration to poses that a person set by keys, without a tracker.
 
-    Exact at the closed mouth; elsewhere ridge regression. `joint_rms_deg` of its errors is each
-    pose's distance from the map made without it; millimetres are unknown without a tracker, and are
-    given as 0 frames.
+    The closed mouth is exact; the rest is ridge regression. Its errors contain only
+    `joint_rms_deg`, the rms over poses of the distance from the map made without that pose; nothing
+    is known in millimetres, and the errors are of 0 frames.
 
     Parameters
     ----------
     model : FaceWithAnimPhos
-        The face.
+        The speaker's face.
     servos : MouthServos
-        Of the robot.
+        Servos of the robot's mouth.
     made_deg : Mapping[str, Array]
-        (n_servos,) for each landmark pose made.
+        (n_servos,) degrees for each landmark pose made, by its name.
     date : str
-        ISO 8601.
+        Date of the calibration, ISO 8601.
 
     Returns
     -------
     Calibration
-        Its limits in degrees are those of the joints.
+        With the joints' limits, in degrees.
 
     Raises
     ------
@@ -162,7 +162,7 @@ def fit_guided(
 
 
 def _ridge(x: Array, turned_deg: Array) -> tuple[Array, Array]:
-    """Weights (n_servos, n_components) and, for each servo, the leave-one-out error in degrees."""
+    """Return weights (n_servos, n_components) and each servo's leave-one-out rms in degrees."""
     ridge = RidgeCV(_STRENGTHS, fit_intercept=False).fit(x, turned_deg)
     weights = rounded(np.asarray(ridge.coef_, dtype=np.float64).reshape(turned_deg.shape[1], -1))
     normal = x.T @ x + ridge.alpha_ * np.eye(x.shape[1])
@@ -188,7 +188,10 @@ KEYS: Mapping[str, str] = {
 
 @dataclass(frozen=True, slots=True)
 class GuidedSession:
-    """Where the person is. made_deg: for each finished pose, angles (n_servos,)."""
+    """The state of a guided calibration: current pose and servo, angles, and finished poses.
+
+    made_deg: angles (n_servos,) of each finished pose, by its name.
+    """
 
     joints: tuple[JointRange, ...]
     poses: tuple[LandmarkPose, ...]
@@ -200,11 +203,11 @@ class GuidedSession:
 
     @property
     def done(self) -> bool:
-        """Whether there is nothing left to do."""
+        """Whether the person stopped the session or no pose is left."""
         return self.stopped or self.pose >= len(self.poses)
 
     def press(self, key: str) -> "GuidedSession":
-        """The session after a key; one that means nothing changes nothing."""
+        """Return the session after a key was pressed; unchanged for an unknown key."""
         n_servos = len(self.joints)
         if key in ("w", "s"):
             return replace(self, servo=(self.servo + (1 if key == "s" else -1)) % n_servos)
@@ -236,14 +239,14 @@ class GuidedSession:
 def start_session(
     joints: Sequence[JointRange], poses: Sequence[LandmarkPose], kept: Mapping[str, Array]
 ) -> GuidedSession:
-    """Begin at neutral, before the first pose that was not made yet.
+    """Return a session with all joints at 0, at the first pose that `kept` does not contain.
 
     Parameters
     ----------
     joints : Sequence[JointRange]
-        Ranges.
+        Ranges of the joints.
     poses : Sequence[LandmarkPose]
-        To be made.
+        Poses to be made.
     kept : Mapping[str, Array]
         (n_servos,) degrees, by the pose's name.
 
@@ -257,16 +260,16 @@ def start_session(
 
 
 def keep_poses(made_deg: Mapping[str, Array], servo_names: Sequence[str], path: Path) -> None:
-    """Write the poses made so far, whole or not at all. Raises OutputError.
+    """Write the poses made so far to a file, whole or not at all. Raises OutputError.
 
     Parameters
     ----------
     made_deg : Mapping[str, Array]
-        (n_servos,), by the pose's name.
+        (n_servos,) degrees, by the pose's name.
     servo_names : Sequence[str]
-        n_servos.
+        Names of the n_servos servos.
     path : Path
-        JSON.
+        JSON file to write.
     """
     content = {
         name: dict(zip(servo_names, degrees.tolist(), strict=True))
@@ -276,14 +279,14 @@ def keep_poses(made_deg: Mapping[str, Array], servo_names: Sequence[str], path: 
 
 
 def kept_poses(servo_names: Sequence[str], path: Path) -> dict[str, Array]:
-    """Read the poses of an earlier session.
+    """Read the poses that an earlier session wrote.
 
     Parameters
     ----------
     servo_names : Sequence[str]
-        n_servos.
+        Names of the n_servos servos.
     path : Path
-        JSON.
+        JSON file of the poses.
 
     Returns
     -------

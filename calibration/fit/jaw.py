@@ -1,11 +1,11 @@
-"""A calibration of a jaw alone, from markers on the jaw: the mouth of a talking skeleton.
+"""Calibration of a jaw alone, from markers on the jaw: the mouth of a talking skeleton.
 
 How far a jaw is open is one number, the blend of a closed and an open jaw line. Edge, Hilton and
 Jackson fit it by one parameter alpha for each frame, minimising
 sum_i || m_i - ((1 - alpha) c_i + alpha o_i) ||^2 over the jaw line, by Newton's method with finite
-differences. The speaker's blend is linear in the model's coefficients. A sweep of the robot says
-which angle is which part of its own way from closed to open; the speaker's widest jaw becomes the
-robot's. Lips are not looked at, so P, B and M close as far as the speaker's jaw does.
+differences. The speaker's blend is linear in the model's coefficients. A sweep of the robot's jaw
+gives its blend at each angle; the speaker's widest opening becomes the robot's. Lips are ignored,
+so P, B and M close as far as the speaker's jaw does.
 Loads scikit-learn; the live path never does.
 """
 
@@ -42,25 +42,25 @@ _OPEN_QUANTILE = 0.98
 
 @dataclass(frozen=True, slots=True)
 class JawBlend:
-    """closed_mm, open_mm: (n_points, 3), the two ends of the blend."""
+    """The blend between a closed and an open jaw line; closed_mm, open_mm: (n_points, 3)."""
 
     closed_mm: Array
     open_mm: Array
 
     def cost_mm2(self, alpha: Array, points_mm: Array) -> Array:
-        """Return the sum of squared distances of points from the blend.
+        """Return the sum of squared distances of points from the blend at alpha.
 
         Parameters
         ----------
         alpha : Array
-            (n,).
+            (n,): 0 closed, 1 open.
         points_mm : Array
-            (n, n_points, 3).
+            (n, n_points, 3) mm, the jaw line.
 
         Returns
         -------
         Array
-            (n,).
+            (n,) mm^2.
         """
         blend = self.closed_mm + alpha[:, None, None] * (self.open_mm - self.closed_mm)
         return np.asarray(np.sum((points_mm - blend) ** 2, axis=(1, 2)))
@@ -71,12 +71,12 @@ class JawBlend:
         Parameters
         ----------
         points_mm : Array
-            (n, n_points, 3).
+            (n, n_points, 3) mm, the jaw line.
 
         Returns
         -------
         Array
-            (n,): 0 closed, 1 open, beyond either where the jaw is.
+            (n,): 0 closed, 1 open, below 0 or above 1 for a jaw beyond these.
         """
         alpha = np.zeros(len(points_mm))
         for _ in range(_STEPS):
@@ -90,7 +90,7 @@ class JawBlend:
 
 
 def speakers_jaw(model: FaceWithAnimPhos) -> JawBlend:
-    """From the model's rest to the mean of its widest open frames.
+    """Return the speaker's blend: from the model's rest to the mean of its widest open frames.
 
     Raises CalibrationError for a speaker whose jaw line hardly moves.
     """
@@ -103,12 +103,12 @@ def speakers_jaw(model: FaceWithAnimPhos) -> JawBlend:
 
 
 def jaw_blend(closed_mm: Array, open_mm: Array) -> JawBlend:
-    """Make the blend between closed and open jaw lines.
+    """Return the blend between a closed and an open jaw line.
 
     Parameters
     ----------
     closed_mm,open_mm : Array
-        (n_points, 3).
+        (n_points, 3) mm.
 
     Returns
     -------
@@ -118,7 +118,7 @@ def jaw_blend(closed_mm: Array, open_mm: Array) -> JawBlend:
     Raises
     ------
     CalibrationError
-        The two hardly differ.
+        The two differ by less than 1 mm.
     """
     apart_mm = float(np.linalg.norm(open_mm - closed_mm, axis=1).max())
     if apart_mm < _LEAST_MOTION_MM:
@@ -131,18 +131,18 @@ def jaw_blend(closed_mm: Array, open_mm: Array) -> JawBlend:
 
 @dataclass(frozen=True, slots=True)
 class JawDegrees:
-    """Blend to degrees, from a sweep of the robot's jaw: alphas ascending, (n,), and degrees."""
+    """A table from blend to jaw angle: alphas (n,), ascending, and degrees (n,)."""
 
     alphas: Array
     degrees: Array
 
     def degrees_at(self, alpha: Array) -> Array:
-        """Return the jaw's angle, straight between measured ones, held beyond.
+        """Return the jaw's angle at alpha, interpolated linearly, constant beyond the table.
 
         Parameters
         ----------
         alpha : Array
-            (n,).
+            (n,): 0 closed, 1 open.
 
         Returns
         -------
@@ -153,16 +153,16 @@ class JawDegrees:
 
 
 def jaw_degrees(blend: JawBlend, degrees: Array, points_mm: Array) -> JawDegrees:
-    """Return the table of a sweep of the jaw.
+    """Return the table from blend to angle of a sweep of the robot's jaw.
 
     Parameters
     ----------
     blend : JawBlend
-        Of closed and open.
+        Blend of the robot's closed and open jaw.
     degrees : Array
-        (n,), ascending.
+        (n,), ascending angles of the sweep.
     points_mm : Array
-        (n, n_points, 3), the robot's jaw line there.
+        (n, n_points, 3) mm, the robot's jaw line at each angle.
 
     Returns
     -------
@@ -190,7 +190,7 @@ _LEAST_MARKERS = 3
 
 
 def jaw_markers(marker_names: Sequence[str]) -> tuple[int, ...]:
-    """Which of these ride on the jaw, by index."""
+    """Return the indices of the markers in `marker_names` that lie on the jaw line."""
     line = {MARKERS_47.names[i] for i in JAW_LINE}
     return tuple(i for i, name in enumerate(marker_names) if name in line)
 
@@ -204,9 +204,9 @@ def fit_jaw(
     seed: int = 0,
     accept: bool = False,
 ) -> tuple[Calibration, tuple[str, ...]]:
-    """The calibration of one servo, and warnings. Only markers of the jaw line count.
+    """Return the calibration of a single jaw servo, and warnings. Only jaw-line markers count.
 
-    Raises CalibrationError for fewer than three of them, and for a capture that cannot be trusted.
+    Raises CalibrationError for fewer than three such markers, and for a capture with faults.
     """
     line = list(jaw_markers(capture.marker_names))
     if len(line) < _LEAST_MARKERS:
@@ -266,7 +266,7 @@ def fit_jaw(
 
 
 def jaw_agreement(model: FaceWithAnimPhos, calibration: Calibration, joint: int) -> float:
-    """Correlation of one joint with the speaker's jaw, over the model's frames: a check."""
+    """Return the correlation of a joint's angle with the speaker's jaw, -1 to 1; 0 if constant."""
     some = model.animphos.samples[:: max(1, len(model.animphos) // 200)]
     frames = some.reshape(-1, model.n_components)
     alpha = speakers_jaw(model).alpha(model.markers_mm(frames)[:, list(JAW_LINE)])

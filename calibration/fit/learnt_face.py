@@ -1,4 +1,4 @@
-"""Fit a calibration against the simulated face. Loads scikit-learn; the live path never does."""
+"""Fit of a calibration to the simulated face. Loads scikit-learn; the live path never does."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -38,11 +38,11 @@ def fit_calibration(
     seed: int = 0,
     max_animphos: int = MAX_ANIMPHOS,
 ) -> Calibration:
-    """Ridge regression from coefficients to the angles that imitate them best.
+    """Return a calibration of the simulated face: ridge regression to the best imitating angles.
 
-    Whole AnimPhos drawn by `seed` are held out and only measured. No intercept: the rest of the
-    model is 0 degrees exactly. One ridge strength serves all servos, so that what two servos do
-    together, such as the lip gap, is regressed as well as either.
+    A fifth of up to `max_animphos` AnimPhos, drawn by `seed`, are held out for the errors. No
+    intercept: the rest of the model is 0 degrees exactly. One ridge strength serves all servos, so
+    that what two servos do together, such as the lip gap, is regressed as well as either.
     Raises CalibrationError for a servo unknown to the simulated face, or fewer than 2 AnimPhos.
     """
     min_deg = np.array([joint.min_deg for joint in joints])
@@ -75,21 +75,21 @@ def fit_calibration(
 
 
 def ridge_weights(from_rest: Array, positions_deg: Array) -> Array:
-    """Return ridge weights, rounded as the file rounds.
+    """Return ridge regression weights, rounded to the digits of the calibration file.
 
     The strength is chosen by leave-one-out errors within these frames.
 
     Parameters
     ----------
     from_rest : Array
-        (n, n_components).
+        (n, n_components) mm, coefficients less the rest.
     positions_deg : Array
-        (n, n_servos).
+        (n, n_servos) degrees.
 
     Returns
     -------
     Array
-        (n_servos, n_components).
+        (n_servos, n_components) degrees per mm.
     """
     ridge = RidgeCV(_RIDGE_STRENGTHS, fit_intercept=False).fit(from_rest, positions_deg)
     coefficients = np.asarray(ridge.coef_, dtype=np.float64).reshape(positions_deg.shape[1], -1)
@@ -98,7 +98,7 @@ def ridge_weights(from_rest: Array, positions_deg: Array) -> Array:
 
 
 def _split(model: FaceWithAnimPhos, seed: int, max_animphos: int) -> tuple[Array, Array]:
-    """Frames (n, n_components) to fit and to hold out, of different AnimPhos."""
+    """Return frames (n, n_components) to fit and frames to hold out, of different AnimPhos."""
     order = np.random.default_rng(seed).permutation(len(model.animphos))[:max_animphos]
     if len(order) < 2:
         raise CalibrationError("a calibration needs a model with at least 2 AnimPhos")

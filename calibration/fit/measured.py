@@ -1,8 +1,8 @@
-"""From captured poses to a calibration, with its errors: the measured way, from end to end.
+"""The fit of a measured calibration from captured poses, with its errors.
 
-Errors are how well it makes the wanted shapes, on the learnt face, not the real one: what
-that got wrong everywhere alike does not show there. The error of poses left out of its fit, noise
-included, is reported beside these.
+Errors compare the made shapes with the wanted ones on the learnt face, not the real one: what the
+learnt face has wrong everywhere alike does not show in them. The error of poses left out of the
+face's own fit, noise included, is reported beside these.
 Loads scikit-learn; the live path never does.
 """
 
@@ -57,7 +57,7 @@ _FRAMES_PER_CLASS = 30
 
 @dataclass(frozen=True, slots=True)
 class ShapeErrors:
-    """What shapes are measured with: the speaker, the mouth as learnt, what is aimed for.
+    """Measures of a robot's shapes: the speaker, the learnt mouth, and the wanted shapes.
 
     stay_apart_mm: how far lips stay apart that are as closed as they can be.
     """
@@ -68,12 +68,12 @@ class ShapeErrors:
     stay_apart_mm: float = 0.0
 
     def reached(self, from_rest: Array) -> NDArray[np.bool_]:
-        """Return whether the best pose has opening and width within 1 mm.
+        """Return whether the best pose for each frame has opening and width within 1 mm.
 
         Parameters
         ----------
         from_rest : Array
-            (n, n_components).
+            (n, n_components) mm, coefficients less the rest.
 
         Returns
         -------
@@ -84,17 +84,17 @@ class ShapeErrors:
         return np.asarray((np.abs(best_mm - wanted_mm) <= REACHABLE_MM).all(axis=1))
 
     def openings_and_widths_mm(self, from_rest: Array) -> tuple[Array, Array]:
-        """Return wanted openings and widths, and those of the best poses.
+        """Return the wanted opening and width of the mouth, and those of the best poses.
 
         Parameters
         ----------
         from_rest : Array
-            (n, n_components).
+            (n, n_components) mm, coefficients less the rest.
 
         Returns
         -------
         tuple[Array, Array]
-            (n, 2) mm each.
+            (n, 2) mm each: opening, width.
         """
         right, left = self.mouth.names.corners
         poses_deg = self.retargeting.poses_deg(from_rest)
@@ -106,14 +106,14 @@ class ShapeErrors:
         return np.stack(wanted, axis=1), np.stack(best, axis=1)
 
     def apart_mm(self, poses_deg: Array, targets_mm: Array) -> Array:
-        """Return the distance of the face's lips from targets, rms over the lip markers.
+        """Return the distance of the learnt face's lips from targets, rms over the lip markers.
 
         Parameters
         ----------
         poses_deg : Array
-            (n, n_servos).
+            (n, n_servos) degrees.
         targets_mm : Array
-            (n, n_markers, 3).
+            (n, n_markers, 3) mm.
 
         Returns
         -------
@@ -125,14 +125,14 @@ class ShapeErrors:
 
 
 def lips_apart_mm(markers_mm: Array, targets_mm: Array, lips: list[int]) -> Array:
-    """Return the distance of lip markers in space, rms over them.
+    """Return the distance in space between two sets of lip markers, rms over the markers.
 
     Parameters
     ----------
     markers_mm,targets_mm : Array
-        (n, n_markers, 3).
+        (n, n_markers, 3) mm.
     lips : list[int]
-        Marker numbers.
+        Numbers of the lip markers.
 
     Returns
     -------
@@ -146,21 +146,21 @@ def lips_apart_mm(markers_mm: Array, targets_mm: Array, lips: list[int]) -> Arra
 def measure_shapes(
     on: ShapeErrors, run: RunTimeMap, held_out: Array
 ) -> tuple[HoldOutErrors, Mapping[str, VisemeReach]]:
-    """Return errors on held-out frames, and the coverage of every viseme class.
+    """Return a map's errors on held-out frames, and its coverage of every viseme class.
 
     Parameters
     ----------
     on : ShapeErrors
-        Measures shapes.
+        Speaker, learnt mouth and wanted shapes.
     run : RunTimeMap
-        The map.
+        Map to be measured.
     held_out : Array
-        (n, n_components).
+        (n, n_components) mm, frames left out of the fit.
 
     Returns
     -------
     tuple[HoldOutErrors, Mapping[str, VisemeReach]]
-        In mm, and shares 0 to 1 by viseme.
+        Errors in mm, and coverage by the first phoneme of each class.
     """
     return _errors(on, run, held_out), _coverage(on, run)
 
@@ -193,10 +193,7 @@ def _errors(on: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors:
 
 
 def _coverage(on: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
-    """By the first phoneme of each class that the speaker uttered.
-
-    Within reach: opening and width of the best pose are the wanted ones.
-    """
+    """Return the reach of each viseme class in the model's speech, by its first phoneme."""
     rows = {viseme[0]: _rows_of(on.model, viseme) for viseme in VISEME_CLASSES}
     rows = {viseme: chosen for viseme, chosen in rows.items() if len(chosen)}
     from_rest = on.model.animphos.samples[np.concatenate(list(rows.values())), 2] - on.model.rest
@@ -226,13 +223,13 @@ def _coverage(on: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
 
 
 def _at_limit(poses_deg: Array, mouth: RobotMouth) -> NDArray[np.bool_]:
-    """(n,): whether a joint stands at a limit."""
+    """Return whether a joint is at a limit in each pose, (n,)."""
     low, high = mouth.limits_deg
     return np.asarray(((poses_deg <= low) | (poses_deg >= high)).any(axis=1))
 
 
 def _rows_of(model: FaceWithAnimPhos, viseme: tuple[str, ...]) -> NDArray[np.int64]:
-    """Return some AnimPhos of a class, evenly from all it has."""
+    """Return row numbers of at most 30 AnimPhos of a viseme class, evenly over all of the class."""
     rows = np.concatenate([model.animphos.of_phoneme(phoneme) for phoneme in viseme])
     if not len(rows):
         return rows
@@ -241,7 +238,7 @@ def _rows_of(model: FaceWithAnimPhos, viseme: tuple[str, ...]) -> NDArray[np.int
 
 
 def _opening_mm(on: ShapeErrors, markers_mm: Array) -> Array:
-    """(n,): how high the middle of the lips is open, from the robot's own closed gap on."""
+    """Return the middle opening of the lips beyond the robot's own closed gap, (n,) mm."""
     heights_mm = gap_heights_mm(markers_mm, on.mouth.names.shape_features.gaps[:1])[:, 0]
     return np.asarray(heights_mm - on.retargeting.closed_mm[0])
 
@@ -256,22 +253,22 @@ _LOOSE_DEG, _LOOSE_TIMES, _AHEAD, _FEWEST_JOINTS = 2.0, 1.8, 1.25, 3
 
 
 def loose_joint(servo_names: tuple[str, ...], backlash_deg: Array) -> tuple[str, ...]:
-    """Return a warning where one joint, and no other, has far more play than is usual for its face.
+    """Return a warning if exactly one joint has far more backlash than is usual for its face.
 
-    Play beyond the last step of a pose (3 degrees) is not seen whole, and joints that hardly move
-    the skin are not distinguished from their neighbours: they are left out.
+    Backlash beyond the last step of a pose (3 degrees) is underestimated, and a joint that hardly
+    moves the skin is not distinguished from its neighbours, so that it gives no warning.
 
     Parameters
     ----------
     servo_names : tuple[str, ...]
-        n_servos.
+        Names of the n_servos servos.
     backlash_deg : Array
-        (n_servos,).
+        (n_servos,) degrees.
 
     Returns
     -------
     tuple[str, ...]
-        One line, or none.
+        One line, or () if no joint is loose.
     """
     if len(backlash_deg) < _FEWEST_JOINTS:
         return ()
@@ -313,7 +310,10 @@ _NARROWEST = 0.05
 
 @dataclass(frozen=True, slots=True)
 class MeasuredFit:
-    """A calibration and what it was made of, for reports and scores."""
+    """A calibration with the learnt face, the retargeting and the frames that it was made from.
+
+    held_out: (n, n_components), frames left out of the fit.
+    """
 
     calibration: Calibration
     face: RobotFace
@@ -332,10 +332,11 @@ def fit_measured(
     seed: int = 0,
     accept: bool = False,
 ) -> MeasuredFit:
-    """The whole way: sanity, face, retargeting, inverse, run-time map, errors on held-out AnimPhos.
+    """Return the calibration fitted to a capture, with the learnt face and warnings.
 
-    accept: what is judgement only warns. Raises CalibrationError for a capture that cannot be
-    trusted.
+    The capture is checked; face, retargeting and run-time map are fitted; errors are measured on
+    held-out AnimPhos. accept: doubts about size and joints become warnings. Raises CalibrationError
+    for a capture with faults.
     """
     # Threads that share small products wait for each other: a minute in place of twenty seconds.
     with threadpool_limits(limits=1):
@@ -400,11 +401,11 @@ def _fit(
 
 
 def _doubt_mm_per_deg(capture: Capture, names: Correspondence) -> Array:
-    """(n_servos,): what a degree of each joint costs, in weighted millimetres.
+    """Return what a degree of each joint costs in the fit, (n_servos,) weighted millimetres.
 
-    What chance gives its slope, more where its signal is little above that: turning a joint is as
-    likely to harm by so much as to help by what it is known to do, so a weak joint goes as far as
-    its millimetres pay for.
+    It is the standard error of the joint's slope, raised for a weak joint: turning it is as likely
+    to do harm by that much as to help, so a weak joint turns only as far as its known effect
+    justifies.
     """
     lines = straight_lines(capture)
     range_deg = np.maximum(np.ptp(capture.goals_deg, axis=0), 1e-6)
@@ -414,14 +415,16 @@ def _doubt_mm_per_deg(capture: Capture, names: Correspondence) -> Array:
 
 
 def split_frames(model: FaceWithAnimPhos, seed: int) -> tuple[Array, Array]:
-    """Return frames to fit and to hold out, of different AnimPhos drawn by `seed`.
+    """Return frames to fit and frames to hold out, of different AnimPhos drawn by `seed`.
+
+    Raises CalibrationError for a model with fewer than 2 AnimPhos.
 
     Parameters
     ----------
     model : FaceWithAnimPhos
-        Has the AnimPhos.
+        Speaker's face with AnimPhos.
     seed : int
-        Of the draw.
+        Seed of the draw.
 
     Returns
     -------
@@ -438,33 +441,35 @@ def split_frames(model: FaceWithAnimPhos, seed: int) -> tuple[Array, Array]:
 
 
 def backlash_only(backlash_deg: Array) -> Following:
-    """Return a response with backlash alone: lags and speeds are not known yet.
+    """Return a servo response that contains backlash alone, before lags and speeds are measured.
 
     Parameters
     ----------
     backlash_deg : Array
-        (n_servos,).
+        (n_servos,) degrees.
 
     Returns
     -------
     Following
-        No lag, no limit; backlash in degrees.
+        Lags 0, speeds and bandwidths inf; backlash in degrees.
     """
     unknown = np.full(len(backlash_deg), np.inf)
     return Following(np.zeros(len(backlash_deg)), backlash_deg, unknown, unknown)
 
 
 def mouth_of(face: RobotFace, names: Correspondence, servos: MouthServos) -> RobotMouth:
-    """Make the mouth of a learnt face for retargeting."""
+    """Return the mouth of a learnt face, with the servos' limits and rules, for retargeting."""
     return RobotMouth(face.free_mm, names, servos.limits_deg, servos.rules, face.markers_mm)
 
 
 def retargeting_of(
     model: FaceWithAnimPhos, mouth: RobotMouth, face: RobotFace, capture: Capture
 ) -> Retargeting:
-    """The targets of a learnt face: by where its lips stop, where that was seen.
+    """Return the retargeting to a learnt face, with the closed gaps that the capture shows.
 
-    Its scale is by all recorded speech: a fiftieth of a few hundred frames is chance.
+    Closed gaps are those of contact where it was found, else the nearest of the ladders, else the
+    narrowest captured. Its scale is by all recorded speech: a fiftieth of a few hundred frames is
+    chance. Raises CalibrationError for lips that hardly part in the capture.
     """
     frames = model.animphos.frames
     heights_mm = gap_heights_mm(capture.markers_mm, mouth.names.shape_features.gaps)
@@ -483,14 +488,14 @@ def retargeting_of(
 
 
 def nearest_gaps(face: RobotFace, capture: Capture) -> tuple[Array, Array]:
-    """Return the pose in which a ladder brought the lips nearest, and the gaps there.
+    """Return the last pose of the ladder that brings lips nearest, and the gaps in that pose.
 
     Parameters
     ----------
     face : RobotFace
-        Has the ladders.
+        Learnt face, with ladders.
     capture : Capture
-        Its poses.
+        Capture that the face was learnt from.
 
     Returns
     -------
@@ -507,7 +512,7 @@ def nearest_gaps(face: RobotFace, capture: Capture) -> tuple[Array, Array]:
 
 
 def closing_of(face: RobotFace, mouth: RobotMouth, capture: Capture) -> Closing | None:
-    """What ladders showed; None where there were none, or they ended before any limit."""
+    """Return whether lips meet, by the ladders; None without ladders or without clear evidence."""
     if face.ladders is None:
         return None
     if face.ladders.kink.is_contact:
@@ -529,6 +534,6 @@ def closing_of(face: RobotFace, mouth: RobotMouth, capture: Capture) -> Closing 
 
 
 def _touch_deg(retargeting: Retargeting) -> Array:
-    """(n_servos,): the speaker's rest with the middle of the lips just meeting."""
+    """Return the pose, (n_servos,) degrees, of the speaker's rest with mid-lips just meeting."""
     rest = np.zeros((1, retargeting.model.n_components))
     return np.asarray(retargeting.at_gap(rest, float(retargeting.closed_mm[0]))[0])

@@ -1,13 +1,13 @@
-"""What a calibration is worth, measured: poses of speech that nothing was fitted to.
+"""The grade of a calibration, measured on the robot in poses of speech left out of the fit.
 
-The learnt face cannot show its own errors. So the robot goes to where
-the fresh map sends it for frames that were left out, is measured there, and compared with the
-wanted shapes; what the tracker's own noise adds is taken off. Where the poses go and what should
-be seen there is all that this needs, so a second visit to the robot can be weeks later: a check
-plan is their file, with the columns of a plan, so that whatever moves a robot through one moves it
-through this; then, of each pose, the viseme class, the speaker's gap, the share of speech that it
-it represents, the wanted opening, the robot's own closed gap and the tracker's noise; which map it
-belongs to; and where each marker should be, `<marker>_x_mm`, `_y_mm`, `_z_mm`.
+The learnt face cannot show its own errors. So the robot moves to the poses that the map gives for
+frames that were left out, is measured there, and compared with the wanted shapes; the tracker's own
+noise is subtracted. Only the poses and the expected markers are needed, so the robot can be
+measured again weeks later: a check plan is their file, with the columns of a plan, so that any
+program that moves a robot through a plan can use it; then, of each pose, the viseme class, the
+speaker's gap, the share of speech that it represents, the wanted opening, the robot's own closed
+gap and the tracker's noise; the map's checksum; and the wanted position of each marker,
+`<marker>_x_mm`, `_y_mm`, `_z_mm`.
 Loads scikit-learn; the live path never does.
 """
 
@@ -52,12 +52,12 @@ _FAR_MM, _TIMES = 8.0, 5.0
 
 @dataclass(frozen=True, slots=True)
 class GradedPoses:
-    """Where a map sends a robot for speech that was left out of its fit, and what should be seen.
+    """Poses by which a map is graded, for speech left out of its fit, and the wanted markers.
 
-    targets_mm: (n, n_markers, 3); asked_open_mm: (n,), beyond the robot's own closed gap
+    targets_mm: (n, n_markers, 3); wanted_open_mm: (n,), beyond the robot's own closed gap
     own_gap_mm; visemes: the first phoneme of each pose's class; human_gap_mm: (n,), the speaker's;
-    shares: (n,), of the speech that each stands for, 1 in all; noise_mm: of the tracker.
-    expected_mm: (n,), how far the lips are off there by the learnt face, which knows the map.
+    shares: (n,), of the speech that each represents, 1 in all; expected_mm: (n,), distance of the
+    lips from the targets by the learnt face; noise_mm: of the tracker.
     """
 
     plan: PosePlan
@@ -76,7 +76,7 @@ class GradedPoses:
 
 
 def graded_poses(fit: MeasuredFit, servos: MouthServos, seed: int = 0) -> GradedPoses:
-    """Poses to which the map sends the servos for these frames, play made up for as live."""
+    """Return ten poses of held-out speech to grade a fit by; goals include half the backlash."""
     rows, shares = _chosen(fit, seed)
     frames = fit.held_out[rows]
     positions_deg = np.array([fit.calibration.positions_deg(frame) for frame in frames])
@@ -104,28 +104,28 @@ def graded_poses(fit: MeasuredFit, servos: MouthServos, seed: int = 0) -> Graded
 def graded(
     calibration: Calibration, poses: GradedPoses, seen: Capture, rows: NDArray[np.int64]
 ) -> tuple[Calibration, tuple[str, ...]]:
-    """Return the calibration with the grade of a capture, and lines about it.
+    """Return the calibration with a grade by the capture of graded poses, and warnings.
 
     Parameters
     ----------
     calibration : Calibration
-        To be graded.
+        Calibration to be graded.
     poses : GradedPoses
-        Planned ones.
+        The planned poses and wanted markers.
     seen : Capture
-        The capture.
+        Capture of some of the poses.
     rows : NDArray[np.int64]
-        (n,): which of the poses `seen` shows.
+        (n,): number of the pose in each row of `seen`.
 
     Returns
     -------
     tuple[Calibration, tuple[str, ...]]
-        With the lips' errors in mm, and warnings for the user.
+        With grade and measured coverage in mm, and warnings for the user.
 
     Raises
     ------
     CalibrationError
-        `seen` has fewer than half of the poses.
+        Lips were captured in fewer than half of the poses.
     """
     if len(seen) < len(poses) // 2 or len(rows) != len(seen):
         raise CalibrationError(
@@ -173,7 +173,7 @@ def graded(
 
 
 def too_bad(calibration: Calibration) -> str | None:
-    """Why a grade is too bad to be used, or None; by the estimate where nothing was measured."""
+    """Return why a calibration is too bad to be used, or None; by its grade, else by estimates."""
     grade, errors, closing = calibration.grade, calibration.errors, calibration.closing
     if grade is not None:
         lips_mm, slope, closed_mm = grade.lip_rms_mm, grade.gap_slope, grade.closed_gap_mm
@@ -195,9 +195,9 @@ def too_bad(calibration: Calibration) -> str | None:
 
 
 def _chosen(fit: MeasuredFit, seed: int) -> tuple[NDArray[np.int64], Array]:
-    """(N_GRADED,): rows of the frames left out, spread over speech, and the share of each.
+    """Return rows of up to N_GRADED held-out frames, spread over speech, and each one's share.
 
-    A frame is drawn from each part of speech, not taken from its middle: middles are the easy ones.
+    A frame is drawn at random from each part of speech: frames in the middle of a part are easier.
     """
     rng = np.random.default_rng([seed, 10])
     from_rest = fit.held_out - fit.retargeting.model.rest
@@ -216,7 +216,7 @@ def _chosen(fit: MeasuredFit, seed: int) -> tuple[NDArray[np.int64], Array]:
 
 
 def _parts(frames: Array, rows: NDArray[np.int64], n: int) -> list[NDArray[np.int64]]:
-    """Divide rows into `n` parts of alike frames."""
+    """Return `rows` divided into at most `n` parts of alike frames, by k-means."""
     if len(rows) <= n or n == 0:
         return [rows[i : i + 1] for i in range(min(n, len(rows)))]
     labels = KMeans(n, n_init=2, random_state=0).fit(frames[rows]).labels_
@@ -224,7 +224,7 @@ def _parts(frames: Array, rows: NDArray[np.int64], n: int) -> list[NDArray[np.in
 
 
 def _viseme(units: AnimPhoUnits, frame: Array) -> str:
-    """Return the first phoneme of the class that is spoken in a frame."""
+    """Return the first phoneme of the viseme class that is spoken in a frame."""
     at = int(np.flatnonzero((units.frames == frame).all(axis=1))[0]) // SAMPLES_PER_ANIMPHO
     phoneme = next(p for i, p in enumerate(PHONEMES) if at in units.phoneme_table[i])
     return VISEME_CLASSES[VISEME_OF[phoneme]][0]
@@ -233,7 +233,7 @@ def _viseme(units: AnimPhoUnits, frame: Array) -> str:
 def _without_far(
     seen_mm: Array, targets_mm: Array, lips: Sequence[int], names: tuple[str, ...]
 ) -> tuple[Array, tuple[str, ...]]:
-    """Remove implausible single readings of lips, counted by marker."""
+    """Return markers with lip outliers as NaN, and a line counting them by marker; () for none."""
     far = np.zeros(seen_mm.shape[:2], dtype=bool)
     off_mm = np.linalg.norm((seen_mm - targets_mm)[:, lips], axis=2)
     for pose, own_mm in enumerate(off_mm):
@@ -251,7 +251,7 @@ def _without_far(
 
 
 def _root(squares: Array, shares: Array) -> float:
-    """Of the mean by shares over what is known; noise may have taken more than there was."""
+    """Return the root of the mean of finite squares, weighted by shares; 0 for a negative mean."""
     known = np.isfinite(squares)
     return float(np.sqrt(max(np.average(squares[known], weights=shares[known]), 0.0)))
 
@@ -264,7 +264,7 @@ _VISEME, _MAP, _FIRST = "viseme", "map", "_x_mm"
 
 
 def write_check_plan(poses: GradedPoses, calibration: Calibration, path: Path) -> None:
-    """Write the poses to grade by as CSV, whole or not at all. Raises OutputError."""
+    """Write the poses to grade a calibration by as CSV, whole or not at all. Raises OutputError."""
     plan = poses.plan
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -303,7 +303,10 @@ def write_check_plan(poses: GradedPoses, calibration: Calibration, path: Path) -
 
 
 def read_check_plan(path: Path, calibration: Calibration) -> GradedPoses:
-    """Raises CalibrationError for a plan of another map, or one that says not what to see."""
+    """Return the poses to grade a calibration by from a CSV file.
+
+    Raises CalibrationError for a plan of another map, or one without wanted markers.
+    """
     servo_names = calibration.servo_names
     plan = read_plan(path, servo_names)
     rows = list(csv_rows(path, ("pose",)))
@@ -340,7 +343,7 @@ def read_check_plan(path: Path, calibration: Calibration) -> GradedPoses:
 
 
 def map_checksum(calibration: Calibration) -> str:
-    """16 hex digits over where a map sends servos, to 6 digits as in its file; not over trims."""
+    """Return 16 hex digits that identify a map, by its weights to 6 digits; trims do not count."""
     parts = [",".join(calibration.servo_names)]
     for numbers in (
         calibration.rest,

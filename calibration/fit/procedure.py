@@ -1,9 +1,9 @@
-"""The measured way from nothing to a capture: first the whole range, then what speech asks for.
+"""The capture of a measured calibration: the range of every joint first, then poses of speech.
 
-Two thirds and more of the poses fill the range of every joint. What they teach says roughly which
-poses speech will use; the rest are taken there, closed lips above all, so that the face is known
-best where it is looked at most. At the end the first poses are taken again: what slipped, tore or
-was moved meanwhile shows. Loads scikit-learn; the live path never does.
+Two thirds and more of the poses fill the range of every joint. The face learnt from them shows
+roughly which poses speech will use; the rest are taken there, closed lips above all, so that the
+face is known best where speech needs it. At the end the first poses are taken again, which shows
+what slipped, tore or was moved meanwhile. Loads scikit-learn; the live path never does.
 """
 
 from collections.abc import Callable, Sequence
@@ -72,7 +72,10 @@ _FRAMES = 400
 
 
 class _Take(Protocol):
-    """Takes what is missing of a plan; goes_on: it will be continued."""
+    """A function that captures the poses missing from a plan and returns the whole capture.
+
+    goes_on: the plan will be extended later.
+    """
 
     def __call__(
         self, plan: PosePlan, pressing: Sequence[int] = (), *, goes_on: bool
@@ -81,7 +84,7 @@ class _Take(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class _Learnt:
-    """What a first capture teaches. from_rest: (n, n_components), some of the speaker's frames."""
+    """The face learnt from a first capture. from_rest: (n, n_components), some speaker's frames."""
 
     face: RobotFace
     retargeting: Retargeting
@@ -90,10 +93,10 @@ class _Learnt:
 
 @dataclass(frozen=True, slots=True)
 class Procedure:
-    """What is captured: the speaker, the joints, how many poses, what must not go together.
+    """The settings of a measured capture: the speaker, the joints, number of poses, coupling rules.
 
-    positive: the word of each joint, where reversed joints shall be found before speech is taken;
-    accept: what is judgement only warns.
+    positive: one word per joint, so that reversed joints are found before speech is captured;
+    accept: doubts about size and joints become warnings.
     """
 
     model: FaceWithAnimPhos
@@ -106,27 +109,27 @@ class Procedure:
 
     @property
     def n_of_speech(self) -> int:
-        """Poses that are kept for where speech will be."""
+        """The number of poses reserved for speech; 0 where every pose is needed for the range."""
         spare = self.n_poses - usual_poses(len(self.joints))
         return max(0, min(round(_SPEECH_SHARE * self.n_poses), spare))
 
     def range_plan(self) -> PosePlan:
-        """Return the plan of poses that fill the range."""
+        """Return the plan of the poses that fill the joints' ranges, without those of speech."""
         n_poses = self.n_poses - self.n_of_speech
         return plan_poses(self.joints, n_poses, rules=self.rules, seed=self.seed)
 
     def whole_range_plan(self) -> PosePlan:
-        """All poses in the range, the first ones again at the end: for files."""
+        """Return a plan of all poses in the joints' ranges, the first ones repeated, for files."""
         plan = plan_poses(self.joints, self.n_poses, rules=self.rules, seed=self.seed)
         return joined(plan, first_part(plan)) if self.n_of_speech else plan
 
     def further_plan(
         self, capture: Capture, positive: Sequence[str], *, accept: bool
     ) -> tuple[PosePlan, tuple[str, ...]]:
-        """What to take next by files, and what there is to say about what was taken.
+        """Return the next plan for a capture by files, and messages about the capture.
 
-        A second look at joints that may be dead comes before poses of speech. Raises
-        CalibrationError as `check_capture` does.
+        Joints that may be dead are captured again alone, before poses of speech. Raises
+        CalibrationError for a capture with faults, as `check_capture` finds them.
         """
         unsure = [j for j in unseen_alone(capture) if not positive or positive[j]]
         if unsure:
@@ -141,7 +144,7 @@ class Procedure:
         return self.speech_plan(checked, max(1, self.n_of_speech)), checked.warnings
 
     def speech_plan(self, checked: CheckedCapture, n_poses: int) -> PosePlan:
-        """Poses where speech will be, by what a first capture teaches; whole degrees."""
+        """Return a plan of `n_poses` poses of speech, in whole degrees, by a first capture."""
         with threadpool_limits(limits=1):  # as `fit_measured`
             return self._speech_plan(checked.capture, checked.still, n_poses)
 
@@ -177,7 +180,7 @@ class Procedure:
         return _Learnt(face, retargeting, frames - self.model.rest)
 
     def _n_closed(self, n_poses: int) -> int:
-        """How many of the poses of speech close the lips step by step; they come first."""
+        """Return how many of `n_poses` poses of speech, the first, close the lips step by step."""
         return round(_CLOSED_SHARE * n_poses)
 
     def capture(
@@ -192,12 +195,13 @@ class Procedure:
         strained: Callable[[], str | None] = lambda: None,
         report: Callable[[str], None] = lambda _: None,
     ) -> Capture:
-        """Both parts, one after the other; arguments as of `capture_poses` and `Robot`.
+        """Capture range, speech and ladders, and repeat the first poses; return the capture.
 
-        Axes and size are checked by the first pose. Beyond `n_poses` a joint that may be dead is
-        looked at again in between, and the first part of the plan at the end; a pose in which the
-        tracker exchanged two names is captured again. report gets a line for each. Lips are closed
-        no farther once a servo is strained.
+        keep: file of poses, from which an interrupted capture is resumed. Axes and size are checked
+        by the first pose. Beyond `n_poses`, a joint that may be dead is captured again alone, and
+        the first part of the plan at the end; a pose in which the tracker exchanged two names is
+        captured again. report is called with a line for each. Once a servo is strained, lips are
+        closed no farther. Raises CalibrationError for a capture with faults.
         """
         on = Robot(move, measure, arrived, progress, strained)
         poses: list[CapturedPose] = []
@@ -234,7 +238,7 @@ class Procedure:
     def _with_ladders(
         self, plan: PosePlan, captured: Capture, still: Sequence[int], take: "_Take"
     ) -> PosePlan:
-        """Lips closed step by step, until they are seen to meet or joints are at their limits."""
+        """Capture ladders until lips are seen to meet or joints are at limits; return the plan."""
         with threadpool_limits(limits=1):
             learnt = self._learnt(captured, still)
             closed = learnt.retargeting.closing(learnt.from_rest) >= 1.0
@@ -263,7 +267,7 @@ class Procedure:
 def take_grade(
     fit: MeasuredFit, servos: MouthServos, marker_names: tuple[str, ...], on: Robot
 ) -> MeasuredFit:
-    """Move to ten poses of speech, measure, and grade the fit by them."""
+    """Move to ten poses of speech, measure them, and return the fit with its grade."""
     posed = graded_poses(fit, servos)
     plan = posed.plan
     poses = take_poses(plan, marker_names, on, [], None)
@@ -278,7 +282,7 @@ def take_grade(
 
 
 def _levels_mm(retargeting: Retargeting, known: bool, n: int) -> list[float]:
-    """Heights of the middle gap, the dots' own."""
+    """Return `n` falling heights of the middle gap: about contact if `known`, else from neutral."""
     neutral_mm = retargeting.mouth.neutral_mm()[None]
     gaps = retargeting.mouth.names.shape_features.gaps
     base_mm = float(retargeting.closed_mm[0] if known else gap_heights_mm(neutral_mm, gaps)[0, 0])
@@ -288,7 +292,7 @@ def _levels_mm(retargeting: Retargeting, known: bool, n: int) -> list[float]:
 
 
 def _middles(poses_deg: Array, n: int) -> Array:
-    """(n, n_servos): so many that every pose is near one of them."""
+    """Return up to `n` poses, (n, n_servos), so that every pose is near one of them (k-means)."""
     if n == 0:
         return np.zeros((0, poses_deg.shape[1]))
     if len(poses_deg) <= n:

@@ -1,14 +1,14 @@
-"""From the speaker's mouth to this robot's: what to ask for, and the pose that comes nearest.
+"""From the speaker's mouth to this robot's: the wanted shape, and the robot pose nearest to it.
 
 Markers correspond by name. The wanted gap of the lips is the robot's own closed gap plus scale
-times (the speaker's gap less the speaker's closed gap); scale is the ratio of the widest gaps that
-the two reach, at most 1.3. The rest of the mouth is the speaker's motion at that scale, laid on the
-robot's neutral. A skin drawn by a few horns cannot copy a speaker's point by point, so the shape to
-aim for is that of the robot's own nearest pose, found by bounded least squares, many at once; lip
+times (the speaker's gap less the speaker's closed gap); scale is the ratio of the widest gaps of
+the two, at most 1.3. The rest of the mouth is the speaker's motion at that scale, laid on the
+robot's neutral. A skin drawn by a few horns cannot copy a speaker's point by point, so the target
+shape is that of the robot's own nearest pose, found by bounded least squares, many at once; lip
 gaps weigh most.
 
-Only where the speaker closes do lips go past contact, by as much as the learnt gap may be
-wrong there: more is force, not closure.
+Only where the speaker closes do lips go past contact, by as much as the learnt gap may be wrong
+there: more is force, not closure.
 """
 
 from collections.abc import Callable, Sequence
@@ -42,25 +42,28 @@ _DIFFERENCE_DEG = 0.5
 
 @dataclass(frozen=True, slots=True)
 class ShapeFeatures:
-    """What counts of a shape. lips: indices of lip markers; gaps: (n_gaps, 2), upper and lower."""
+    """The weighted features of a mouth's shape: marker positions and lip gaps.
+
+    lips: indices of lip markers; gaps: (n_gaps, 2), index of each gap's upper and lower marker.
+    """
 
     lips: tuple[int, ...]
     gaps: tuple[tuple[int, int], ...]
 
     def of(self, markers_mm: Array, gaps_mm: Array | None = None) -> Array:
-        """Return features of shapes: weighted positions, then weighted lip gaps.
+        """Return the features of shapes: weighted positions, then weighted lip gaps.
 
         Parameters
         ----------
         markers_mm : Array
-            (n, n_markers, 3).
+            (n, n_markers, 3) mm.
         gaps_mm : Array | None
-            (n, n_gaps, 3), wanted gaps; None: those of the markers.
+            (n, n_gaps, 3) mm, wanted gaps; None: those of the markers.
 
         Returns
         -------
         Array
-            (n, n_features).
+            (n, n_features), weighted mm.
         """
         weight = np.full((markers_mm.shape[1], 1), _SKIN_WEIGHT)
         weight[list(self.lips)] = _LIP_WEIGHT
@@ -70,18 +73,18 @@ class ShapeFeatures:
         return np.concatenate([part.reshape(len(markers_mm), -1) for part in parts], axis=1)
 
     def of_noise(self, n_markers: int) -> float:
-        """How long the features are, rms, of markers that are noise of 1 mm in each axis."""
+        """Return the rms length of the features of markers with noise of 1 mm in each axis."""
         n_lips, n_gaps = len(self.lips), len(self.gaps)
         skin = (n_markers - n_lips) * _SKIN_WEIGHT**2
         return float(np.sqrt(3 * (n_lips * _LIP_WEIGHT**2 + skin + 2 * n_gaps * _GAP_WEIGHT**2)))
 
     def gaps_mm(self, markers_mm: Array) -> Array:
-        """Return lip gaps: upper minus lower marker.
+        """Return the lip gaps as vectors: upper minus lower marker.
 
         Parameters
         ----------
         markers_mm : Array
-            (n, n_markers, 3).
+            (n, n_markers, 3) mm.
 
         Returns
         -------
@@ -93,12 +96,12 @@ class ShapeFeatures:
 
 
 def gap_heights_mm(markers_mm: Array, gaps: tuple[tuple[int, int], ...]) -> Array:
-    """Return how far upper markers are above lower ones.
+    """Return how far upper markers are above lower ones, by the vertical axis alone.
 
     Parameters
     ----------
     markers_mm : Array
-        (n, n_markers, 3).
+        (n, n_markers, 3) mm.
     gaps : tuple[tuple[int, int], ...]
         Upper and lower marker numbers.
 
@@ -120,22 +123,22 @@ def nearest_poses_deg(
     rules: Sequence[CouplingRule] = (),
     doubt_mm_per_deg: Array | None = None,
 ) -> Array:
-    """Find the poses whose shapes are nearest to wanted ones, by Gauss-Newton from neutral.
+    """Return the poses whose shapes are nearest to wanted ones, by Gauss-Newton from neutral.
 
     Parameters
     ----------
     markers_of : MarkersOf
-        Poses (n, n_servos) to markers (n, n_markers, 3).
+        Function from poses (n, n_servos) degrees to markers (n, n_markers, 3) mm.
     wanted : Array
-        (n, n_features).
+        (n, n_features), weighted mm, of the wanted shapes.
     shape_features : ShapeFeatures
-        Makes features.
+        Weights of the shapes' features.
     limits_deg : tuple[Array, Array]
-        Least and most, (n_servos,) each.
+        Least and most, (n_servos,) degrees each.
     rules : Sequence[CouplingRule]
-        Between joints.
+        Coupling rules between joints.
     doubt_mm_per_deg : Array | None
-        (n_servos,): error that a degree of each may bring, and therefore costs; None: 0.
+        (n_servos,) mm per degree: error that turning a joint may cause, a cost; None: 0.
 
     Returns
     -------
@@ -164,23 +167,23 @@ def nearest_poses_deg(
 def shape_slopes(
     markers_of: MarkersOf, shape_features: ShapeFeatures, angles_deg: Array, reached: Array
 ) -> Array:
-    """Return the change of features by degree, as forward differences.
+    """Return the change of shape features per degree of each joint, by forward differences.
 
     Parameters
     ----------
     markers_of : MarkersOf
-        Poses to markers.
+        Function from poses (n, n_servos) degrees to markers (n, n_markers, 3) mm.
     shape_features : ShapeFeatures
-        Makes features.
+        Weights of the shapes' features.
     angles_deg : Array
-        (n, n_servos).
+        (n, n_servos) degrees.
     reached : Array
-        (n, n_features), there.
+        (n, n_features), features at angles_deg.
 
     Returns
     -------
     Array
-        (n, n_features, n_servos).
+        (n, n_features, n_servos), weighted mm per degree.
     """
     n, n_servos = angles_deg.shape
     stepped_deg = angles_deg[:, None] + _DIFFERENCE_DEG * np.eye(n_servos)
@@ -192,22 +195,22 @@ def shape_slopes(
 def bounded_minimum(matrices: Array, rights: Array, lower: Array, upper: Array) -> Array:
     """Return the x that minimises x'Ax/2 - b'x with lower <= x <= upper, for n problems at once.
 
-    Coordinate descent: each coordinate in turn goes to its own bounded minimum, which converges for
-    such problems.
+    Coordinate descent: each coordinate in turn is set to its own bounded minimum, which converges
+    for positive definite A.
 
     Parameters
     ----------
     matrices : Array
-        (n, k, k), positive definite.
+        (n, k, k): A, positive definite.
     rights : Array
-        (n, k).
+        (n, k): b.
     lower,upper : Array
-        (k,).
+        (k,): bounds of x.
 
     Returns
     -------
     Array
-        (n, k).
+        (n, k): x.
     """
     free = np.linalg.solve(matrices, rights[..., None])[..., 0]
     x = np.clip(free, lower, upper)
@@ -241,7 +244,11 @@ LIPS_NEEDED = frozenset((*_MIDDLE_GAP, *_CORNERS))
 
 @dataclass(frozen=True, slots=True)
 class Correspondence:
-    """Which markers both know. human: indices into the model's markers, in the robot's order."""
+    """The robot's markers that the speaker's model has, too.
+
+    human: indices into the model's markers, in the robot's order; corners: the robot's indices of
+    right and left lip corner.
+    """
 
     marker_names: tuple[str, ...]
     human: tuple[int, ...]
@@ -250,10 +257,10 @@ class Correspondence:
 
 
 def correspond(marker_names: Sequence[str]) -> Correspondence:
-    """Find what the robot's markers are called in the speaker's face: the same.
+    """Return the correspondence of the robot's markers with the speaker's, by equal names.
 
-    Raises CalibrationError for names that no model knows, or without the middle and the corners of
-    the lips, which say how open and how wide a mouth is.
+    Raises CalibrationError for names that no model has, or without the middle and the corners of
+    the lips, which define how open and how wide a mouth is.
     """
     names = tuple(marker_names)
     unknown = [name for name in names if name not in MARKERS_47.names]
@@ -277,10 +284,10 @@ def correspond(marker_names: Sequence[str]) -> Correspondence:
 
 @dataclass(frozen=True, slots=True)
 class RobotMouth:
-    """A face as far as it is known, what is looked at in it, and what its joints may do.
+    """A learnt mouth: markers by pose, features of its shape, joint limits and coupling rules.
 
-    stopped_of: the markers where lips stop each other, which markers_of lets overlap.
-    doubt_mm_per_deg: (n_servos,), as for `nearest_poses_deg`.
+    stopped_of: the markers with lips that stop each other, which overlap in markers_of.
+    doubt_mm_per_deg: (n_servos,), error that a degree of each joint may cause, or None.
     """
 
     markers_of: MarkersOf
@@ -291,12 +298,12 @@ class RobotMouth:
     doubt_mm_per_deg: Array | None = None
 
     def seen_mm(self, poses_deg: Array) -> Array:
-        """Return where a tracker would see the markers.
+        """Return the markers of poses as a tracker would measure them, lips stopping each other.
 
         Parameters
         ----------
         poses_deg : Array
-            (n, n_servos).
+            (n, n_servos) degrees.
 
         Returns
         -------
@@ -316,12 +323,12 @@ class RobotMouth:
         return np.asarray(self.markers_of(np.zeros((1, len(self.limits_deg[0]))))[0])
 
     def nearest_deg(self, wanted: Array) -> Array:
-        """Return the poses whose shapes come nearest, (n, n_servos) degrees.
+        """Return the poses whose shapes are nearest to wanted features, (n, n_servos) degrees.
 
         Parameters
         ----------
         wanted : Array
-            (n, n_features).
+            (n, n_features), weighted mm.
         """
         shape_features = self.names.shape_features
         return nearest_poses_deg(
@@ -334,12 +341,12 @@ class RobotMouth:
         )
 
     def kept_deg(self, free_deg: Array) -> Array:
-        """Return poses within limits and rules, as the live path keeps them, (n, n_servos) degrees.
+        """Return poses limited to the joint ranges and coupling rules, (n, n_servos) degrees.
 
         Parameters
         ----------
         free_deg : Array
-            (n, n_servos).
+            (n, n_servos) degrees.
         """
         within_deg: Array = np.clip(free_deg, *self.limits_deg)
         if not self.rules:
@@ -362,9 +369,10 @@ _LEAST_WIDTH_MM, LEAST_OPENING_MM = 10.0, 1.5
 
 @dataclass(frozen=True, slots=True)
 class Retargeting:
-    """Targets of a mouth. closed_mm: (n_gaps,), heights between dots of lips that touch.
+    """The targets of a robot's mouth for each face of a speaker.
 
-    scale: robot over speaker; press_mm: how far past contact where the speaker closes.
+    closed_mm: (n_gaps,), heights between dots of lips that touch; scale: robot's motion over the
+    speaker's; press_mm: how far past contact lips go where the speaker's close.
     """
 
     model: FaceModel
@@ -374,23 +382,23 @@ class Retargeting:
     press_mm: float
 
     def wanted(self, from_rest: Array) -> Array:
-        """Return features of literal copies with the wanted gaps, (n, n_features).
+        """Return features of the speaker's copied motion with the wanted gaps, (n, n_features).
 
         Parameters
         ----------
         from_rest : Array
-            (n, n_components).
+            (n, n_components) mm, coefficients less the rest.
         """
         copies_mm, gaps_mm = self.copies_mm(from_rest)
         return self.mouth.names.shape_features.of(copies_mm, gaps_mm)
 
     def poses_deg(self, from_rest: Array) -> Array:
-        """Return the nearest poses, closed where the speaker closes, (n, n_servos) degrees.
+        """Return the nearest poses, lips closed where the speaker's are, (n, n_servos) degrees.
 
         Parameters
         ----------
         from_rest : Array
-            (n, n_components).
+            (n, n_components) mm, coefficients less the rest.
         """
         copies_mm, gaps_mm = self.copies_mm(from_rest)
         of = self.mouth.names.shape_features
@@ -405,24 +413,24 @@ class Retargeting:
         return poses_deg
 
     def targets_mm(self, from_rest: Array) -> Array:
-        """Return the robot's own shapes at `poses_deg`, (n, n_markers, 3) mm.
+        """Return the robot's own shapes nearest to the speaker's, (n, n_markers, 3) mm.
 
-        Closed lips just meet in them: what pressing does to a shape is an error of it.
+        Closed lips just meet in them: a change of shape by pressing counts as an error.
 
         Parameters
         ----------
         from_rest : Array
-            (n, n_components).
+            (n, n_components) mm, coefficients less the rest.
         """
         return self.mouth.seen_mm(replace(self, press_mm=0.0).poses_deg(from_rest))
 
     def held_back_mm(self, from_rest: Array) -> float:
-        """Return how far lips stay behind because of joints held back by `doubt_mm_per_deg`.
+        """Return how far lips stay behind their shapes because of the doubt `doubt_mm_per_deg`.
 
         Parameters
         ----------
         from_rest : Array
-            (n, n_components).
+            (n, n_components) mm, coefficients less the rest.
 
         Returns
         -------
@@ -435,14 +443,14 @@ class Retargeting:
         return float(np.sqrt(np.mean(np.sum(behind_mm**2, axis=2))))
 
     def at_gap(self, from_rest: Array, gap_mm: float) -> Array:
-        """Return the pose of a shape with its lips a given height apart in the middle.
+        """Return the pose nearest to a shape, with the lips' middle gap at a given height.
 
         Parameters
         ----------
         from_rest : Array
-            (1, n_components).
+            (1, n_components) mm, coefficients less the rest.
         gap_mm : float
-            The height.
+            Height of the middle gap in the pose.
 
         Returns
         -------
@@ -453,43 +461,43 @@ class Retargeting:
         return shifted.poses_deg(from_rest)
 
     def closing(self, from_rest: Array) -> Array:
-        """Return how far the speaker's lips are closed.
+        """Return how far the speaker's lips are closed, by the gap between them.
 
         Parameters
         ----------
         from_rest : Array
-            (n, n_components).
+            (n, n_components) mm, coefficients less the rest.
 
         Returns
         -------
         Array
-            (n,): 1 closed, 0 open.
+            (n,): 1 closed, 0 open, blended between.
         """
         gaps_mm = self.model.lip_gaps_mm(self.model.markers_mm(from_rest + self.model.rest))
         return np.asarray(np.clip(1.0 - (gaps_mm - CLOSED_GAP_MM) / BLEND_MM, 0.0, 1.0))
 
     def wanted_open_mm(self, from_rest: Array) -> Array:
-        """Return the openings wanted beyond the robot's closed gap, (n, n_gaps) mm.
+        """Return the wanted openings beyond the robot's closed gap, never negative, (n, n_gaps) mm.
 
         Parameters
         ----------
         from_rest : Array
-            (n, n_components).
+            (n, n_components) mm, coefficients less the rest.
         """
         return np.maximum(self.copies_mm(from_rest)[1][..., 1] - self.closed_mm, 0.0)
 
     def copies_mm(self, from_rest: Array) -> tuple[Array, Array]:
-        """Return literal copies of the speaker's motion, and the wanted gaps.
+        """Return the speaker's scaled motion laid on the robot's neutral, and the wanted gaps.
 
         Parameters
         ----------
         from_rest : Array
-            (n, n_components).
+            (n, n_components) mm, coefficients less the rest.
 
         Returns
         -------
         tuple[Array, Array]
-            (n, n_markers, 3) and (n, n_gaps, 3) mm.
+            Markers (n, n_markers, 3) and gap vectors (n, n_gaps, 3) in mm.
         """
         names = self.mouth.names
         rest_mm = self.model.markers_mm(self.model.rest[None])
@@ -507,30 +515,30 @@ class Retargeting:
 def fit_retargeting(
     model: FaceModel, frames: Array, mouth: RobotMouth, closed_mm: Array, press_mm: float = PRESS_MM
 ) -> Retargeting:
-    """Fit the scale between speaker and robot.
+    """Return a retargeting with the scale between speaker and robot fitted to their widest gaps.
 
     Parameters
     ----------
     model : FaceModel
         The speaker's face.
     frames : Array
-        (n, n_components), speech to serve.
+        (n, n_components) mm, coefficients of recorded speech.
     mouth : RobotMouth
         The learnt robot.
     closed_mm : Array
-        (n_gaps,), as in `Retargeting`.
+        (n_gaps,) mm, heights between dots of lips that touch.
     press_mm : float
         How far past contact closures go.
 
     Returns
     -------
     Retargeting
-        Targets in mm.
+        Fitted retargeting.
 
     Raises
     ------
     CalibrationError
-        The points are not those of a mouth which opens.
+        The corners are less than 10 mm apart, or the lips hardly part.
     """
     widest_mm = _check_a_mouth(mouth, closed_mm)
     speakers_mm = np.quantile(model.lip_gaps_mm(model.markers_mm(frames)), _RANGE_QUANTILE)
@@ -540,7 +548,7 @@ def fit_retargeting(
 
 
 def _check_a_mouth(mouth: RobotMouth, closed_mm: Array) -> float:
-    """How far the lips part at most; raises CalibrationError for what is no mouth."""
+    """Return how far the lips part at most, in mm; CalibrationError for what is no mouth."""
     names = mouth.names.marker_names
     right, left = mouth.names.corners
     neutral_mm = mouth.neutral_mm()
@@ -558,7 +566,7 @@ def _check_a_mouth(mouth: RobotMouth, closed_mm: Array) -> float:
 
 
 def no_opening(mouth: RobotMouth, opening_mm: float) -> CalibrationError:
-    """Return the error for lips that hardly part."""
+    """Return the error for lips that part by only `opening_mm`, with the markers' names."""
     names = mouth.names.marker_names
     upper, lower = mouth.names.shape_features.gaps[0]
     return CalibrationError(
@@ -568,12 +576,12 @@ def no_opening(mouth: RobotMouth, opening_mm: float) -> CalibrationError:
 
 
 def widest_pose_deg(mouth: RobotMouth) -> Array:
-    """Return the pose with the highest middle gap, each joint in turn at its better end, twice.
+    """Return the pose with the highest middle gap, by setting each joint in turn to its best end.
 
     Parameters
     ----------
     mouth : RobotMouth
-        The learnt robot.
+        Mouth of the learnt robot.
 
     Returns
     -------
@@ -592,5 +600,5 @@ def widest_pose_deg(mouth: RobotMouth) -> Array:
 
 
 def _middle_heights_mm(mouth: RobotMouth, markers_mm: Array) -> Array:
-    """(n, n_markers, 3) -> (n,)."""
+    """Return the height of the middle lip gap of markers (n, n_markers, 3), as (n,) mm."""
     return gap_heights_mm(markers_mm, mouth.names.shape_features.gaps[:1])[:, 0]

@@ -1,10 +1,10 @@
-"""What a robot's face does: markers as a function of servo angles, learnt from captured poses.
+"""A model of a robot's face: markers as a function of servo angles, learnt from captured poses.
 
-Until they meet, lips go where the joints take them: the free face. Where the free face would bring
-two dots nearer than they ever come, the lips stand in each other's way. The least gap is found
-from the captured poses by turns with the free face, which is learnt without what the lips hide:
-poses that count as in contact tell nothing of how high their lips would be. Dots beside the lips'
-edges, thick lips and a neutral that is open are thereby all the same.
+Until lips meet, they follow the joints: the free face. Where the free face would bring two dots
+nearer than they ever come, the lips stop each other. The least gap is found from the captured poses
+in alternation with the free face, which is learnt without what the lips hide: poses that count as
+in contact contain no height of the free lips. Dots beside the lips' edges, thick lips and a neutral
+that is open are thereby all handled alike.
 Loads scikit-learn; the live path never does.
 """
 
@@ -46,10 +46,10 @@ _RIDGE_MM2 = 2.0
 
 @dataclass(frozen=True, slots=True)
 class LipContact:
-    """Where lips stop each other, and what that does.
+    """The gaps at which lips stop each other, and how markers yield then.
 
-    closed_mm: (n_gaps,), the dots' gaps where lips touch; pushed: (n_gaps, n_markers, 3), how
-    markers yield to a millimetre of overlap in each gap; sure_mm: the standard error of closed_mm.
+    closed_mm: (n_gaps,), the dots' gaps where lips touch; pushed: (n_gaps, n_markers, 3), motion of
+    markers per millimetre of overlap in each gap; sure_mm: the standard error of closed_mm.
     """
 
     closed_mm: Array
@@ -57,51 +57,53 @@ class LipContact:
     sure_mm: float
 
     def overlap_mm(self, free_gaps_mm: Array) -> Array:
-        """Return how far lips would overlap, (n, n_gaps) mm, >= 0.
+        """Return how far lips would overlap if they did not stop each other, (n, n_gaps) mm, >= 0.
 
         Parameters
         ----------
         free_gaps_mm : Array
-            (n, n_gaps) heights.
+            (n, n_gaps) mm, heights of the gaps in the free face.
         """
         return np.maximum(self.closed_mm - free_gaps_mm, 0.0)
 
     def seen_mm(self, free_mm: Array, free_gaps_mm: Array) -> Array:
-        """Return where the markers are when lips stop each other, (n, n_markers, 3) mm.
+        """Return the free face's markers moved by lips that stop each other, (n, n_markers, 3) mm.
 
         Parameters
         ----------
         free_mm : Array
-            (n, n_markers, 3) of the free face.
+            (n, n_markers, 3) mm, markers of the free face.
         free_gaps_mm : Array
-            (n, n_gaps).
+            (n, n_gaps) mm, heights of the gaps in the free face.
         """
         pushed = np.tensordot(self.overlap_mm(free_gaps_mm), self.pushed, axes=1)
         return np.asarray(free_mm + pushed)
 
 
 def poses_in_contact(free_gaps_mm: Array, closed_mm: Array) -> NDArray[np.bool_]:
-    """Return which poses would have a middle gap narrower than the closed one, (n,).
+    """Return which poses have a middle gap, in the free face, narrower than the closed one, (n,).
 
     Parameters
     ----------
     free_gaps_mm : Array
-        (n, n_gaps).
+        (n, n_gaps) mm, heights of the gaps in the free face.
     closed_mm : Array
-        (n_gaps,).
+        (n_gaps,) mm, gaps of closed lips.
     """
     return np.asarray(free_gaps_mm[:, 0] < closed_mm[0])
 
 
 def first_closed_mm(seen_gaps_mm: Array, contact: NDArray[np.bool_]) -> Array:
-    """Return the usual gap of poses in contact, (n_gaps,) mm; the least where those hide a dot.
+    """Return the median gaps of poses in contact, (n_gaps,) mm, a first estimate of closed gaps.
+
+    A gap with a dot hidden in all these poses gets its least captured value.
 
     Parameters
     ----------
     seen_gaps_mm : Array
-        (n, n_gaps).
+        (n, n_gaps) mm, NaN where a dot was lost.
     contact : NDArray[np.bool_]
-        (n,).
+        (n,): poses in contact.
     """
     is_seen = np.isfinite(seen_gaps_mm[contact]).any(axis=0)
     closing_mm = np.where(is_seen, seen_gaps_mm[contact], np.nanmin(seen_gaps_mm, axis=0))
@@ -111,19 +113,19 @@ def first_closed_mm(seen_gaps_mm: Array, contact: NDArray[np.bool_]) -> Array:
 def closed_gaps_mm(
     seen_gaps_mm: Array, free_gaps_mm: Array, contact: NDArray[np.bool_], closed_mm: Array
 ) -> Array:
-    """Return where the gaps of poses in contact begin to stand still, (n_gaps,) mm.
+    """Return the gaps at which lips begin to touch, from poses in contact, (n_gaps,) mm.
 
-    Soft lips still give way: a line through the gaps by overlap, whose beginning is the closed gap,
-    and which falls by nothing at least and half a millimetre a millimetre at most.
+    Soft lips yield when pressed, so a line is fitted through the gaps by overlap: its start is the
+    closed gap, its slope is between 0 and half a millimetre per millimetre.
 
     Parameters
     ----------
     seen_gaps_mm,free_gaps_mm : Array
-        (n, n_gaps).
+        (n, n_gaps) mm: captured, and of the free face.
     contact : NDArray[np.bool_]
-        (n,).
+        (n,): poses in contact.
     closed_mm : Array
-        (n_gaps,), a first estimate.
+        (n_gaps,) mm, a first estimate.
     """
     overlap = np.maximum(closed_mm[0] - free_gaps_mm[contact, 0], 0.0)
     begins = np.empty(seen_gaps_mm.shape[1])
@@ -140,14 +142,14 @@ def closed_gaps_mm(
 
 
 def touching_gaps_mm(seen_gaps_mm: Array, free_gaps_mm: Array, closed_mm: Array) -> Array:
-    """Return the mean gap where lips touch without being pressed hard, each gap for itself.
+    """Return the mean of each gap over poses in which lips touch without being pressed hard.
 
     Parameters
     ----------
     seen_gaps_mm,free_gaps_mm : Array
-        (n, n_gaps).
+        (n, n_gaps) mm: captured, and of the free face.
     closed_mm : Array
-        (n_gaps,).
+        (n_gaps,) mm, an estimate, kept where fewer than 3 poses touch.
 
     Returns
     -------
@@ -163,19 +165,19 @@ def touching_gaps_mm(seen_gaps_mm: Array, free_gaps_mm: Array, closed_mm: Array)
 
 
 def is_stopped(seen_gaps_mm: Array, free_gaps_mm: Array, closed_mm: Array) -> bool:
-    """Return whether lips that stop explain the gaps better than lips that go on.
+    """Return whether captured gaps are nearer to closed ones than to those of the free face.
 
     Parameters
     ----------
     seen_gaps_mm,free_gaps_mm : Array
-        (n, n_gaps).
+        (n, n_gaps) mm: captured, and of the free face.
     closed_mm : Array
-        (n_gaps,).
+        (n_gaps,) mm, gaps of closed lips.
 
     Returns
     -------
     bool
-        False where no pose is far enough beyond, in mm.
+        False also where fewer than 3 poses are 0.4 mm beyond contact.
     """
     beyond = free_gaps_mm[:, 0] < closed_mm[0] - _SURE_MM
     seen, free = seen_gaps_mm[beyond, 0], free_gaps_mm[beyond, 0]
@@ -194,23 +196,23 @@ def fit_contact(
     closed_mm: Array,
     gaps: tuple[tuple[int, int], ...],
 ) -> LipContact:
-    """Fit how lips in contact push the markers.
+    """Return how lips in contact push the markers, by ridge regression on the overlap.
 
     Parameters
     ----------
     missed_mm : Array
-        (n, n_markers, 3), captured less free, NaN where lost.
+        (n, n_markers, 3) mm, captured less free, NaN where lost.
     seen_gaps_mm,free_gaps_mm : Array
-        (n, n_gaps).
+        (n, n_gaps) mm: captured, and of the free face.
     closed_mm : Array
-        (n_gaps,).
+        (n_gaps,) mm, gaps of closed lips.
     gaps : tuple[tuple[int, int], ...]
         Upper and lower marker numbers.
 
     Returns
     -------
     LipContact
-        Motion of markers by mm of overlap.
+        Closed gaps, and motion of markers per mm of overlap.
     """
     overlap = np.maximum(closed_mm - free_gaps_mm, 0.0)
     touched = overlap[:, 0] > 0.0
@@ -243,46 +245,46 @@ _ROUNDS = 2
 
 
 class Learnt(Protocol):
-    """A fitted regression of either kind."""
+    """The interface of a fitted regression from poses to markers."""
 
     def predict(self, inputs: Array) -> Array:
-        """Predict the markers of poses, (n, n_markers, 3) mm off the centre.
+        """Return the markers of poses, (n, n_markers, 3) mm from the centre.
 
         Parameters
         ----------
         inputs : Array
-            (n, n_servos).
+            (n, n_servos), -1 to 1 of each joint's range.
         """
 
 
 class Learner(Protocol):
-    """Something that learns from poses, as the baselines below do."""
+    """The interface of a regression that learns markers from poses."""
 
     def fit(self, inputs: Array, from_centre_mm: Array) -> Learnt:
-        """Learn markers of poses.
+        """Return the regression fitted to markers of poses.
 
         Parameters
         ----------
         inputs : Array
-            (n, n_servos).
+            (n, n_servos), -1 to 1 of each joint's range.
         from_centre_mm : Array
-            (n, n_markers, 3).
+            (n, n_markers, 3) mm.
 
         Returns
         -------
         Learnt
-            Predicts mm.
+            Predicts markers in mm.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class RobotFace:
-    """A learnt face. backlash_deg: (n_servos,), the whole width of the backlash.
+    """A learnt face: markers by pose. backlash_deg: (n_servos,), the whole width of the backlash.
 
-    kind: which regression cross-validation chose; left_out_rms_mm: its error on poses left out, in
-    each axis, the tracker's noise included;
-    noise_mm: what the fit leaves unexplained. contact: None where lips were not seen to stop.
-    ladders: what closing step by step showed; None where that was not captured.
+    kind: the regression that cross-validation chose; left_out_rms_mm: its error on poses left out,
+    in each axis, the tracker's noise included; noise_mm: rms residual of the fit. contact: None
+    where lips were not found to stop each other. ladders: evidence from poses that close the lips
+    step by step; None where none were captured.
     """
 
     servo_names: tuple[str, ...]
@@ -300,12 +302,12 @@ class RobotFace:
     ladders: SeenLadders | None = None
 
     def free_mm(self, output_deg: Array) -> Array:
-        """Return markers as if lips did not stop each other, (n, n_markers, 3) mm.
+        """Return the markers of poses as if lips did not stop each other.
 
         Parameters
         ----------
         output_deg : Array
-            (n, n_servos), in the middle of the backlash.
+            (n, n_servos) degrees, in the middle of the backlash.
 
         Returns
         -------
@@ -317,12 +319,12 @@ class RobotFace:
         return np.asarray(self.centre_mm + self.learnt.predict(np.hstack([inputs, warm])))
 
     def markers_mm(self, output_deg: Array) -> Array:
-        """Return the markers with lips that stop each other, where they were seen to.
+        """Return the markers of poses, with lips that stop each other if they were found to.
 
         Parameters
         ----------
         output_deg : Array
-            (n, n_servos), in the middle of the backlash.
+            (n, n_servos) degrees, in the middle of the backlash.
 
         Returns
         -------
@@ -336,12 +338,12 @@ class RobotFace:
 
 
 def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> RobotFace:
-    """Learn the face from a capture; points that the tracker lost are left out of the fit.
+    """Return the face learnt from a capture; points that the tracker lost are left out of the fit.
 
-    Backlash is found from the side that each pose was reached from, together with the face. How
-    far the capture has got is an input like a joint, so that zeros may drift as servos warm; the
-    face is that of the end. mouth: where it shall be found out whether lips stop each other. The
-    kind of regression is chosen by cross-validation over poses.
+    Backlash is estimated from the side that each pose was reached from, together with the face. The
+    progress of the capture is an input like a joint, so that zeros may drift as servos warm; the
+    face is that of the end. mouth: features with the lip gaps, for finding whether lips stop each
+    other; None: not examined. The kind of regression is chosen by cross-validation over poses.
     """
     low, high = capture.goals_deg.min(axis=0), capture.goals_deg.max(axis=0)
     half_range_deg = np.maximum((high - low) / 2, 1e-6)
@@ -405,7 +407,7 @@ def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> Robo
 
 
 def _with_time(capture: Capture, middle_deg: Array, half_range_deg: Array) -> Poses:
-    """The last joint is time, from -1 to 1; it has no backlash."""
+    """Return the poses with time, from -1 to 1, as an additional last joint without backlash."""
     time = np.linspace(-1.0, 1.0, len(capture))[:, None]
     return Poses(
         np.hstack([capture.goals_deg, time]),
@@ -416,9 +418,10 @@ def _with_time(capture: Capture, middle_deg: Array, half_range_deg: Array) -> Po
 
 
 class _Learning:
-    """The process by turns with what was not seen. hyperparameters: after the first `filled`.
+    """A Gaussian process fitted in alternation with the filling in of lost points.
 
-    opened: (n,), poses in which no ladder presses the lips, by which hyperparameters are found.
+    hyperparameters: None before the first `filled`. opened: (n,), poses in which no ladder presses
+    the lips, from which the hyperparameters are found.
     """
 
     def __init__(self, poses: Poses, apart_mm2: Array, opened: NDArray[np.bool_]) -> None:
@@ -429,7 +432,7 @@ class _Learning:
         self.hyperparameters: Hyperparameters | None = None
 
     def filled(self, seen_mm: Array, known: NDArray[np.bool_]) -> Array:
-        """Fit the process; return the markers (n, n_markers, 3), gaps filled by its predictions."""
+        """Fit the process; return the markers (n, n_markers, 3) with lost points predicted."""
         filled = np.where(known, seen_mm, 0.0)
         for _ in range(1 if known.all() else _ROUNDS):
             free_mm = filled[self._opened]
@@ -439,7 +442,7 @@ class _Learning:
         return filled
 
     def by_axis(self, filled: Array) -> tuple[Hyperparameters, ...]:
-        """Fit hyperparameters to each axis alone, with the backlash fitted to all three."""
+        """Return hyperparameters fitted to each axis alone, all with one common backlash."""
         return tuple(
             fit_hyperparameters(
                 self._free,
@@ -451,7 +454,10 @@ class _Learning:
         )
 
     def at(self, filled: Array, goals_deg: Array) -> Array:
-        """(m, n_servos) of the middle of the play -> (m, n_markers, 3), warm, by open poses."""
+        """Return markers (m, n_markers, 3) at goals (m, n_servos), robot warm, without backlash.
+
+        The process is fitted to the open poses of `filled`.
+        """
         assert self.hyperparameters is not None
         of = self._poses
         warm = np.hstack([goals_deg, np.ones((len(goals_deg), 1))])
@@ -464,7 +470,7 @@ class _Learning:
         return process.predict((warm - of.middle_deg) / of.half_range_deg)
 
     def expected(self, filled: Array) -> Array:
-        """Return the markers that the process predicts for all poses."""
+        """Return the process's prediction, (n, n_markers, 3), of all captured poses' markers."""
         assert self.hyperparameters is not None
         inputs = self._poses.inputs(self.hyperparameters.backlash_deg)
         return fit_process(self.hyperparameters, inputs, filled, self._apart_mm2).predict(inputs)
@@ -479,7 +485,7 @@ def _free_of_contact(
     mouth: ShapeFeatures,
     touching: NDArray[np.bool_] | None,
 ) -> tuple[Array, NDArray[np.bool_], Array] | None:
-    """What the free face is learnt from, and the closed gaps; None where nothing stops.
+    """Return markers of the free face, which of them are known, and closed gaps; None: no stop.
 
     touching: poses in which ladders showed that lips touch; None: there are no ladders.
     """
@@ -520,9 +526,9 @@ def _free_of_contact(
 
 @dataclass(frozen=True, slots=True)
 class _Process:
-    """The process of skin_process.py, its settings found beforehand, of all axes or of each.
+    """The learner of skin_process.py with given hyperparameters, for each of the three axes.
 
-    What a joint does across, up and forward may have little in common: a jaw moves nothing across.
+    A joint's effects across, up and forward may have little in common: a jaw moves nothing across.
     """
 
     by_axis: tuple[Hyperparameters, ...]
@@ -539,7 +545,7 @@ class _Process:
 
 @dataclass(frozen=True, slots=True)
 class _ThreeProcesses:
-    """One for each axis."""
+    """Three fitted processes, one for each axis."""
 
     processes: tuple[SkinProcess, ...]
 
@@ -548,7 +554,7 @@ class _ThreeProcesses:
 
 
 class _Ridge:
-    """scikit-learn's regressions: every coordinate of every marker for itself."""
+    """scikit-learn's ridge regression, which predicts each coordinate of each marker by itself."""
 
     def __init__(self, regressor: Ridge) -> None:
         self._regressor = regressor
@@ -564,7 +570,7 @@ class _Ridge:
 def _learners(
     together: tuple[Hyperparameters, ...], by_axis: tuple[Hyperparameters, ...], apart_mm2: Array
 ) -> Mapping[str, Learner]:
-    """Regressions to choose from; inputs run from -1 to 1, outputs are millimetres off centre."""
+    """Return the regressions to choose from, by name; inputs run from -1 to 1, outputs are mm."""
     return {
         "gaussian process": _Process(together, apart_mm2),
         "gaussian process, axis by axis": _Process(by_axis, apart_mm2),
@@ -574,7 +580,7 @@ def _learners(
 
 
 def _own_squares(inputs: Array) -> Array:
-    """(n, k) -> (n, 2 k): every joint bends its own way, whatever the others do."""
+    """Return inputs (n, k) with their halved squares appended, (n, 2 k): each joint bends alone."""
     return np.hstack([inputs, 0.5 * inputs**2])
 
 
@@ -585,7 +591,10 @@ def _left_out_rms_mm(
     seen: NDArray[np.bool_],
     gaps: tuple[tuple[int, int], ...],
 ) -> tuple[float, float]:
-    """Over the points that the tracker saw: in each axis, and the height of the middle lip gap."""
+    """Return cross-validated rms errors in mm: in each axis, and of the middle lip gap's height.
+
+    Only points that the tracker saw count; the gap's error is 0 without gaps.
+    """
     predicted = np.empty_like(from_centre_mm)
     folds = KFold(min(_FOLDS, len(inputs)), shuffle=True, random_state=0)
     for rows, left_out in folds.split(inputs):

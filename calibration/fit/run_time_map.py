@@ -1,8 +1,8 @@
-"""The regression that runs: coefficients to servo angles, fitted to poses that were solved for.
+"""The regression that runs live: from coefficients to servo angles, fitted to solved poses.
 
-Angles are fitted where they show: errors are weighed by what they do to the lips at that pose, so
-that two servos that part the lips together err together. Chosen are its kind, and how far past
-contact it presses where lips close.
+Angles are fitted where they show: errors are weighted by their effect on the lips at that pose, so
+that two servos that part the lips together err together. Its kind, quadratic or with bends, is
+chosen on frames left out of the fit.
 Loads scikit-learn; the live path never does.
 """
 
@@ -36,7 +36,7 @@ SIGNIFICANT_DIGITS = 6
 
 @dataclass(frozen=True, slots=True)
 class RunTimeMap:
-    """Parts of a `Calibration`, shaped as there."""
+    """The parts of a calibration that map coefficients to angles, shaped as in `Calibration`."""
 
     rest_deg: Array
     weights: Array
@@ -47,14 +47,14 @@ class RunTimeMap:
     closure: Closure | None = None
 
     def poses_deg(self, from_rest: Array, mouth: RobotMouth) -> Array:
-        """Return the live map's poses within limits and rules.
+        """Return the poses that the live map gives, within limits and coupling rules.
 
         Parameters
         ----------
         from_rest : Array
-            (n, n_components).
+            (n, n_components) mm, coefficients less the rest.
         mouth : RobotMouth
-            Has limits and rules.
+            Mouth with the limits and rules.
 
         Returns
         -------
@@ -68,7 +68,7 @@ class RunTimeMap:
         return mouth.kept_deg(poses_deg)
 
     def without(self, still: Sequence[int]) -> "RunTimeMap":
-        """Return the map with these joints, by number, at 0 for all faces."""
+        """Return the map with the joints numbered in `still` at 0 degrees for all faces."""
         if not still:
             return self
         moves = np.ones(len(self.rest_deg))
@@ -86,12 +86,12 @@ class RunTimeMap:
         )
 
     def free_deg(self, from_rest: Array) -> Array:
-        """Return the live map's poses before the limits.
+        """Return the angles of the live map before closure, limits and rules.
 
         Parameters
         ----------
         from_rest : Array
-            (n, n_components).
+            (n, n_components) mm, coefficients less the rest.
 
         Returns
         -------
@@ -116,7 +116,7 @@ def fit_run_time_map(
     centres: Array | None = None,
     counts: Array | None = None,
 ) -> RunTimeMap:
-    """Fit the live map by generalised least squares.
+    """Return the live map fitted to poses by generalised least squares.
 
     The metric of angle errors is the mean of J'J over the poses, J the slope of the shape features.
     With one metric for all frames and one ridge for all features the solution does not depend on
@@ -126,22 +126,22 @@ def fit_run_time_map(
     Parameters
     ----------
     from_rest : Array
-        (n, n_components).
+        (n, n_components) mm, coefficients less the rest.
     poses_deg : Array
-        (n, n_servos), the pose wanted at each.
+        (n, n_servos) degrees, the pose wanted for each.
     markers_of : MarkersOf
-        Poses to markers.
+        Function from poses (n, n_servos) degrees to markers (n, n_markers, 3) mm.
     shape_features : ShapeFeatures
-        Makes features.
+        Weights of the shapes' features.
     centres : Array | None
         (n_centres, n_components) of bends that are not quadratic; None: no such bends.
     counts : Array | None
-        (n,), how much each frame counts; None: all alike.
+        (n,), weight of each frame; None: all alike.
 
     Returns
     -------
     RunTimeMap
-        Rounded as the file keeps it.
+        Map rounded to the digits of the calibration file.
     """
     first, second = pairs(from_rest.shape[1])
     n = from_rest.shape[1]
@@ -178,13 +178,13 @@ def fit_run_time_map(
 
 
 def _distances(from_rest: Array, centres: Array) -> Array:
-    """(n, n_components), (m, n_components) -> (n, m)."""
+    """Return the distance, (n, m), of each of n rows of from_rest from each of m centres."""
     apart = from_rest[:, None] - centres[None]
     return np.asarray(np.sqrt(np.einsum("nmk,nmk->nm", apart, apart)))
 
 
 def rounded(values: Array) -> Array:
-    """Return values rounded to the digits of the file.
+    """Return values rounded to the significant digits of the calibration file.
 
     Parameters
     ----------
@@ -194,14 +194,14 @@ def rounded(values: Array) -> Array:
     Returns
     -------
     Array
-        The same shape.
+        Rounded values, shaped as the argument.
     """
     kept = [float(f"{value:.{SIGNIFICANT_DIGITS}g}") for value in values.ravel()]
     return np.array(kept).reshape(values.shape)
 
 
 def _metric(poses_deg: Array, markers_of: MarkersOf, shape_features: ShapeFeatures) -> Array:
-    """(n_servos, n_servos): weighted square millimetres of a square degree, over all poses."""
+    """Return the mean cost of angle errors, (n_servos, n_servos) weighted mm^2 per deg^2."""
     n_servos = poses_deg.shape[1]
     at = shape_features.of(markers_of(poses_deg))
     slopes = np.stack(
@@ -226,19 +226,19 @@ _TURN_MM_PER_DEG = 0.1
 
 
 def choose_map(retargeting: Retargeting, from_rest: Array) -> RunTimeMap:
-    """Choose the kind of map: kinds are compared on the last fifth, in gap and shape.
+    """Return the better of two kinds of map, compared on the last fifth, by gap and shape.
 
     Parameters
     ----------
     retargeting : Retargeting
         The learnt face.
     from_rest : Array
-        (n, n_components), speech, AnimPhos by AnimPhos.
+        (n, n_components) mm from rest, speech, one AnimPho after another.
 
     Returns
     -------
     RunTimeMap
-        Fitted to all frames, in degrees.
+        Map fitted to all frames.
     """
     poses_deg = retargeting.poses_deg(from_rest)
     closure = fit_closure(retargeting, from_rest, poses_deg)
@@ -254,21 +254,21 @@ def choose_map(retargeting: Retargeting, from_rest: Array) -> RunTimeMap:
 
 
 def fit_closure(retargeting: Retargeting, from_rest: Array, poses_deg: Array) -> Closure | None:
-    """Fit the correction of closures, exact as the learnt face is a quadratic of its joints.
+    """Return the correction that makes lips meet, a quadratic of the joints about closed poses.
 
     Parameters
     ----------
     retargeting : Retargeting
         The learnt face.
     from_rest : Array
-        (n, n_components).
+        (n, n_components) mm, coefficients less the rest.
     poses_deg : Array
-        (n, n_servos).
+        (n, n_servos) degrees, the pose wanted for each.
 
     Returns
     -------
     Closure | None
-        None where the speaker never closes.
+        None where the speaker's lips never close.
     """
     closes = retargeting.closing(from_rest) >= 1.0
     if not closes.any():
@@ -330,7 +330,7 @@ def _fitted(
 
 
 def _missed(retargeting: Retargeting, run: RunTimeMap, from_rest: Array, poses_deg: Array) -> float:
-    """Weighted square millimetres of shape and gap between the map's poses and the best."""
+    """Return the mean squared difference of shape features between the map's poses and the best."""
     mouth = retargeting.mouth
     of = mouth.names.shape_features
     shown = of.of(mouth.seen_mm(run.poses_deg(from_rest, mouth)))

@@ -1,4 +1,4 @@
-"""How each servo follows its goal, from its encoder: lag, speed and bandwidth by step and chirp."""
+"""Measurement of how each servo follows its goal: lag, speed and bandwidth by chirp and step."""
 
 from collections.abc import Callable, Sequence
 
@@ -29,14 +29,14 @@ _PERIODS = 3.0
 
 
 def chirp_deg(amplitude_deg: float, rate_hz: float = RATE_HZ) -> Array:
-    """Return a sine whose frequency grows evenly over the chirp, between two rests.
+    """Return a sine whose frequency grows linearly from 0.5 to 12 Hz in 10 s, between two rests.
 
     Parameters
     ----------
     amplitude_deg : float
-        Of the sine.
+        Amplitude of the sine.
     rate_hz : float
-        Goals a second.
+        Goals per second.
 
     Returns
     -------
@@ -51,7 +51,7 @@ def chirp_deg(amplitude_deg: float, rate_hz: float = RATE_HZ) -> Array:
 
 
 def chirp_amplitude_deg(joint: JointRange) -> float:
-    """As far as this joint is moved both ways from the middle of its range."""
+    """Return a joint's amplitude of the chirp in degrees: 5, or a third of a smaller range."""
     return min(_CHIRP_DEG, (joint.max_deg - joint.min_deg) / 3.0)
 
 
@@ -63,18 +63,18 @@ def identify(
     rate_hz: float = RATE_HZ,
     progress: Callable[[int], None] = lambda _: None,
 ) -> Following:
-    """Move one joint after another by a chirp and two steps, the others resting at 0.
+    """Measure how each joint follows a chirp and two steps, the other joints resting at 0.
 
     Parameters
     ----------
     drive : Drive
-        Sends goals and returns encoders.
+        Function that sends goals and returns the encoders' angles.
     joints : Sequence[JointRange]
-        Ranges.
+        Ranges of the joints.
     backlash_deg : Array
-        (n_servos,).
+        (n_servos,) degrees, passed on to the result.
     rate_hz : float
-        At least 50, or the fastest part of the chirp is lost.
+        Goals per second: at least 50, or the fastest part of the chirp is lost.
     progress : Callable[[int], None]
         Called with the number of joints done.
 
@@ -122,21 +122,23 @@ def _drive_one(drive: Drive, goals_deg: Array, joint: int, n_servos: int, rate_h
 
 
 def lag_between_s(goal: Array, seen: Array, rate_hz: float, *, until: int | None = None) -> float:
-    """Return by how much one signal comes after another: the best correlation, between samples too.
+    """Return by how much one signal is later than another: the shift of best correlation.
+
+    Shifts between samples are interpolated; they are at most 0.3 s.
 
     Parameters
     ----------
     goal,seen : Array
-        (n,).
+        (n,), in one unit.
     rate_hz : float
-        Samples a second.
+        Samples per second.
     until : int | None
         Only goals before this sample count; None: all.
 
     Returns
     -------
     float
-        Seconds.
+        Seconds, positive where `seen` is later.
     """
     longest = min(round(_LONGEST_LAG_S * rate_hz), len(goal) // 2)
     n = min(until or len(goal), len(goal) - longest)
@@ -155,14 +157,14 @@ def lag_between_s(goal: Array, seen: Array, rate_hz: float, *, until: int | None
 
 
 def _chirp_index(frequency_hz: float, rate_hz: float) -> int:
-    """Return the sample of `chirp_deg` at which it reaches a frequency."""
+    """Return the index of the sample at which `chirp_deg` reaches a frequency."""
     low, high = _CHIRP_HZ
     share = (frequency_hz - low) / (high - low)
     return round((_REST_S + share * _CHIRP_S) * rate_hz)
 
 
 def _bandwidth_hz(chirp: Array, seen: Array, rate_hz: float) -> float:
-    """Where the amplitude first falls to half the power; the chirp's end where it never does."""
+    """Return the first frequency with half the chirp's power; the chirp's end if there is none."""
     high = _CHIRP_HZ[1]
     for frequency_hz in np.arange(1.0, high, 0.25):
         middle = _chirp_index(frequency_hz, rate_hz)

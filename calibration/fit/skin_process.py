@@ -44,9 +44,9 @@ _SLIT_MM = 15.0
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """Where a face was captured: inputs are -1..1 over each joint's captured range.
+    """Captured poses; as inputs they are scaled to -1..1 over each joint's captured range.
 
-    goals_deg, from_below: (n, n_servos), from_below as in a `Capture`.
+    goals_deg, from_below: (n, n_servos), from_below 1 or -1, the side that a pose is reached from.
     """
 
     goals_deg: Array
@@ -55,28 +55,28 @@ class Poses:
     half_range_deg: Array
 
     def inputs(self, backlash_deg: Array) -> Array:
-        """Return where the horns stood, behind the backlash, from -1 to 1 of the range.
+        """Return the positions of the horns, behind the backlash, from -1 to 1 of the range.
 
         Parameters
         ----------
         backlash_deg : Array
-            (n_servos,).
+            (n_servos,) degrees, the whole width of the backlash.
 
         Returns
         -------
         Array
-            (n, n_servos).
+            (n, n_servos), without unit.
         """
         reached_deg = self.goals_deg - self.from_below * backlash_deg / 2
         return np.asarray((reached_deg - self.middle_deg) / self.half_range_deg)
 
     def of(self, rows: NDArray[np.bool_]) -> "Poses":
-        """Return some of the poses.
+        """Return the poses that are True in `rows`.
 
         Parameters
         ----------
         rows : NDArray[np.bool_]
-            (n,).
+            (n,): which poses to keep.
 
         Returns
         -------
@@ -88,7 +88,7 @@ class Poses:
 
 @dataclass(frozen=True, slots=True)
 class Hyperparameters:
-    """Those that maximise the likelihood of a capture. backlash_deg, reach_mm2: (n_servos,)."""
+    """Hyperparameters of a skin process. backlash_deg, reach_mm2: (n_servos,)."""
 
     backlash_deg: Array
     reach_mm2: Array
@@ -98,7 +98,7 @@ class Hyperparameters:
     own: float
 
     def logarithms(self) -> Array:
-        """Return reaches, curvature, noise, width and own part, as they are searched for.
+        """Return the logarithms of reaches, curvature, noise, width and own part, for the search.
 
         Returns
         -------
@@ -109,14 +109,14 @@ class Hyperparameters:
         return np.asarray(np.log(np.maximum(np.concatenate([self.reach_mm2, others]), 1e-8)))
 
     def joints(self, one: Array, other: Array) -> Array:
-        """Return the covariance K of poses.
+        """Return the covariance K of two sets of poses.
 
         Parameters
         ----------
         one : Array
-            (n, n_servos).
+            (n, n_servos), scaled to -1..1.
         other : Array
-            (m, n_servos).
+            (m, n_servos), scaled to -1..1.
 
         Returns
         -------
@@ -132,7 +132,7 @@ class Hyperparameters:
         Parameters
         ----------
         apart_mm2 : Array
-            (n_markers, n_markers).
+            (n_markers, n_markers) mm^2, squared distances along the skin.
 
         Returns
         -------
@@ -145,9 +145,9 @@ class Hyperparameters:
 
 @dataclass(frozen=True, slots=True)
 class SkinProcess:
-    """A face as the process expects it, fitted at `inputs` (n, n_servos).
+    """A Gaussian process of a face, fitted at `inputs` (n, n_servos).
 
-    solved: (n, n_markers, 3), what each captured pose adds.
+    solved: (n, n_markers, 3), weights of each captured pose in a prediction.
     """
 
     hyperparameters: Hyperparameters
@@ -155,36 +155,36 @@ class SkinProcess:
     solved: Array
 
     def predict(self, inputs: Array) -> Array:
-        """Predict the markers of poses.
+        """Return the markers that the process predicts for poses.
 
         Parameters
         ----------
         inputs : Array
-            (m, n_servos).
+            (m, n_servos), scaled to -1..1.
 
         Returns
         -------
         Array
-            (m, n_markers, 3) mm, off the centre.
+            (m, n_markers, 3) mm from the centre.
         """
         weights = self.hyperparameters.joints(inputs, self.inputs)
         return np.asarray(np.tensordot(weights, self.solved, axes=1))
 
 
 def squared_distances_mm2(marker_names: Sequence[str], rest_mm: Array) -> Array:
-    """Return squared distances along the skin, which is slit at the mouth.
+    """Return squared distances of markers along the skin, which is slit at the mouth.
 
     Parameters
     ----------
     marker_names : Sequence[str]
-        n_markers.
+        Names of the n_markers markers.
     rest_mm : Array
-        (n_markers, 3).
+        (n_markers, 3) mm.
 
     Returns
     -------
     Array
-        (n_markers, n_markers).
+        (n_markers, n_markers) mm^2.
     """
     beyond_slit_mm = np.array([_SLIT_MM * _side(name) for name in marker_names])
     places_mm = np.column_stack([rest_mm, beyond_slit_mm])
@@ -192,7 +192,7 @@ def squared_distances_mm2(marker_names: Sequence[str], rest_mm: Array) -> Array:
 
 
 def _side(name: str) -> float:
-    """1 on the upper lip, -1 on the lower, 0 elsewhere and in the corners."""
+    """Return 1 for a marker on the upper lip, -1 on the lower, 0 elsewhere and in the corners."""
     if name not in MARKERS_47.names:
         return 0.0
     landmark = MARKERS_47.landmarks[MARKERS_47.names.index(name)]
@@ -205,18 +205,18 @@ def fit_hyperparameters(
     apart_mm2: Array,
     begin: Hyperparameters | None = None,
 ) -> Hyperparameters:
-    """Find the likeliest hyperparameters, and backlash.
+    """Return the likeliest hyperparameters of a capture, the backlash included.
 
     Parameters
     ----------
     poses : Poses
-        n poses.
+        The n captured poses.
     from_centre_mm : Array
-        (n, n_markers, axes), without gaps.
+        (n, n_markers, axes) mm, without NaN.
     apart_mm2 : Array
-        Of `squared_distances_mm2`.
+        (n_markers, n_markers) mm^2, squared distances along the skin.
     begin : Hyperparameters | None
-        Where the search begins, with the backlash as it is there; None: at usual values.
+        Start of the search, with its backlash kept; None: usual values.
 
     Returns
     -------
@@ -252,7 +252,7 @@ def fit_hyperparameters(
 
 
 def _believed_deg(parameters: Array, likelihood: "_NegativeLogLikelihood", n_servos: int) -> Array:
-    """(n_servos,): the play for which there is evidence, in all joints or in one; else none."""
+    """Return the evident backlash, (n_servos,) degrees; 0 for a joint without evidence of any."""
     sharpness = np.empty(n_servos)
     for joint in range(n_servos):
         ends = [parameters.copy(), parameters.copy()]
@@ -272,23 +272,23 @@ def _believed_deg(parameters: Array, likelihood: "_NegativeLogLikelihood", n_ser
 def fit_process(
     hyperparameters: Hyperparameters, inputs: Array, from_centre_mm: Array, apart_mm2: Array
 ) -> SkinProcess:
-    """Condition the process on the captured poses.
+    """Return the process conditioned on the captured poses.
 
     Parameters
     ----------
     hyperparameters : Hyperparameters
-        Of the process.
+        Hyperparameters of the process.
     inputs : Array
-        (n, n_servos).
+        (n, n_servos), scaled to -1..1.
     from_centre_mm : Array
-        (n, n_markers, 3).
+        (n, n_markers, 3) mm.
     apart_mm2 : Array
-        Of `squared_distances_mm2`.
+        (n_markers, n_markers) mm^2, squared distances along the skin.
 
     Returns
     -------
     SkinProcess
-        Predicts mm.
+        Predicts markers in mm.
     """
     on = _Solution(
         hyperparameters.joints(inputs, inputs),
@@ -308,7 +308,10 @@ def _unpacked(parameters: Array, n_servos: int) -> Hyperparameters:
 
 
 class _Solution:
-    """Eigenvectors of the two parts, and the variance in each pair of directions (n, n_markers)."""
+    """Eigendecompositions of both covariances, and the variance of each pair of eigenvectors.
+
+    spread: (n, n_markers), noise included.
+    """
 
     def __init__(self, joints: Array, skin: Array, noise_mm2: float) -> None:
         self.pose_sizes, self.poses = np.linalg.eigh(joints)
@@ -317,14 +320,14 @@ class _Solution:
         self.spread = np.maximum(sizes, 0.0) + noise_mm2
 
     def rotated(self, values: Array) -> Array:
-        """(n, n_markers, 3) into both sets of directions."""
+        """Return values (n, n_markers, 3) in the coordinates of both sets of eigenvectors."""
         n, m, axes = values.shape
         by_pose = (self.poses.T @ values.reshape(n, -1)).reshape(n, m, axes)
         return np.asarray(self.points.T @ by_pose)
 
 
 class _NegativeLogLikelihood:
-    """Minus the log likelihood and its slope, by the parameters of `_unpacked`."""
+    """A function from parameters to the negative log likelihood of a capture and its gradient."""
 
     def __init__(self, poses: Poses, from_centre_mm: Array, apart_mm2: Array) -> None:
         self._poses = poses

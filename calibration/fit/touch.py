@@ -1,9 +1,9 @@
-"""Where lips meet, found again in a minute: the map stays, and what it knows of contact is moved.
+"""Correction of a calibration's lip contact in a minute: the map stays, its contact is moved.
 
-Screws that are tightened, warm servos and worn skin shift where lips meet by tenths of a
+Screws that are tightened, warm servos and worn skin shift the contact of the lips by tenths of a
 millimetre. Ladders of small steps close the lips in shapes in which the map closes them. By
-markers contact is where the dots of both lips come no nearer; without markers it is where the
-servos begin to draw more than the skin alone asks of them.
+markers, contact is where the dots of both lips come no nearer; without markers it is where the
+servos begin to draw more current than the skin alone requires.
 """
 
 from dataclasses import replace
@@ -31,7 +31,11 @@ _SURE_RISE = 8.0
 
 
 def touch_plan(calibration: Calibration, model: FaceWithAnimPhos, servos: MouthServos) -> PosePlan:
-    """Raises CalibrationError for a calibration that knows nothing of contact."""
+    """Return a plan of ladders that close the lips from 2 mm open to 2.2 mm past contact.
+
+    Raises CalibrationError for a calibration without a closure, or a speaker whose lips never
+    close.
+    """
     closure = _closure_of(calibration)
     frames = model.animphos.frames
     frames = frames[model.lip_gaps_mm(model.markers_mm(frames)) <= CLOSED_GAP_MM]
@@ -54,9 +58,9 @@ def touch_plan(calibration: Calibration, model: FaceWithAnimPhos, servos: MouthS
 
 
 def touched_by_markers(calibration: Calibration, seen: Capture) -> tuple[Calibration, float]:
-    """The same with contact where the dots show it, and how many mm later it comes than believed.
+    """Return the calibration with contact moved to where the dots show it, and by how many mm.
 
-    Raises CalibrationError where the lips are not seen to stop each other.
+    Positive: lips meet later than before. Raises CalibrationError where no contact is found.
     """
     closure, lips = _closure_of(calibration), calibration.learnt_lips
     apertures = apertures_of(seen)
@@ -85,26 +89,26 @@ def touched_by_markers(calibration: Calibration, seen: Capture) -> tuple[Calibra
 def touched_by_current(
     calibration: Calibration, plan: PosePlan, efforts: Array
 ) -> tuple[Calibration, float]:
-    """Move the contact of a calibration to where the servos' current rises.
+    """Return the calibration with contact moved to where the servos' current rises.
 
     Parameters
     ----------
     calibration : Calibration
-        With a closure.
+        Calibration with a closure.
     plan : PosePlan
-        Poses that close the lips.
+        Plan of ladders, from `touch_plan`.
     efforts : Array
-        (n, n_servos), in any one unit.
+        (n, n_servos), efforts or currents in any one unit.
 
     Returns
     -------
     tuple[Calibration, float]
-        The calibration, and by how many mm its contact moved.
+        The calibration, and by how many mm its lips meet later.
 
     Raises
     ------
     CalibrationError
-        No rise is seen.
+        The current does not rise clearly.
     """
     closure = _closure_of(calibration)
     total = np.abs(efforts).sum(axis=1)
@@ -130,7 +134,7 @@ def touched_by_current(
 
 
 def _closes_mm(calibration: Calibration, seen: Capture, rows: Indices) -> Array:
-    """How far past contact the steps are believed to be; play as the map makes up for it."""
+    """Return each step's predicted closing past contact, in mm, less the map's backlash."""
     following = calibration.following
     half_deg: Array | float = 0.0 if following is None else following.backlash_deg / 2
     horns_deg = seen.goals_deg[rows] - seen.from_below[rows] * half_deg

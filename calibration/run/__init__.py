@@ -1,1 +1,1 @@
-"""What the live path uses of a calibration. NumPy only."""
+"""The parts of a calibration that run live: corrections of servo angles. NumPy only."""

@@ -1,4 +1,4 @@
-"""What is added to the angles of a map on their way to the servos: viseme trims, lags, backlash.
+"""Corrections of a map's angles on their path to the servos: viseme trims, lags, backlash.
 
 Streaming; NumPy only, a few microseconds a frame.
 """
@@ -18,27 +18,27 @@ _TURN_DEG = 0.35
 
 
 class BacklashCompensation:
-    """Shifts every goal by half the backlash, to the side the joint is moving to.
+    """A filter that shifts every goal by half the backlash, towards the joint's motion.
 
-    feed: one pose after another; the horn then stands there, not half a backlash behind it.
+    feed: one pose after another; the horn then reaches the pose, not half a backlash behind it.
     """
 
     def __init__(self, backlash_deg: Array) -> None:
-        """backlash_deg: (n_servos,), the whole width of the backlash."""
+        """Store half of backlash_deg, (n_servos,), the whole width of each joint's backlash."""
         self._half_deg = backlash_deg / 2
         self._any = bool(backlash_deg.any())
         self._side = np.ones(len(backlash_deg))
         self._furthest_deg: Array | None = None
 
     def feed(self, poses_deg: Array) -> Array:
-        """Return the goals that bring the horns to poses, behind the backlash.
+        """Return the goals that bring the horns to poses, despite the backlash.
 
-        Poses that come later are not stored: they may be revised.
+        Only the first pose changes the stored state: later ones may be revised.
 
         Parameters
         ----------
         poses_deg : Array
-            (k, n_servos), where the horns should be now and later.
+            (k, n_servos) degrees, positions of the horns now and later.
 
         Returns
         -------
@@ -62,14 +62,14 @@ class BacklashCompensation:
 
 
 class LagCompensation:
-    """Sends every joint ahead by its lag.
+    """A filter that sends every joint its goal ahead of time by the joint's lag.
 
-    Poses go in `advance_s` before they are shown; slow joints get theirs at once, quicker ones wait
-    here for as long as they are quicker. `feed` is called once each `period_s`.
+    Poses go in `advance_s` before they are shown; slow joints get theirs at once, quicker ones are
+    delayed here by the difference. `feed` is called once each `period_s`.
     """
 
     def __init__(self, lag_s: Array, period_s: float, *, look_ahead_s: float) -> None:
-        """lag_s: (n_servos,). A joint slower than the look-ahead is sent as early as it allows."""
+        """Set how long ahead each joint gets its goal: lag_s, (n_servos,), at most look_ahead_s."""
         early_s = np.minimum(np.maximum(lag_s, 0.0), look_ahead_s)
         self.advance_s = float(early_s.max(initial=0.0))
         wait = (self.advance_s - early_s) / period_s
@@ -81,12 +81,12 @@ class LagCompensation:
         self._newest = 0
 
     def feed(self, positions_deg: Array) -> Array:
-        """Return the goals of now that make the servos show a later pose in time.
+        """Return the goals to send now, each joint's delayed by the difference of the lags.
 
         Parameters
         ----------
         positions_deg : Array
-            (n_servos,), the pose to show `advance_s` from now.
+            (n_servos,) degrees, the pose to show `advance_s` from now.
 
         Returns
         -------
@@ -108,7 +108,7 @@ _BLEND_S = 0.03
 
 
 def trimmed(calibration: Calibration, phoneme: str, joint: str, degrees: float) -> Calibration:
-    """The same with so many degrees for one joint and class, instead of what was there.
+    """Return the calibration with the trim of one joint in a phoneme's viseme class replaced.
 
     Raises CalibrationError for an unknown phoneme or joint, or degrees beyond the joint's range.
     """
@@ -129,10 +129,10 @@ def trimmed(calibration: Calibration, phoneme: str, joint: str, degrees: float) 
 
 
 class VisemeTrim:
-    """Streaming: `feed` a phoneme each `period_s`, get the degrees to add. NumPy only."""
+    """A filter with the trim, in degrees, of the viseme class being spoken, blended over 30 ms."""
 
     def __init__(self, trim: Mapping[str, Array], n_servos: int, period_s: float) -> None:
-        """trim: degrees (n_servos,) by the first phoneme of a viseme class, as in the file."""
+        """Store the trims: degrees (n_servos,) by the first phoneme of a viseme class."""
         self._nothing = np.zeros(n_servos)
         self._wanted = [trim.get(viseme[0], self._nothing) for viseme in VISEME_CLASSES]
         self._share = 1.0 - np.exp(-period_s / _BLEND_S)
@@ -140,12 +140,12 @@ class VisemeTrim:
         self._added_deg = self._nothing
 
     def feed(self, phoneme: str) -> Array:
-        """Return what to add to the pose for this period.
+        """Return the degrees to add to the pose in this period.
 
         Parameters
         ----------
         phoneme : str
-            That is shown.
+            Phoneme shown in this period.
 
         Returns
         -------
@@ -158,5 +158,5 @@ class VisemeTrim:
         return self._added_deg
 
     def reset(self) -> None:
-        """Start anew without any trim."""
+        """Set the added trim to 0 degrees at once."""
         self._added_deg = self._nothing

@@ -1,1 +1,1 @@
-"""Robots to calibrate without one."""
+"""Simulated robots, with which calibration can be tested and practised without hardware."""

@@ -1,8 +1,8 @@
-"""Elastic robots built as a face's YAML says: where its joints pull, how far, how weak.
+"""Elastic robots built from a face's YAML: the joints' pulls, ranges and weaknesses.
 
-What the joints are called and what a positive angle does is enough to make a robot that is built
-so; what that leaves open is shared out among the places that are left. All else is drawn from a
-seed, and none of it is known to the fit.
+The joints' names and the words for their positive angles define the robot; what they leave open is
+distributed over the parts of the mouth without a joint. All else is drawn from a seed, and none of
+it is known to the fit.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,7 +26,7 @@ from lipsync.markers import MARKERS_47
 
 @dataclass(frozen=True, slots=True)
 class PullKind:
-    """A joint: its word, where it pulls (landmarks), which way, whose lip, how far it may turn."""
+    """A kind of joint: its word, the landmarks and directions of its pulls, its lip and limits."""
 
     word: str
     pulls: tuple[tuple[int, tuple[float, float, float]], ...]
@@ -82,9 +82,9 @@ _ANY = ("upper", "lower", "corners", "pucker", "smile")
 
 @dataclass(frozen=True, slots=True)
 class Pull:
-    """What one joint of a face does. sign: -1 where a positive angle does the kind's opposite.
+    """The kind of pull of one joint of a face. sign: -1 where a positive angle pulls oppositely.
 
-    is_guess: whether name and word leave open what it moves.
+    is_guess: whether name and word leave open what the joint moves.
     """
 
     kind: str
@@ -93,9 +93,10 @@ class Pull:
 
 
 def pulls_of(names: Sequence[str], positive: Sequence[str]) -> tuple[Pull, ...]:
-    """One for each joint of a mouth, of any names and words. positive: one word a joint, or none.
+    """Return the pull of each joint of a mouth, by its name and word; it is guessed if these fail.
 
-    The first joint that opens is the jaw. Two joints may pull at one place.
+    positive: one word per joint, or empty. The first joint that opens is the jaw. Two joints may
+    pull at one landmark.
     """
     positives = positive or [""] * len(names)
     known = [joint_motion(name, word) for name, word in zip(names, positives, strict=True)]
@@ -111,7 +112,7 @@ def pulls_of(names: Sequence[str], positive: Sequence[str]) -> tuple[Pull, ...]:
 
 
 def _by_word(word: str) -> JointMotion | None:
-    """What goes up is the upper lip, what goes down the lower one."""
+    """Return the lip that a word of direction suggests: upper for up, lower for down; else None."""
     word_parts = words(word)
     if bool(word_parts & UP) == bool(word_parts & (DOWN | CLOSE)):
         return None
@@ -144,23 +145,23 @@ _BEHIND_MM, _ABOVE_MM = 85.0, 36.0
 
 
 def elastic_robot_of(rest_mm: Array, servos: MouthServos, seed: int) -> ElasticDraw:
-    """Draw a robot that is built as a face's YAML says: its joints, by their names and words.
+    """Return an elastic robot with the joints of a face's YAML, the rest drawn from a seed.
 
-    What the YAML leaves open pull_kinds.py says.
+    Joints that names and words leave open are guessed.
 
     Parameters
     ----------
     rest_mm : Array
-        (47, 3), a closed mouth.
+        (47, 3) mm, markers of a closed mouth.
     servos : MouthServos
-        Of the YAML.
+        Servos of the face's YAML.
     seed : int
-        Of the draw.
+        Seed of the draw.
 
     Returns
     -------
     ElasticDraw
-        Lengths in mm.
+        The drawn robot, lengths in mm.
     """
     pulls = pulls_of(servos.names, servos.positive)
     kinds = [pull.kind for pull in pulls]
@@ -178,18 +179,18 @@ def elastic_robot_of(rest_mm: Array, servos: MouthServos, seed: int) -> ElasticD
 def robot_of_kinds(
     rest_mm: Array, kinds: Sequence[str], names: tuple[str, ...], rng: np.random.Generator
 ) -> tuple[ElasticDraw, Array]:
-    """Draw a robot of these kinds of joints, none mounted mirrored.
+    """Return a robot with joints of these kinds, none mounted mirrored, and its limits.
 
     Parameters
     ----------
     rest_mm : Array
-        (47, 3), a closed mouth.
+        (47, 3) mm, markers of a closed mouth.
     kinds : Sequence[str]
-        One a joint.
+        Kind of each joint, a key of `KINDS`.
     names : tuple[str, ...]
-        Of the servos.
+        Names of the servos.
     rng : np.random.Generator
-        Draws everything.
+        Source of all random values.
 
     Returns
     -------
@@ -231,7 +232,7 @@ def robot_of_kinds(
 def _rods(
     joint: int, kind: str, rest_mm: Array, skin: ElasticSkin, rng: np.random.Generator
 ) -> list[Rod]:
-    """A horn for each place that the joint pulls at; those on the left are weak."""
+    """Return a rod for each landmark that the joint pulls at; rods on the left are weak."""
     of = KINDS[kind]
     arm_mm = rng.uniform(*_ARM_MM) * (0.6 if kind == "pucker" else 1.0)
     stiff, bend = rng.uniform(*_ROD_N_PER_MM), np.tan(np.deg2rad(8.0)) * rng.normal(size=3)
@@ -259,7 +260,7 @@ def _rods(
 
 
 def _four_bar(rng: np.random.Generator) -> FourBar:
-    """Jaw over servo about 1 in the middle, from 0.2 to several times that at the ends."""
+    """Return a random linkage: jaw over servo about 1 in the middle, 0.2 to several at the ends."""
     crank_mm = rng.uniform(16.0, 22.0)
     return FourBar(
         crank_mm=crank_mm,

@@ -1,16 +1,15 @@
-"""Robots that our fits know nothing of: an elastic skin, lips that stop each other, a linked jaw.
+"""A simulated robot unlike our fits' models: an elastic skin, lips in contact, a linked jaw.
 
-The second family of simulated robots, made from physics: horns that turn pull the skin by rods
-that give way, the jaw hangs on a four-bar linkage and sags, lips meet without friction
-(complementarity of gap and force, Cottle, Pang and Stone, 1992, solved by projected
-Gauss-Seidel), the left side is weak, dots lie beside the lips' edges, zeros drift as the
-servos warm up, gears have play.
+The second family of simulated robots, made from physics: horns that turn pull the skin by rods that
+yield, the jaw hangs on a four-bar linkage and sags, lips meet without friction (complementarity of
+gap and force, Cottle, Pang and Stone, 1992, solved by active sets), the left side is
+weak, dots lie beside the lips' edges, zeros drift as the servos warm up, gears have play.
 
 The skin is a small finite-element model, solved once for each robot: in the plane of the face
 constant-strain triangles in plane stress, out of it a membrane under tension (Zienkiewicz and
 Taylor, The Finite Element Method, 2000, chapters 4 and 7); both lie on a soft foundation, part
 skull and part jaw. Rods pull at patches of it. Displacements are small against the face, so one
-stiffness matrix serves all poses: what is not linear are the horns, the jaw and the lips that meet.
+stiffness matrix serves all poses; only the horns, the jaw and the lips that meet are not linear.
 Not simulated: friction, creep of the skin, loads that move a servo's encoder.
 Loads SciPy; the live path never does.
 """
@@ -28,9 +27,9 @@ from lipsync.markers import MARKERS_47
 
 @dataclass(frozen=True, slots=True)
 class FourBar:
-    """Lengths in mm: crank (the servo's horn), rod, rocker (the jaw's lever), ground between.
+    """A four-bar linkage, in mm: crank (servo's horn), rod, rocker (jaw's lever) and ground.
 
-    start_deg: the crank's angle to the ground where the servo is at 0.
+    start_deg: the crank's angle to the ground with the servo at 0.
     """
 
     crank_mm: float
@@ -40,12 +39,12 @@ class FourBar:
     start_deg: float
 
     def jaw_deg(self, servo_deg: Array) -> Array:
-        """Return how far the jaw is turned from where it is at 0 (Freudenstein 1955, equation 1).
+        """Return the jaw's angle; it is 0 with the servo at 0 (Freudenstein 1955, equation 1).
 
         Parameters
         ----------
         servo_deg : Array
-            (n,).
+            (n,) degrees.
 
         Returns
         -------
@@ -60,7 +59,7 @@ class FourBar:
         Parameters
         ----------
         servo_deg : Array
-            (n,).
+            (n,) degrees.
 
         Returns
         -------
@@ -82,7 +81,7 @@ class FourBar:
         return np.asarray(np.rad2deg(np.arctan2(-y, -x) - inner))
 
     def _reach_mm(self, servo_deg: Array) -> tuple[Array, Array, Array]:
-        """From the rocker's axis to the crank's end: across, along, and how far."""
+        """Return the vector from the rocker's axis to the crank's end, x and y, and its length."""
         crank = np.deg2rad(self.start_deg + servo_deg)
         x, y = self.ground_mm - self.crank_mm * np.cos(crank), -self.crank_mm * np.sin(crank)
         return x, y, np.hypot(x, y)
@@ -113,13 +112,14 @@ def _at(landmark: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class ElasticSkin:
-    """A skin in n nodes, and what is seen of it.
+    """A skin of n nodes, with its stiffness and the dots on it.
 
     places_mm: (n, 3), at rest; the first N_PAIRS nodes are the upper lip's edge, the next N_PAIRS
     the lower's, from the robot's right to its left.
     stiffness: (3 n, 3 n), x of all nodes, then y, then z, without rods; foam: (n,), N/mm;
-    jaw_share: (n,), what part of the foam lies on the jaw. dots: (47, n), each marker as a mean of
-    nodes; dots_mm: (47, 3), where it is at rest; off_edge_mm: (6,), of the inner lips' dots.
+    jaw_share: (n,), share of the foam that lies on the jaw. dots: (47, n), weights of the nodes in
+    each marker; dots_mm: (47, 3), markers at rest; off_edge_mm: (6,), the inner lips' dots from the
+    edge.
     """
 
     places_mm: Array
@@ -131,14 +131,14 @@ class ElasticSkin:
     off_edge_mm: Array
 
     def patch(self, place_mm: Array, below_slit: bool | None) -> Array:
-        """Return the weights of the skin where a rod holds.
+        """Return the weights of the nodes at which a rod pulls.
 
         Parameters
         ----------
         place_mm : Array
-            (3,).
+            (3,) mm, the middle of the patch.
         below_slit : bool | None
-            True: the lower lip alone is moved; False: the upper alone; None: both.
+            True: nodes of the lower lip alone; False: of the upper alone; None: of both.
 
         Returns
         -------
@@ -153,21 +153,21 @@ class ElasticSkin:
 
 
 def elastic_skin(rest_mm: Array, gaps_mm: Array, off_edge_mm: Array) -> ElasticSkin:
-    """Make the skin of a closed mouth.
+    """Return the elastic skin of a closed mouth.
 
     Parameters
     ----------
     rest_mm : Array
-        (47, 3).
+        (47, 3) mm.
     gaps_mm : Array
-        (N_PAIRS,): how far its lips are apart.
+        (N_PAIRS,) mm: gaps between the lips' edges.
     off_edge_mm : Array
-        (6,), how far each dot of the inner lips lies beside the edge, upper lip first.
+        (6,) mm: distance of each inner-lip dot from the edge, upper lip first.
 
     Returns
     -------
     ElasticSkin
-        Places in mm and stiffness.
+        Skin with nodes in mm and stiffness.
     """
     seam = rest_mm[[_at(_INNER_CORNERS[0]), *map(_at, _UPPER_INNER), _at(_INNER_CORNERS[1])]].copy()
     seam[1:4] = (seam[1:4] + rest_mm[[_at(n) for n in _LOWER_INNER]]) / 2
@@ -205,7 +205,7 @@ def elastic_skin(rest_mm: Array, gaps_mm: Array, off_edge_mm: Array) -> ElasticS
 
 
 def _background(flat: Array) -> Array:
-    """(m, 2): a grid over what the markers span, clear of what is there."""
+    """Return grid points, (m, 2), over the extent of the points `flat` and not near any of them."""
     low, high = flat.min(axis=0) - _GRID_MM, flat.max(axis=0) + _GRID_MM
     x, y = (np.arange(low[k], high[k] + _GRID_MM, _GRID_MM) for k in (0, 1))
     grid = np.stack(np.meshgrid(x, y), axis=2).reshape(-1, 2)
@@ -214,7 +214,7 @@ def _background(flat: Array) -> Array:
 
 
 def _raised(flat: Array, known_mm: Array) -> Array:
-    """(m, 2) -> (m, 3), the depth from the points around."""
+    """Return the points (m, 2) with a depth interpolated between known ones, (m, 3)."""
     inside = LinearNDInterpolator(known_mm[:, :2], known_mm[:, 2])(flat)
     beyond = NearestNDInterpolator(known_mm[:, :2], known_mm[:, 2])(flat)
     return np.column_stack([flat, np.where(np.isnan(inside), beyond, inside)])
@@ -227,7 +227,7 @@ def _across_slit(simplices: NDArray[np.int_]) -> NDArray[np.bool_]:
 
 
 def _assembled(flat: Array, triangles: NDArray[np.int_], thick: Array) -> tuple[Array, Array]:
-    """Area of each node, (n,), and the stiffness (3 n, 3 n) of sheet and membrane."""
+    """Return the area of each node, (n,), and the stiffness (3 n, 3 n) of sheet and membrane."""
     n = len(flat)
     area, stiffness = np.zeros(n), np.zeros((3 * n, 3 * n))
     plane = np.array([[1, POISSON, 0], [POISSON, 1, 0], [0, 0, (1 - POISSON) / 2]])
@@ -254,7 +254,7 @@ def _assembled(flat: Array, triangles: NDArray[np.int_], thick: Array) -> tuple[
 
 
 def _jaw_share(flat: Array, edge_mm: Array) -> Array:
-    """(n,): 0 skull, 1 jaw; sharp at the lips and broad towards the ears."""
+    """Return each node's share of the jaw, (n,), 0 to 1; sharp at the lips, broad at the ears."""
     middle = edge_mm[:, :2].mean(axis=0)
     width_mm = np.maximum(0.45 * np.abs(flat[:, 0] - middle[0]), 1.0)
     height_mm = flat[:, 1] - np.interp(flat[:, 0], edge_mm[:, 0], edge_mm[:, 1])
@@ -266,7 +266,7 @@ def _jaw_share(flat: Array, edge_mm: Array) -> Array:
 def _dots(
     rest_mm: Array, edge_mm: Array, along: Array, steps: Array, gaps_mm: Array, off_mm: Array
 ) -> tuple[Array, Array]:
-    """Where the 47 dots are: in the mesh's plane (47, 2) and in space (47, 3)."""
+    """Return the 47 dots in the mesh's plane, (47, 2), and in space, (47, 3), in mm."""
     flat, places_mm = rest_mm[:, :2].copy(), rest_mm.copy()
     for side, landmarks in ((1.0, _UPPER_INNER), (-1.0, _LOWER_INNER)):
         for k, landmark in enumerate(landmarks):
@@ -280,7 +280,7 @@ def _dots(
 
 
 def _interpolation(mesh: Delaunay, across: NDArray[np.bool_], flat: Array, points: Array) -> Array:
-    """(n_points, n) barycentric weights; a point on the slit's edge belongs to the nearest node."""
+    """Return each point's barycentric node weights, (n_points, n); in the slit the nearest's."""
     weights = np.zeros((len(points), len(flat)))
     for row, (point, triangle) in enumerate(zip(points, mesh.find_simplex(points), strict=True)):
         if triangle < 0 or across[triangle]:
@@ -302,9 +302,10 @@ _WARMING_MOVES = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Rod:
-    """What one horn does to the skin: it turns from `along` towards `over`, and holds at a patch.
+    """A rod from a horn to a patch of skin; the horn turns from `along` towards `over`.
 
-    along, over: (3,), unit vectors; rides: how much of the jaw's turn its servo follows.
+    along, over: (3,), unit vectors; rides: the share of the jaw's turn that the rod's servo
+    follows.
     """
 
     joint: int
@@ -319,11 +320,10 @@ class Rod:
 
 @dataclass(frozen=True, slots=True)
 class ElasticDraw:
-    """A robot. signs, zero_deg, play_deg, drift_deg: (n_servos,). jaw: its joint, or -1.
+    """A drawn elastic robot. signs, zero_deg, play_deg, drift_deg: (n_servos,).
 
-    signs: -1 for a servo that turns its horn the other way; zero and drift are the horn's own.
-
-    jaw_rad_per_nmm: how far the jaw gives way to a newton-millimetre; sag_deg: how far it hangs.
+    jaw: number of the jaw's joint, or -1. signs: -1 for a servo that turns its horn oppositely;
+    zero and drift are the horn's own. jaw_rad_per_nmm: compliance of the jaw; sag_deg: its sag.
     """
 
     servo_names: tuple[str, ...]
@@ -342,7 +342,7 @@ class ElasticDraw:
 
 @dataclass(frozen=True, slots=True)
 class LipState:
-    """What the bench knows. gaps_mm: (n, N_PAIRS), of the lips' own edges; force_n: (n,)."""
+    """The true state of poses. gaps_mm: (n, N_PAIRS), of the lips' edges; force_n: (n,)."""
 
     markers_mm: Array
     gaps_mm: Array
@@ -350,7 +350,7 @@ class LipState:
 
 
 class ElasticFace:
-    """A drawn robot with its skin solved: markers, lips and forces by the angles of its horns."""
+    """A drawn robot with its skin solved, for markers, lip gaps and forces by servo angles."""
 
     def __init__(self, draw: ElasticDraw) -> None:
         self.draw = draw
@@ -385,12 +385,12 @@ class ElasticFace:
         self._compliance = self._push_answer[-N_PAIRS:] + _LIP_MM_PER_N * np.eye(N_PAIRS)
 
     def state(self, output_deg: Array, warmth: float = 1.0) -> LipState:
-        """Return markers, gaps and closing force of poses.
+        """Return markers, lip gaps and closing force of poses.
 
         Parameters
         ----------
         output_deg : Array
-            (n, n_servos), behind the play.
+            (n, n_servos) degrees, behind the backlash.
         warmth : float
             0 cold to 1 warm.
 
@@ -410,12 +410,12 @@ class ElasticFace:
         return LipState(draw.skin.dots_mm + moved, np.maximum(gaps_mm, 0.0), force_n.sum(axis=1))
 
     def markers_mm(self, output_deg: Array) -> Array:
-        """Return the markers of the warm robot.
+        """Return the markers of the warm robot in poses.
 
         Parameters
         ----------
         output_deg : Array
-            (n, n_servos), behind the play.
+            (n, n_servos) degrees, behind the backlash.
 
         Returns
         -------
@@ -425,14 +425,14 @@ class ElasticFace:
         return self.state(output_deg).markers_mm
 
     def seen_mm(self, output_deg: Array, n_moves: int) -> Array:
-        """Return the markers after so many moves since it was cold.
+        """Return the markers of a pose after `n_moves` moves, by which the robot has warmed up.
 
         Parameters
         ----------
         output_deg : Array
-            (n_servos,), behind the play.
+            (n_servos,) degrees, behind the backlash.
         n_moves : int
-            Since the start.
+            Number of moves since the robot was cold.
 
         Returns
         -------
@@ -443,7 +443,7 @@ class ElasticFace:
         return np.asarray(self.state(output_deg[None], warmth).markers_mm[0])
 
     def closing_force_n(self, overlap_mm: float) -> float:
-        """What presses lips together that would overlap by so much all along, if they could."""
+        """Return the force, in N, between lips that would overlap by `overlap_mm` if free."""
         return float(self._lip_forces_n(np.full((1, N_PAIRS), -float(overlap_mm))).sum())
 
     def _jaw_rad(self, horns_deg: Array) -> Array:
@@ -454,7 +454,7 @@ class ElasticFace:
         return np.deg2rad(turned_deg + draw.sag_deg * np.cos(np.deg2rad(turned_deg)))
 
     def _free(self, horns_deg: Array, jaw_rad: Array) -> Array:
-        """(n, n_seen): dots and gaps, the lips not stopping each other."""
+        """Return displacements of dots and gaps, (n, n_seen), with lips not stopping each other."""
         rotations = np.stack([np.cos(jaw_rad) - 1.0, np.sin(jaw_rad)], axis=1)
         values = rotations @ self._jaw_answers
         for rod, answer in zip(self.draw.rods, self._rod_answers, strict=True):
@@ -467,16 +467,17 @@ class ElasticFace:
         return np.asarray(values)
 
     def _jaw_yields(self) -> Array:
-        """Return how pushed lips, by the jaw, move dots and gaps, (n_seen, N_PAIRS) mm/N."""
+        """Return motion of dots and gaps by lip forces on the jaw, (n_seen, N_PAIRS) mm/N."""
         rest = np.zeros((2, len(self.draw.signs)))
         seen = self._free(rest, np.array([0.0, 0.01]))
         by_rad = (seen[1] - seen[0]) / 0.01
         return np.asarray(self.draw.jaw_rad_per_nmm * np.outer(by_rad, by_rad[-N_PAIRS:]))
 
     def _lip_forces_n(self, free_gaps_mm: Array) -> Array:
-        """(n, N_PAIRS) >= 0, such that no gap is below 0 and only lips that meet push.
+        """Return forces (n, N_PAIRS) >= 0 such that no gap is below 0 and only lips that meet push.
 
-        By active sets: pairs that pull are let go, pairs that overlap are pushed, until neither is.
+        By active sets: pairs that pull are released, pairs that overlap are pushed, until neither
+        is.
         """
         force_n = np.zeros_like(free_gaps_mm)
         rows = np.flatnonzero((free_gaps_mm < 0.0).any(axis=1))
@@ -500,7 +501,7 @@ def _rows(n: int, at: NDArray[np.int_]) -> Array:
 
 
 def _turned(from_axis_mm: Array, angle_rad: Array) -> Array:
-    """(m, 3) or (n, m, 3) about x by (n,) -> (n, m, 3), how far each point goes."""
+    """Return the displacement, (n, m, 3), of points (m, 3) or (n, m, 3) by n turns about x."""
     cos, sin = np.cos(angle_rad)[:, None], np.sin(angle_rad)[:, None]
     y, z = from_axis_mm[..., 1], from_axis_mm[..., 2]
     moved = np.stack(

@@ -1,13 +1,13 @@
-"""The geometry of the simulated face: where its 47 markers are for given servo angles.
+"""The geometry of the simulated face: its 47 markers as a function of servo angles.
 
 A rubber skin in the shape of the model's closed mouth, over a hinged jaw, pulled by servo horns.
 First the horns displace the skin, then the jaw carries along what hangs on it:
 
     p = n + sum_s arm * sin(angle_s) * pull_s,    p' = p + w * (R(jaw) (p - axis) + axis - p)
 
-n: neutral marker; pull_s: direction times a weight in 0..1 that fades with the distance from where
-the horn is attached; w: how much of the jaw's turn the marker follows, 0..1. Axes as everywhere: x
-to the robot's own LEFT (right in its picture), y up, z forward, millimetres.
+n: neutral marker; pull_s: direction times a weight in 0..1 that fades with the distance from the
+horn's attachment; w: the share of the jaw's turn that the marker follows, 0..1. Axes as everywhere:
+x to the robot's own LEFT (right in its picture), y up, z forward, millimetres.
 Not simulated: gravity, elastic coupling, lips that stop each other (they may overlap), backlash.
 """
 
@@ -69,7 +69,7 @@ _CORNERS = (61, 291, 78, 308)
 
 @dataclass(frozen=True, slots=True)
 class _Horn:
-    """Attached to a landmark; direction is of unit length; spares: the lip that it leaves alone."""
+    """A servo horn attached to a landmark; direction: unit length; spares: landmarks not moved."""
 
     landmark: int
     direction: tuple[float, float, float]
@@ -96,11 +96,11 @@ _HORNS: Mapping[str, _Horn] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True)
 class SimulatedFace:
-    """A face of some of the servos above.
+    """A simulated face with some of the servos in `POSITIVE_DIRECTIONS`.
 
     neutral_mm: (47, 3), all servos at 0. pulls: (n_servos, 47, 3), unit direction times weight of
-    each horn; zero for the jaw. jaw_share: (47,), the part of the jaw's turn a marker follows.
-    jaw_axis_mm: (3,), a point of the hinge, which runs along x.
+    each horn; zero for the jaw. jaw_share: (47,), the share of the jaw's turn that a marker
+    follows. jaw_axis_mm: (3,), a point of the hinge, which runs along x.
     """
 
     servo_names: tuple[str, ...]
@@ -111,24 +111,24 @@ class SimulatedFace:
 
 
 def simulated_face(neutral_mm: Array, servo_names: Sequence[str]) -> SimulatedFace:
-    """Make the face whose skin has the shape `neutral_mm`, lips closed.
+    """Return the simulated face whose skin has the shape `neutral_mm`, lips closed.
 
     Parameters
     ----------
     neutral_mm : Array
-        (47, 3).
+        (47, 3) mm.
     servo_names : Sequence[str]
-        n_servos.
+        Names of the n_servos servos.
 
     Returns
     -------
     SimulatedFace
-        Pulls in mm.
+        Simulated face, pulls per mm of horn travel.
 
     Raises
     ------
     ValueError
-        A servo has no place in this geometry, or the shape is wrong.
+        A servo's name is unknown, or the shape is wrong.
     """
     if neutral_mm.shape != (len(MARKERS_47.landmarks), 3):
         raise ValueError(f"neutral_mm has shape {neutral_mm.shape}, expected (47, 3)")
@@ -147,14 +147,14 @@ def simulated_face(neutral_mm: Array, servo_names: Sequence[str]) -> SimulatedFa
 
 
 def marker_positions_mm(face: SimulatedFace, positions_deg: Array) -> Array:
-    """Return the markers of poses.
+    """Return the markers of a simulated face in poses.
 
     Parameters
     ----------
     face : SimulatedFace
         The simulated face.
     positions_deg : Array
-        (n, n_servos), in the order of `face.servo_names`.
+        (n, n_servos) degrees, in the order of `face.servo_names`.
 
     Returns
     -------
@@ -176,7 +176,7 @@ def marker_positions_mm(face: SimulatedFace, positions_deg: Array) -> Array:
 
 
 def _pull(name: str, neutral_mm: Array) -> Array:
-    """(47, 3): how the skin moves for one millimetre of horn travel."""
+    """Return the motion of the markers, (47, 3), for one millimetre of travel of a servo's horn."""
     if name == JAW:
         return np.zeros_like(neutral_mm)
     if name == PROTRUSION:
@@ -191,7 +191,7 @@ def _pull(name: str, neutral_mm: Array) -> Array:
 
 
 def _protrusion(neutral_mm: Array) -> Array:
-    """(47, 3): the lips as one piece forward, skin around them after them, corners inward."""
+    """Return the motion of protrusion, (47, 3): lips forward as one piece, corners inwards."""
     lips_mm = neutral_mm[list(MARKERS_47.lips)]
     distance_mm = np.linalg.norm(neutral_mm[:, None] - lips_mm, axis=2).min(axis=1)
     direction = np.zeros_like(neutral_mm)
@@ -201,7 +201,7 @@ def _protrusion(neutral_mm: Array) -> Array:
 
 
 def _jaw_share(neutral_mm: Array, seam_mm: Array) -> Array:
-    """(47,): 0 = head, 1 = jaw.
+    """Return each marker's share of the jaw's turn, (47,): 0 = head, 1 = jaw.
 
     Lips: parabolas that meet at one half in the corners. Skin: a logistic step in height at the
     lips, sharp in the middle of the face and broad towards the ears.
@@ -220,7 +220,7 @@ def _jaw_share(neutral_mm: Array, seam_mm: Array) -> Array:
 
 
 def _sideways(neutral_mm: Array) -> Array:
-    """(47,): -1 at the right corner of the mouth, 0 in its middle, 1 at the left corner."""
+    """Return each marker's x, (47,), scaled: -1 at the mouth's right corner, 1 at its left."""
     right, left = (neutral_mm[MARKERS_47.landmarks.index(n), 0] for n in (61, 291))
     return np.asarray((neutral_mm[:, 0] - (left + right) / 2) / _half_width_mm(neutral_mm))
 

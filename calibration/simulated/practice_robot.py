@@ -1,4 +1,4 @@
-"""A robot to practise on, whatever a face calls its joints. Loads SciPy for elastic ones."""
+"""A simulated robot to practise on, with a face's own joints. Loads SciPy for elastic ones."""
 
 from collections.abc import Callable, Sequence
 
@@ -16,7 +16,7 @@ USUAL_SEED = 1
 
 
 def family_of(servos: MouthServos) -> RobotFamily:
-    """The simulated face where it has all these joints, by name; else an elastic robot."""
+    """Return OWN if the simulated face has all these joints, by name; else ELASTIC."""
     known = all(name in POSITIVE_DIRECTIONS for name in servos.names)
     return RobotFamily.OWN if known else RobotFamily.ELASTIC
 
@@ -24,23 +24,23 @@ def family_of(servos: MouthServos) -> RobotFamily:
 def practice_robot(
     rest_mm: Array, servos: MouthServos, seed: int, family: RobotFamily | None = None
 ) -> SimulatedRobot:
-    """Make the robot of a seed that has the joints of this face.
+    """Return the simulated robot, drawn from a seed, that has the joints of this face.
 
     Parameters
     ----------
     rest_mm : Array
-        (47, 3), a closed mouth.
+        (47, 3) mm, markers of a closed mouth.
     servos : MouthServos
-        Of the face.
+        Servos of the face.
     seed : int
-        Of the draw.
+        Seed of the draw, and of the tracker's noise.
     family : RobotFamily | None
-        None for `family_of`.
+        Family of the robot; None: chosen by the joints' names.
 
     Returns
     -------
     SimulatedRobot
-        Measures in mm.
+        Robot that measures markers in mm.
 
     Raises
     ------
@@ -57,14 +57,14 @@ def practice_robot(
 
 
 def markers_of_face(rest_mm: Array, servos: MouthServos) -> Callable[[Array], Array]:
-    """Return the exact model of a robot with the joints of this face.
+    """Return the noiseless markers, as a function of pose, of a robot with this face's joints.
 
     Parameters
     ----------
     rest_mm : Array
-        (47, 3), a closed mouth.
+        (47, 3) mm, markers of a closed mouth.
     servos : MouthServos
-        Of the face.
+        Servos of the face.
 
     Returns
     -------
@@ -84,7 +84,10 @@ def markers_of_face(rest_mm: Array, servos: MouthServos) -> Callable[[Array], Ar
 
 
 def guessed_joints(servos: MouthServos, family: RobotFamily | None = None) -> Sequence[str]:
-    """Joints of which neither name nor word says what they move: a simulated robot guesses."""
+    """Return the joints whose motion neither name nor word defines, so that the robot guesses it.
+
+    Empty for the family OWN, which knows its joints by name.
+    """
     if (family or family_of(servos)) is RobotFamily.OWN:
         return ()
     pulls = pulls_of(servos.names, servos.positive)

@@ -1,7 +1,7 @@
 """A robot mouth to practise on: geometry, backlash and noise drawn from a seed, all hidden.
 
-What calibrates it sees `move` and `measure` only, as with a real robot before a tracker. Scores are
-taken against `true_markers_mm`, which knows no noise.
+A calibration uses `move` and `measure` only, as with a real robot before a tracker. Scores are
+measured against `true_markers_mm`, which has no noise.
 Not simulated: gravity, load, lips that stop each other (they may overlap), skin that creeps.
 """
 
@@ -33,7 +33,7 @@ _ZERO_DEG, _JAW_ZERO_DEG = 1.5, 0.4
 
 @dataclass(frozen=True, slots=True)
 class RobotDraw:
-    """What the seed decided. zero_deg, backlash_deg: (n_servos,)."""
+    """A robot drawn from a seed. zero_deg, backlash_deg: (n_servos,)."""
 
     face: SimulatedFace
     zero_deg: Array
@@ -41,12 +41,12 @@ class RobotDraw:
     noise_stream: tuple[int, ...] = ()
 
     def seen_mm(self, output_deg: Array, _n_moves: int) -> Array:
-        """Return the markers without noise.
+        """Return the markers of a pose without noise.
 
         Parameters
         ----------
         output_deg : Array
-            (n_servos,), behind the backlash.
+            (n_servos,) degrees, behind the backlash.
         _n_moves : int
             Not used.
 
@@ -59,21 +59,21 @@ class RobotDraw:
 
 
 def draw_robot(rest_mm: Array, servo_names: Sequence[str], seed: int) -> RobotDraw:
-    """Draw a face like the simulated one, but of other size, strength, direction and skin.
+    """Return a robot like the simulated face, but of other size, strength, direction and skin.
 
     Parameters
     ----------
     rest_mm : Array
-        (47, 3), a closed mouth.
+        (47, 3) mm, markers of a closed mouth.
     servo_names : Sequence[str]
-        n_servos.
+        Names of the n_servos servos.
     seed : int
-        Of the draw.
+        Seed of the draw.
 
     Returns
     -------
     RobotDraw
-        Lengths in mm.
+        The drawn robot, lengths in mm.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def draw_robot(rest_mm: Array, servo_names: Sequence[str], seed: int) -> RobotDr
 
 
 def _other_pull(pull: Array, rng: np.random.Generator) -> Array:
-    """(47, 3): the same horn with another strength, skin width and direction."""
+    """Return a horn's pull, (47, 3), with a drawn strength, skin width and direction."""
     weight = np.linalg.norm(pull, axis=1, keepdims=True)
     direction = pull / np.maximum(weight, 1e-12)
     bend = np.tan(np.deg2rad(_DIRECTION_DEG)) * rng.normal(size=3)
@@ -110,11 +110,11 @@ def _other_pull(pull: Array, rng: np.random.Generator) -> Array:
 
 
 class Skin(Protocol):
-    """The face of a simulated robot, of either family."""
+    """The interface of the face of a simulated robot, of either family."""
 
     @property
     def backlash_deg(self) -> Array:
-        """The backlash of its gears.
+        """The backlash of the robot's gears.
 
         Returns
         -------
@@ -124,17 +124,17 @@ class Skin(Protocol):
 
     @property
     def noise_stream(self) -> tuple[int, ...]:
-        """With the seed of a tracker's noise: families do not share it."""
+        """Numbers added to the seed of a tracker's noise, so that families have different noise."""
 
     def seen_mm(self, output_deg: Array, n_moves: int) -> Array:
-        """Return the exact markers after so many moves.
+        """Return the markers of a pose without noise, after `n_moves` moves.
 
         Parameters
         ----------
         output_deg : Array
-            (n_servos,), behind the backlash.
+            (n_servos,) degrees, behind the backlash.
         n_moves : int
-            Since the start.
+            Number of moves since the robot was cold.
 
         Returns
         -------
@@ -144,7 +144,7 @@ class Skin(Protocol):
 
 
 class SimulatedRobot:
-    """Servos with backlash behind a skin of either family, and a noisy tracker before it."""
+    """A simulated robot: servos with backlash, a skin of either family, and a noisy tracker."""
 
     def __init__(
         self,
@@ -153,7 +153,7 @@ class SimulatedRobot:
         noise_seed: int = 0,
         noise_mm: float = SENSOR_NOISE_MM,
     ) -> None:
-        """Cold, all servos at 0, in the middle of their backlash."""
+        """Make a cold robot, all servos at 0, in the middle of their backlash."""
         self._skin = skin
         self._noise = np.random.default_rng([noise_seed, *skin.noise_stream])
         self._noise_mm = noise_mm
@@ -161,17 +161,17 @@ class SimulatedRobot:
         self._n_moves = 0
 
     def move(self, positions_deg: Array) -> Array:
-        """Move to a pose and settle; the horn lags behind by the backlash.
+        """Move to a pose and settle; the horns lag behind by the backlash.
 
         Parameters
         ----------
         positions_deg : Array
-            (n_servos,).
+            (n_servos,) degrees.
 
         Returns
         -------
         Array
-            (n_servos,) degrees: the encoders then.
+            (n_servos,) degrees: the encoders' angles, equal to the goals.
         """
         half_deg = self._skin.backlash_deg / 2
         self._output_deg = np.clip(
@@ -182,7 +182,7 @@ class SimulatedRobot:
 
     @property
     def output_deg(self) -> Array:
-        """Where the horns stand, for the bench.
+        """The angles of the horns, behind the backlash, for tests.
 
         Returns
         -------
@@ -218,9 +218,9 @@ def true_markers_mm(draw: RobotDraw, output_deg: Array) -> Array:
     Parameters
     ----------
     draw : RobotDraw
-        The robot.
+        The drawn robot.
     output_deg : Array
-        (n, n_servos), behind the backlash.
+        (n, n_servos) degrees, behind the backlash.
 
     Returns
     -------

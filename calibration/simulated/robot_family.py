@@ -1,10 +1,13 @@
-"""The two families of simulated robots."""
+"""The two families of simulated robots, as an enumeration."""
 
 from enum import StrEnum
 
 
 class RobotFamily(StrEnum):
-    """own: rubber and play (face.py, robot.py); elastic: lips that stop each other, and more."""
+    """A family of simulated robots: OWN (rubber skin, backlash) or ELASTIC (lips in contact).
+
+    own: face.py, robot.py; elastic: elastic_robot.py.
+    """
 
     OWN = "own"
     ELASTIC = "elastic"

@@ -1,4 +1,4 @@
-"""Servos that follow late, for finding out by how much: dead time, inertia, top speed, encoder.
+"""Simulated servos that follow their goals late: dead time, inertia, top speed, encoder.
 
 Each joint is a critically damped second-order system behind a dead time, with a top speed. Not
 simulated: load, heat, a supply that sags, joints that pull at one another.
@@ -21,7 +21,7 @@ _SUBSTEPS = 10
 
 @dataclass(frozen=True, slots=True)
 class SimulatedServos:
-    """lag_s: (n_servos,), dead time included; dead_time_s, top_speed_deg_s: (n_servos,)."""
+    """Simulated servos that lag; all arrays are (n_servos,). lag_s: dead time included."""
 
     lag_s: Array
     dead_time_s: Array
@@ -29,23 +29,23 @@ class SimulatedServos:
 
     @classmethod
     def drawn(cls, n_servos: int, seed: int) -> "SimulatedServos":
-        """Servos of a seed."""
+        """Return servos with lags, dead times and top speeds drawn from a seed."""
         rng = np.random.default_rng([seed, 1])
         return cls(
             *(rng.uniform(*limits, n_servos) for limits in (LAG_S, DEAD_TIME_S, TOP_SPEED_DEG_S))
         )
 
     def shafts_deg(self, goals_deg: Array, rate_hz: float) -> Array:
-        """Return where the shafts are at the instants of goals.
+        """Return the angles of the shafts at the instants of goals.
 
-        Before the first goal everything has rested there for long.
+        Before the first goal the servos have rested at that goal for long.
 
         Parameters
         ----------
         goals_deg : Array
-            (n, n_servos), one each 1 / rate_hz.
+            (n, n_servos) degrees, one row each 1 / rate_hz seconds.
         rate_hz : float
-            Goals a second.
+            Goals per second.
 
         Returns
         -------
@@ -66,14 +66,14 @@ class SimulatedServos:
         return shafts
 
     def encoders_deg(self, goals_deg: Array, rate_hz: float) -> Array:
-        """Return the encoder readings of `shafts_deg`.
+        """Return the angles of the shafts at the instants of goals, rounded to encoder steps.
 
         Parameters
         ----------
         goals_deg : Array
-            (n, n_servos), one each 1 / rate_hz.
+            (n, n_servos) degrees, one row each 1 / rate_hz seconds.
         rate_hz : float
-            Goals a second.
+            Goals per second.
 
         Returns
         -------

@@ -1,6 +1,6 @@
-"""What a program needs to speak through a face: `connect` and `connect_async`.
+"""The client through which a program speaks with a face: `connect` and `connect_async`.
 
-A client needs websockets alone, and numpy only where it writes arrays. The protocol is
+A client needs websockets alone, and numpy only where it sends arrays. The protocol is
 docs/agents.md.
 """
 
@@ -14,9 +14,10 @@ _URL = "ws://127.0.0.1:8765"
 
 
 def connect(url: str = _URL, token: str | None = None) -> "Face":
-    """A running face to speak through: `with lipservo.connect() as face:`; docs/agents.md.
+    """Return a blocking client of a face: `with lipservo.connect() as face:`; docs/agents.md.
 
-    Entering it raises `lipservo_client.protocol.FaceError` where none answers or lets us in.
+    Entering it connects, or raises `lipservo_client.protocol.FaceError` if no face answers or
+    accepts the client.
     """
     from lipservo_client.blocking_face import Face
 
@@ -24,7 +25,7 @@ def connect(url: str = _URL, token: str | None = None) -> "Face":
 
 
 def connect_async(url: str = _URL, token: str | None = None) -> "AsyncFace":
-    """Connect in asyncio: `async with lipservo.connect_async() as face:`."""
+    """Return an asyncio client of a face: `async with lipservo.connect_async() as face:`."""
     from lipservo_client.async_face import AsyncFace
 
     return AsyncFace(url, token)

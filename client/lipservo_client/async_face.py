@@ -1,4 +1,4 @@
-"""A face to speak through, for programs with an event loop."""
+"""An asyncio client of a face: it sends speech and commands, and receives events."""
 
 import asyncio
 import contextlib
@@ -44,9 +44,9 @@ _MOST_EVENTS: Final = 1024
 class AsyncSpeech:
     """One stream of speech, from `async with face.stream() as speech`.
 
-    delay_ms: how long after its sound is sent it is seen on the face; who plays the sound itself
-    plays it so much later. rate_hz: of its samples. n_sent, n_played: samples that were written,
-    and that were heard of them, as the face last reported.
+    delay_ms: how long after its sound is sent the lips move with it; a client that plays the sound
+    itself plays it that much later. rate_hz: sample rate. n_sent, n_played: samples that were sent,
+    and that were played of them by the face's last report.
     """
 
     def __init__(self, face: "AsyncFace", stream: str, start: dict[str, object]) -> None:
@@ -68,25 +68,25 @@ class AsyncSpeech:
 
     @property
     def is_over(self) -> bool:
-        """Whether it was heard to its end, or cut off: by us or by another client."""
+        """Whether the stream was played to its end, or cut off by this or another client."""
         return self._heard.done()
 
     @property
     def is_complete(self) -> bool:
-        """Whether its end was sent."""
+        """Whether the end of the stream was sent."""
         return self._is_complete
 
     @property
     def was_heard(self) -> bool:
-        """Whether it was heard to its end."""
+        """Whether the stream was played to its end."""
         has_result = self.is_over and self._heard.exception() is None
         return has_result and self._heard.result().finished
 
     async def write(self, samples: Pcm) -> bool:
-        """Send samples at any pace; False once it was cut off, and no more are wanted.
+        """Send samples at any pace; return False once the stream was cut off and needs no more.
 
-        Waits while half a minute was written and not heard. Raises FaceError for what the face
-        refused, ValueError for arrays that are no mono sound.
+        Waits while more than half a minute is sent and not played. Raises FaceError for an error of
+        the stream that the face reported, ValueError for arrays that are no mono sound.
         """
         data = self._small + pcm_bytes(samples)
         self._small = b""
@@ -101,49 +101,52 @@ class AsyncSpeech:
         return True
 
     async def mark(self, name: str) -> None:
-        """Ask for a `mark` event when all that was written until now has been heard."""
+        """Request a `mark` event for when all samples written so far have been played."""
         await self._send_small()
         await self._wire.send("mark", name=name)
 
     async def tell(
         self, units: SpeechUnits, *, alphabet: str | None = None, language: str | None = None
     ) -> None:
-        """Send the text or units of this stream: before its sound, with it or late.
+        """Send the text or units of this stream: before its sound, with it or later.
 
-        More, or corrected.
+        Further calls add to them or correct them.
 
         units: a text; or (kind, units), kind `words`, `phonemes` or `visemes`, a unit being a
         label, or (label, start, end) in samples of the stream, either None where it is not known.
         From the first unit's start on they replace earlier ones. alphabet: of the labels, as
-        docs/text.md names it; None: ARPAbet. A face that cannot use it says so by an `error` event
-        `bad_text`, and listens.
+        docs/text.md names it; None: ARPAbet. A face that cannot use the units sends an `error`
+        event `bad_text`, and recognises phonemes in the sound.
         """
         for message in unit_messages(units):
             about = {"alphabet": alphabet, "language": language}
             await self._wire.send(message.pop("type"), stream=self.stream, **message, **about)
 
     async def report_played(self, played_s: float) -> None:
-        """With `playback="client"`: so much has left our loudspeaker now; the mouth follows."""
+        """With `playback="client"`: report the seconds that the client's loudspeaker has played."""
         await self._wire.send("position", stream=self.stream, played_s=played_s)
 
     async def end(self) -> None:
-        """End the stream; what was written is spoken to its end."""
+        """Send the end of the stream, once; the face plays what was written to its end."""
         if not self._is_complete:
             self._is_complete = True
             await self._send_small()
             await self._wire.send("end")
 
     async def wait(self) -> Played:
-        """End it, and wait until it was heard or cut off. Raises FaceError."""
+        """Send the end of the stream, wait until it is played or cut off, and return how much was.
+
+        Raises FaceError for an error of the stream, or if the connection is lost.
+        """
         await self.end()
         played = await self.heard()
         self._raise_error()
         return played
 
     async def heard(self) -> Played:
-        """Wait until it was heard or cut off, without ending it.
+        """Wait until played or cut off, without ending the stream; return how much was played.
 
-        Raises FaceError: the connection is gone, or nothing was heard for `STILL_S`.
+        Raises FaceError if the connection is lost, or nothing was played for `STILL_S` seconds.
         """
         loop = asyncio.get_running_loop()
         while not self._heard.done():
@@ -160,7 +163,7 @@ class AsyncSpeech:
         return self
 
     async def __aexit__(self, kind: type[BaseException] | None, *rest: object) -> None:
-        """Complete; or, where something went wrong on the way, silent."""
+        """Send the end of the stream; or, after an exception, interrupt the face."""
         with contextlib.suppress(FaceError):
             if kind is None:
                 await self.end()
@@ -169,7 +172,7 @@ class AsyncSpeech:
                 await self._wire.send("interrupt")
 
     def hear(self, event: Event) -> None:
-        """Handle an event of this stream."""
+        """Update the stream by an event of the face: ready, samples played, end or error."""
         if event.get("n_played", 0) > self.n_played:
             self.n_played = int(event["n_played"])
             self._moved_s = asyncio.get_running_loop().time()
@@ -184,7 +187,10 @@ class AsyncSpeech:
                 self.fail(error_of(event))
 
     def fail(self, error: FaceError) -> None:
-        """Note that the face refused a message of this stream."""
+        """Store an error of this stream, which the next `write` or `wait` raises.
+
+        If the stream has not started yet, starting it raises the error.
+        """
         if not self._ready.done():
             self._ready.set_exception(error)
             self._ready.exception()  # nobody need wait for it
@@ -194,7 +200,7 @@ class AsyncSpeech:
             self._error = self._error or error
 
     def lose(self, error: FaceError) -> None:
-        """End the stream with an error: the connection is lost."""
+        """End the stream with the error of a lost connection, which waiting calls raise."""
         self.fail(error)
         if not self.is_over:
             self._heard.set_exception(error)
@@ -203,11 +209,11 @@ class AsyncSpeech:
 
     @property
     def is_starting(self) -> bool:
-        """Whether the face has not answered yet."""
+        """Whether the face has not yet answered the start of the stream."""
         return not self._ready.done()
 
     async def _has_room(self) -> bool:
-        """Wait until so little is unheard that more may be sent; False once it was cut off."""
+        """Wait until at most 30 s are unplayed; return True, or False if the stream is over."""
         loop = asyncio.get_running_loop()
         while not self.is_over and self.n_sent - self.n_played > _AHEAD_S * self.rate_hz:
             self._moved.clear()
@@ -217,7 +223,7 @@ class AsyncSpeech:
         return not self.is_over
 
     def _patience_s(self, now_s: float) -> float:
-        """How long something of it may still be awaited. Raises FaceError: no longer."""
+        """Return the seconds left to wait for progress. Raises FaceError if none are left."""
         still_s = self._moved_s + STILL_S - now_s
         if still_s <= 0.0:
             still = f"nothing of {self.stream} was heard for {STILL_S:g} s"
@@ -241,9 +247,9 @@ class AsyncSpeech:
 
 
 class Events:
-    """What a face tells, in order, from when it was made until the face is left.
+    """An asynchronous iterator over a face's events, in order, until the client disconnects.
 
-    A reader that is slow, or never reads, keeps the newest 1,024.
+    A reader that is slow, or never reads, gets the newest 1,024.
     """
 
     def __init__(self) -> None:
@@ -252,12 +258,12 @@ class Events:
         self._is_over = False
 
     def put(self, event: Event) -> None:
-        """Append an event."""
+        """Append an event; beyond 1,024 the oldest is dropped."""
         self._waiting.append(event)
         self._filled.set()
 
     def end(self) -> None:
-        """End the iteration: no more events come."""
+        """End the iteration after the events that still wait."""
         self._is_over = True
         self._filled.set()
 
@@ -276,10 +282,11 @@ class Events:
 class AsyncFace:
     """A connection to a face; from `lipservo.connect_async`.
 
-    A connection that is lost is opened again, later and later up to every five seconds, until the
-    face is left. `events()` gives `disconnected` and `reconnected`, with `code` and `message`;
-    `disconnected` again where the face is back and refuses us (bad_protocol, unauthorized). What
-    being spoken then is over: its stream raises FaceError, and nothing of it is sent again.
+    A lost connection is opened again, with pauses that grow up to five seconds, until the client
+    disconnects. `events()` yields `disconnected` and `reconnected`, with `code` and `message`;
+    `disconnected` again if the face is back and refuses this client (bad_protocol, unauthorized).
+    Speech that was being played is over then: its stream raises FaceError, and nothing of it is
+    sent again.
     """
 
     def __init__(self, url: str, token: str | None) -> None:
@@ -298,23 +305,23 @@ class AsyncFace:
 
     @property
     def wire(self) -> Wire:
-        """The connection for speech. Raises FaceError while there is none."""
+        """The connection for speech. Raises FaceError while there is no connection."""
         if self._connection is None:
             raise FaceError("disconnected", f"{self._url}: not connected; it is tried again")
         return self._connection
 
     @property
     def is_connected(self) -> bool:
-        """Whether speech can be sent."""
+        """Whether the connection is open, so that speech can be sent."""
         return self._connection is not None
 
     async def __aenter__(self) -> Self:
-        """Raises FaceError: unauthorized, refused, not_answering, bad_protocol."""
+        """Connect. Raises FaceError: unauthorized, refused, not_answering, bad_protocol."""
         await self._connect()
         return self
 
     async def __aexit__(self, *exc: object) -> None:
-        """Disconnect. Streams that were ended are spoken to their end; others are cut off."""
+        """Disconnect. Streams that were ended are played to their end; others are cut off."""
         if self._reconnecting is not None:
             self._reconnecting.cancel()
             await asyncio.gather(self._reconnecting, return_exceptions=True)
@@ -333,10 +340,11 @@ class AsyncFace:
         playback: Literal["server", "client"] = "server",
         stream: str | None = None,
     ) -> AsyncSpeech:
-        """A new stream of speech. playback: "client" where this program plays the sound itself.
+        """Return a new stream of speech, which starts when it is entered.
 
-        stream: an id of your choice, unique among the streams of one face. Raises FaceError:
-        disconnected, stream_open.
+        playback: "client" if this program plays the sound itself. stream: an id, unique among this
+        client's open streams; None: one is made. Raises FaceError: disconnected, or stream_open if
+        the id is in use.
         """
         name = stream or f"speech {next(self._numbers)}"
         self._speeches = {key: each for key, each in self._speeches.items() if not each.is_over}
@@ -347,9 +355,9 @@ class AsyncFace:
         return speech
 
     async def interrupt(self) -> Played | None:
-        """Barge-in: silence now. What was heard of all that was not finished; None: nothing was.
+        """Silence the face now; return how much of all unfinished streams was played (barge-in).
 
-        Raises FaceError.
+        None: no stream was unfinished. Raises FaceError.
         """
         unfinished = [each for each in self._speeches.values() if not each.is_over]
         await self.wire.send("interrupt")
@@ -364,58 +372,63 @@ class AsyncFace:
         )
 
     async def pause(self) -> None:
-        """Silence now; what was not heard is kept, up to a minute, until `resume`."""
+        """Silence the face now; unplayed speech is kept, up to a minute, until `resume`."""
         await self.wire.send("pause")
 
     async def resume(self) -> None:
-        """Resume speech where it was paused."""
+        """Resume speech that `pause` silenced; up to 10 ms of it are lost."""
         await self.wire.send("resume")
 
     def keep_trying(self) -> None:
-        """Connect as soon as a face is there, in place of entering it. Of who may wait for it."""
+        """Connect in the background as soon as a face answers, instead of entering this client."""
         self._reconnecting = asyncio.get_running_loop().create_task(self._reconnect())
 
     def events(self) -> Events:
-        """Whatever the face tells from now on, until the face is left."""
+        """Return an iterator over the face's events from now on, until this client disconnects."""
         events = Events()
         self._events.add(events)
         return events
 
     async def status(self) -> dict[str, Any]:
-        """How the face is: the fields of docs/architecture.md, "Status". Raises FaceError."""
+        """Return the face's status: fields of docs/architecture.md, "Status". Raises FaceError."""
         return await self._ask("status")
 
     async def stop(
         self, level: Literal["soft", "freeze", "limp"] = "soft", *, end: bool = False
     ) -> dict[str, Any]:
-        """Stop the face: to rest and limp, frozen, or limp at once. Raises FaceError.
+        """Stop the face: soft (to rest, then torque off), freeze, or limp (torque off at once).
 
-        A daemon that was stopped waits, limp, for `start`; with `end` it ends.
+        A stopped daemon waits, torque off, for `start`; with `end` it exits. Returns the face's
+        answer. Raises FaceError.
         """
         return await self._ask("stop", level=level, end=end)
 
     async def start(self) -> dict[str, Any]:
-        """Drive a stopped face again: it moves. Returns once the start is accepted.
+        """Start a stopped face again: it moves. Return the answer once the start is accepted.
 
-        Whether it came to be driven is in `status`: `state`, `troubles`. Raises FaceError.
+        Whether the face is really running is in `status`: `state`, `troubles`. Raises FaceError.
         """
         return await self._ask("start")
 
     async def set(self, name: str, value: float) -> dict[str, Any]:
-        """Change a setting while it runs, as `strength`. Raises FaceError."""
+        """Change a setting of the running face, such as `strength`. Raises FaceError."""
         return await self._ask("set", name=name, value=value)
 
     async def say(self, text: str, *, wait: bool = False) -> dict[str, Any]:
-        """Say a text with the face's own voice. Raises FaceError.
+        """Speak a text with the face's own voice. Raises FaceError.
 
-        Returns `stream`, as the face's status calls it in `speaking`, and `duration_s` of what is
-        synthesised; `is_whole`: of all of it. wait: until it was heard or dropped; then also
-        `finished` (it was heard whole) and `played_s`.
+        Returns `stream`, its id in the field `speaking` of the status, and `duration_s` of what is
+        synthesised; `is_whole`: whether that is all of it. wait: until it was played or dropped;
+        then also `finished` (it was played whole) and `played_s`.
         """
         return await self._let_speak("say", wait=wait, text=text)
 
     async def play(self, file: str, *, wait: bool = False) -> dict[str, Any]:
-        """Play a sound file or a performance (.perf) of the face's folder; else as `say`."""
+        """Play a sound file or a performance (.perf) of the face's folder. Raises FaceError.
+
+        Returns `stream`, `duration_s` and `is_whole`. wait: until it was played or dropped; then
+        also `finished` (it was played whole) and `played_s`.
+        """
         return await self._let_speak("play", wait=wait, file=file)
 
     async def _let_speak(self, kind: str, *, wait: bool, **fields: object) -> dict[str, Any]:
@@ -532,7 +545,7 @@ class AsyncFace:
 
 
 def _settle(waiting: asyncio.Future[Any] | None, answer: object) -> None:
-    """Give the answer, or raise it where it is an error, if it is still waited for."""
+    """Set a future's result, or its exception for a FaceError, unless it is None or done."""
     if waiting is None or waiting.done():
         return
     if isinstance(answer, FaceError):
@@ -544,7 +557,7 @@ def _settle(waiting: asyncio.Future[Any] | None, answer: object) -> None:
 
 @contextlib.asynccontextmanager
 async def _patience(what: str, limit_s: float) -> AsyncGenerator[None, None]:
-    """Raises FaceError where the block takes longer."""
+    """Raise FaceError if the block takes longer than `limit_s`; `what` names it in the message."""
     try:
         async with asyncio.timeout(limit_s):
             yield

@@ -1,10 +1,11 @@
 """Blendshapes of a face, ARKit's 52 or Azure's 55, as visemes: the nearest mouth, frame by frame.
 
-Weights say how a face looks, not which phoneme is spoken, and every rig has its own gains. Four
-measures of the mouth are taken from those that move it in speech, and the phone whose mouth is
-nearest stands for the frame. Names and their meaning: Apple, "ARFaceAnchor.BlendShapeLocation"; the
-order of lists, and their 60 Hz: learn.microsoft.com/azure/ai-services/speech-service/
-how-to-speech-synthesis-viseme, which is that of Live Link Face too.
+Weights describe how a face looks, not which phoneme is spoken, and every rig has its own gains.
+Four measures of the mouth are computed from the weights that speech moves, and the phone with the
+nearest mouth is that of the frame. Names and their meaning: Apple,
+"ARFaceAnchor.BlendShapeLocation"; the order of lists, and their 60 Hz:
+learn.microsoft.com/azure/ai-services/speech-service/how-to-speech-synthesis-viseme, which is that
+of Live Link Face too.
 """
 
 import reprlib
@@ -46,9 +47,9 @@ _SHORTEST_S: Final = 0.035
 def mouth_rows(
     frames: Sequence[object], rate_hz: float, first: int = 0
 ) -> list[tuple[str, float, float]]:
-    """(phone, start_s, end_s) of frames, each a list of 52 or 55 weights or weights by name.
+    """Return (phone, start_s, end_s) of frames, each 52 or 55 weights, or weights by name.
 
-    first: the number of the first frame in its stream. Raises ValueError for another frame.
+    first: the number of the first frame in its stream. Raises ValueError for a malformed frame.
     """
     rows: list[tuple[str, float, float]] = []
     number = first
@@ -67,7 +68,7 @@ def mouth_rows(
 
 
 def _weights(frame: object) -> dict[str, float]:
-    """By the names, in lower case, of those that speech moves."""
+    """Return the weights that speech moves, by lower-case name; 0 if missing. Raises ValueError."""
     if isinstance(frame, list) and len(frame) in _LIST_LENGTHS:
         given = {name: frame[place] for name, place in _PLACES.items()}
     elif isinstance(frame, Mapping):

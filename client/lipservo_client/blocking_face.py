@@ -1,4 +1,4 @@
-"""A face to speak through, for programs without an event loop: a call returns when it is done."""
+"""A blocking client of a face, for programs without an event loop: a call returns when done."""
 
 import asyncio
 import threading
@@ -16,7 +16,7 @@ _Answer = TypeVar("_Answer")
 
 
 class Speech:
-    """One stream of speech, from `with face.stream() as speech`; see `AsyncSpeech`."""
+    """One stream of speech, from `with face.stream() as speech`; a blocking `AsyncSpeech`."""
 
     def __init__(self, face: "Face", speech: AsyncSpeech) -> None:
         self._face = face
@@ -24,38 +24,38 @@ class Speech:
 
     @property
     def delay_ms(self) -> float:
-        """How long after its sound is sent it is seen on the face."""
+        """How many ms after its sound is sent the lips move with it."""
         return self._speech.delay_ms
 
     @property
     def is_over(self) -> bool:
-        """Whether it was heard to its end, or cut off: by us or by another client."""
+        """Whether the stream was played to its end, or cut off by this or another client."""
         return self._speech.is_over
 
     def write(self, samples: Pcm) -> bool:
-        """Send samples at any pace; False once it was cut off. Raises FaceError, ValueError."""
+        """Send samples; return False once the stream is cut off. Raises FaceError, ValueError."""
         return self._face.wait_for(self._speech.write(samples))
 
     def mark(self, name: str) -> None:
-        """Ask for a `mark` event when all that was written until now has been heard."""
+        """Request a `mark` event for when all samples written so far have been played."""
         self._face.wait_for(self._speech.mark(name))
 
     def tell(
         self, units: SpeechUnits, *, alphabet: str | None = None, language: str | None = None
     ) -> None:
-        """Send the text or units of this stream, beside its sound; see `AsyncSpeech.tell`."""
+        """Send the text, or the words, phonemes or visemes, that this stream's sound contains."""
         self._face.wait_for(self._speech.tell(units, alphabet=alphabet, language=language))
 
     def report_played(self, played_s: float) -> None:
-        """With `playback="client"`: so much has left our loudspeaker now; the mouth follows."""
+        """With `playback="client"`: report the seconds that the client's loudspeaker has played."""
         self._face.wait_for(self._speech.report_played(played_s))
 
     def end(self) -> None:
-        """End the stream; what was written is spoken to its end."""
+        """Send the end of the stream, once; the face plays what was written to its end."""
         self._face.wait_for(self._speech.end())
 
     def wait(self) -> Played:
-        """End it, and wait until it was heard or cut off. Raises FaceError."""
+        """End the stream and wait; return how much of it was played. Raises FaceError."""
         return self._face.wait_for(self._speech.wait())
 
     def __enter__(self) -> Self:
@@ -63,12 +63,12 @@ class Speech:
         return self
 
     def __exit__(self, *exc: Any) -> None:
-        """Complete; or, where something went wrong on the way, silent."""
+        """Send the end of the stream; or, after an exception, interrupt the face."""
         self._face.wait_for(self._speech.__aexit__(*exc))
 
 
 class Face:
-    """A connection to a face, from `lipservo.connect`. Any thread may use it."""
+    """A connection to a face, from `lipservo.connect`, that any thread may use."""
 
     def __init__(self, url: str, token: str | None) -> None:
         self._loop = asyncio.new_event_loop()
@@ -85,7 +85,7 @@ class Face:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """Disconnect. Streams that were ended are spoken to their end; others are cut off."""
+        """Disconnect. Streams that were ended are played to their end; others are cut off."""
         try:
             self.wait_for(self._face.__aexit__())
         finally:
@@ -97,7 +97,7 @@ class Face:
         playback: Literal["server", "client"] = "server",
         stream: str | None = None,
     ) -> Speech:
-        """A new stream of speech; see `AsyncFace.stream`."""
+        """Return a new stream of speech, which starts when entered. Raises FaceError."""
 
         async def made() -> AsyncSpeech:
             return self._face.stream(sample_rate, playback, stream)
@@ -105,19 +105,19 @@ class Face:
         return Speech(self, self.wait_for(made()))
 
     def interrupt(self) -> Played | None:
-        """Barge-in: silence now. What was heard of all that was not finished; None: nothing was."""
+        """Silence the face now; return how much of unfinished speech was played, or None."""
         return self.wait_for(self._face.interrupt())
 
     def pause(self) -> None:
-        """Silence now; what was not heard is kept, up to a minute, until `resume`."""
+        """Silence the face now; unplayed speech is kept, up to a minute, until `resume`."""
         self.wait_for(self._face.pause())
 
     def resume(self) -> None:
-        """Resume speech where it was paused."""
+        """Resume speech that `pause` silenced; up to 10 ms of it are lost."""
         self.wait_for(self._face.resume())
 
     def events(self) -> Iterator[Event]:
-        """Whatever the face tells from now on, until the face is left; `disconnected` too."""
+        """Return an iterator over the face's events from now on, until this client disconnects."""
 
         async def made() -> Events:
             return self._face.events()
@@ -125,42 +125,48 @@ class Face:
         return self._listen(self.wait_for(made()))
 
     def status(self) -> dict[str, Any]:
-        """How the face is. Raises FaceError."""
+        """Return the face's status: fields of docs/architecture.md, "Status". Raises FaceError."""
         return self.wait_for(self._face.status())
 
     def stop(
         self, level: Literal["soft", "freeze", "limp"] = "soft", *, end: bool = False
     ) -> dict[str, Any]:
-        """Stop the face: to rest and limp, frozen, or limp at once. Raises FaceError.
+        """Stop the face: soft (to rest, then torque off), freeze, or limp (torque off at once).
 
-        A daemon that was stopped waits, limp, for `start`; with `end` it ends.
+        A stopped daemon waits, torque off, for `start`; with `end` it exits. Returns the face's
+        answer. Raises FaceError.
         """
         return self.wait_for(self._face.stop(level, end=end))
 
     def start(self) -> dict[str, Any]:
-        """Drive a stopped face again: it moves. Returns once the start is accepted.
+        """Start a stopped face again: it moves. Return the answer once the start is accepted.
 
-        Whether it came to be driven is in `status`: `state`, `troubles`. Raises FaceError.
+        Whether the face is really running is in `status`: `state`, `troubles`. Raises FaceError.
         """
         return self.wait_for(self._face.start())
 
     def set(self, name: str, value: float) -> dict[str, Any]:
-        """Change a setting while it runs, as `strength`. Raises FaceError."""
+        """Change a setting of the running face, such as `strength`. Raises FaceError."""
         return self.wait_for(self._face.set(name, value))
 
     def say(self, text: str, *, wait: bool = False) -> dict[str, Any]:
-        """Say a text with the face's own voice; see `AsyncFace.say`. Raises FaceError."""
+        """Speak a text with the face's own voice. Raises FaceError.
+
+        Returns `stream`, `duration_s` and `is_whole`. wait: until it was played or dropped; then
+        also `finished` (it was played whole) and `played_s`.
+        """
         return self.wait_for(self._face.say(text, wait=wait))
 
     def play(self, file: str, *, wait: bool = False) -> dict[str, Any]:
         """Play a sound file or a performance (.perf) of the face's folder. Raises FaceError.
 
-        Returns once it is read and waits for its turn, or with `wait` when it was heard.
+        Returns `stream`, `duration_s` and `is_whole`. wait: until it was played or dropped; then
+        also `finished` (it was played whole) and `played_s`.
         """
         return self.wait_for(self._face.play(file, wait=wait))
 
     def wait_for(self, call: Coroutine[Any, Any, _Answer]) -> _Answer:
-        """Run it in the connection's own thread, and wait."""
+        """Run a coroutine in the connection's thread; return its result, EOFError if that ended."""
         answer = asyncio.run_coroutine_threadsafe(call, self._loop)
         try:
             while True:
@@ -194,7 +200,7 @@ class Face:
         self._loop.run_forever()
 
     def _end(self) -> None:
-        """Release every thread that still waits for this face."""
+        """Cancel all calls that still wait for this face, and end the connection's thread."""
 
         async def cancel_all() -> None:
             others = asyncio.all_tasks() - {asyncio.current_task()}

@@ -1,4 +1,4 @@
-"""A face as the loudspeaker of a LiveKit agent: `session.output.audio = face`.
+"""A face as the audio output of a LiveKit agent: `session.output.audio = face`.
 
 Needs the extra `livekit`.
 """
@@ -22,11 +22,11 @@ _LOG: Final = logging.getLogger(__name__)
 
 
 class LiveKitFace(AudioOutput):
-    """Plays what an `AgentSession` says, and tells how much of it was heard; it can pause.
+    """An audio output that plays an `AgentSession`'s speech on a face; it can pause.
 
-    Enter it before the session starts. While no face answers, or another client speaks through it,
-    segments end at once as interrupted, with nothing heard, and a warning is logged; a face that
-    comes back is used from the next segment on.
+    It reports how much was played. Enter it before the session starts. While no face answers, or
+    another client speaks through it, segments end at once as interrupted, with nothing played, and
+    a warning is logged; a face that comes back is used from the next segment on.
     """
 
     def __init__(self, url: str = "ws://127.0.0.1:8765", token: str | None = None) -> None:
@@ -40,7 +40,7 @@ class LiveKitFace(AudioOutput):
         self._last: asyncio.Task[None] | None = None
 
     async def __aenter__(self) -> Self:
-        """Connect, or go on trying where no face answers."""
+        """Connect, or go on trying in the background if no face answers."""
         try:
             await self._face.__aenter__()
         except FaceError:
@@ -49,14 +49,14 @@ class LiveKitFace(AudioOutput):
         return self
 
     async def __aexit__(self, *exc: object) -> None:
-        """Hang up; segments that are not over end as interrupted."""
+        """Disconnect; segments that are not over end as interrupted."""
         await self._face.__aexit__()
         for task in self._working:
             task.cancel()
         await asyncio.gather(*self._working, return_exceptions=True)
 
     async def capture_frame(self, frame: rtc.AudioFrame) -> None:
-        """Send it; waits while half a minute is unheard."""
+        """Send a frame of sound to the face; wait while 30 s are unplayed."""
         await super().capture_frame(frame)
         if self._is_cut:
             return
@@ -81,27 +81,27 @@ class LiveKitFace(AudioOutput):
                 self.on_playback_finished(playback_position=0.0, interrupted=True)
 
     def flush(self) -> None:
-        """End the segment: it is complete."""
+        """Mark the current segment as complete; the face plays it to its end."""
         super().flush()
         speech, self._speech, self._is_cut = self._speech, None, False
         if speech is not None:
             self._then(speech.end())
 
     def clear_buffer(self) -> None:
-        """Interrupt the face at once."""
+        """Interrupt the face at once; drop the rest of the segment."""
         self._is_cut = self._is_cut or self._speech is not None
         if self._face.is_connected:
             self._then(self._face.interrupt())
 
     def pause(self) -> None:
-        """Silence now; what was not heard is kept, up to a minute."""
+        """Silence the face now; unplayed speech is kept, up to a minute, until `resume`."""
         super().pause()
         self._is_paused = True
         if self._is_saying:
             self._then(self._face.pause())
 
     def resume(self) -> None:
-        """Resume speech where it was paused."""
+        """Resume speech that `pause` silenced."""
         super().resume()
         self._is_paused = False
         if self._is_saying:
@@ -129,7 +129,7 @@ class LiveKitFace(AudioOutput):
         return task
 
     def _then(self, work: Coroutine[Any, Any, object]) -> None:
-        """Do it once what was begun before is done: an end, then an interruption."""
+        """Run `work` once the work begun before is done: an end, then an interruption."""
         before = self._last
 
         async def done() -> None:
@@ -142,7 +142,7 @@ class LiveKitFace(AudioOutput):
 
 
 def _frame_units(frame: rtc.AudioFrame) -> list[SpeechUnits]:
-    """What the synthesiser tells of the segment beside the sound: words with times, or text."""
+    """Return the frame's words with times, or text, which the synthesiser sent with the sound."""
     units: list[SpeechUnits] = []
     for word in frame.userdata.get(USERDATA_TIMED_TRANSCRIPT, ()):
         if not word.strip():

@@ -1,9 +1,9 @@
-"""Tokens of the faces of this computer: where they lie, and which program may be sent one.
+"""Tokens of the faces of this computer: their files, and the programs that may be sent one.
 
 A face keeps its token beside its control socket, in a folder that only its owner fills; the folders
 are those of `firmware_bridge/process/runtime_folder.py`, which a client does not need. The kernel's
-list of TCP sockets, readable by everybody, says whose program listens on a port before a token is
-sent there, and which user's program has connected.
+list of TCP sockets, readable by every user, contains the user whose program listens on a port,
+before a token is sent there, and the user whose program has connected.
 """
 
 import ipaddress
@@ -25,10 +25,10 @@ _LISTEN: Final = "0A"  # TCP_LISTEN of the kernel's include/net/tcp_states.h
 
 
 def found_tokens(url: str) -> list[str]:
-    """Return the tokens that a face at `url` may ask for; none for another computer's.
+    """Return the tokens that a face at `url` may require; empty for another computer's.
 
-    They are read in the runtime folders where running faces are searched. A token is sent only to
-    a program of the user who owns its file: another user's, that listens on the port, gets none.
+    They are read in the runtime folders where running faces are searched. A token is sent only to a
+    program of the user who owns its file: another user's, that listens on the port, gets none.
     """
     try:
         split = urlsplit(url)
@@ -43,10 +43,11 @@ def found_tokens(url: str) -> list[str]:
 
 
 def runtime_folders() -> list[Path]:
-    """The folders in which a running face may be found: the service's, ours, for root everybody's.
+    """Return the folders that may contain a running face: the service's and the user's; root: all.
 
-    What cannot be looked into is left out, and so is a folder of others that does not belong to the
-    user whose number is in its name: what lies there may be anything.
+    LIPSERVO_RUNTIME, if set, is the only one. Folders that cannot be read are left out, and so is
+    another user's folder that does not belong to the user whose number is in its name: its contents
+    may be anything.
     """
     if own := os.environ.get("LIPSERVO_RUNTIME", ""):
         return [each for each in (Path(own),) if _may_look_into(each)]
@@ -74,7 +75,7 @@ def runtime_folders() -> list[Path]:
 
 @dataclass(frozen=True, slots=True)
 class TcpSocket:
-    """One row: ports of its own and the other end, the user who made it, and its inode."""
+    """One TCP socket: its port, its peer's port, its user's id, its inode, whether it listens."""
 
     port: int
     peer_port: int
@@ -84,7 +85,7 @@ class TcpSocket:
 
 
 def tcp_sockets() -> Iterator[TcpSocket]:
-    """Every TCP socket of this network namespace; none where the kernel does not list them."""
+    """Yield every TCP socket of this network namespace; none if the kernel does not list them."""
     for table in _TABLES:
         try:
             rows = table.read_text("ascii", "replace").splitlines()[1:]
@@ -97,17 +98,17 @@ def tcp_sockets() -> Iterator[TcpSocket]:
 
 
 def are_listed() -> bool:
-    """Whether this system lists its sockets at all."""
+    """Return whether this system lists its TCP sockets, as Linux does in /proc/net."""
     return any(table.exists() for table in _TABLES)
 
 
 def listening_users(port: int) -> set[int]:
-    """The users whose programs listen on a port."""
+    """Return the ids of the users whose programs listen on a port."""
     return {each.uid for each in tcp_sockets() if each.listens and each.port == port}
 
 
 def connected_users(port: int, server_port: int) -> set[int]:
-    """The users who made a socket with this port, connected to `server_port` of this computer."""
+    """Return the ids of users with a socket from `port` to this computer's `server_port`."""
     return {
         each.uid
         for each in tcp_sockets()
@@ -116,7 +117,7 @@ def connected_users(port: int, server_port: int) -> set[int]:
 
 
 def host_address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
-    """The address that a host is written as; None for a name."""
+    """Return the IP address that `host` is; None for a name. IPv4-mapped IPv6 becomes IPv4."""
     try:
         address = ipaddress.ip_address(host)
     except ValueError:
@@ -126,13 +127,13 @@ def host_address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | N
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a host, by name or address, is this computer as it sees itself."""
+    """Return whether a host, by name or address, is this computer's loopback."""
     address = host_address(host)
     return host.lower() == "localhost" if address is None else address.is_loopback
 
 
 def _token_of(path: Path, users: set[int]) -> str | None:
-    """The token in a file of one of these users; None: there is none that we may read."""
+    """Return the token in a file owned by one of these users; None if unreadable or empty."""
     try:
         fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError:
@@ -150,7 +151,7 @@ def _token_of(path: Path, users: set[int]) -> str | None:
 
 
 def _belongs_to(folder: Path, uid: int) -> bool:
-    """Whether it is a true folder of that user into which no other user can put anything."""
+    """Return whether `folder`, not a link, is user `uid`'s, and no other user can write to it."""
     try:
         found = folder.lstat()
     except OSError:

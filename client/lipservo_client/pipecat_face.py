@@ -1,6 +1,6 @@
-"""A face in a Pipecat pipeline: as its voice, or following the voice of a transport.
+"""A face in a Pipecat pipeline: as its loudspeaker, or following a transport's sound.
 
-`PipecatFace` plays what the TTS service makes; `PipecatFollower` moves the lips to sound that a
+`PipecatFace` plays the sound of the TTS service; `PipecatFollower` moves the lips to sound that a
 transport plays. Needs the extra `pipecat`. docs/agents.md has the frames as a table.
 """
 
@@ -33,7 +33,7 @@ _REPORT_S: Final = 0.1
 
 
 class _FaceProcessor(FrameProcessor):
-    """Connects when the pipeline starts, and again whenever the face is there again."""
+    """A frame processor that connects to a face at the start, and again after every loss."""
 
     def __init__(self, url: str, token: str | None) -> None:
         super().__init__()
@@ -41,14 +41,14 @@ class _FaceProcessor(FrameProcessor):
         self._tasks: list[asyncio.Task[None]] = []
 
     async def cleanup(self) -> None:
-        """Disconnect from the face."""
+        """Cancel the processor's tasks and disconnect from the face."""
         await super().cleanup()
         for task in self._tasks:
             await self.cancel_task(task)
         await self._face.__aexit__()
 
     async def _connect(self, *working: Coroutine[Any, Any, None]) -> None:
-        """working: what goes on until the pipeline ends."""
+        """Connect to the face, and run the `working` coroutines until the pipeline ends."""
         self._tasks = [self.create_task(each) for each in working]
         try:
             await self._face.__aenter__()
@@ -70,10 +70,10 @@ class _FaceProcessor(FrameProcessor):
 
 @dataclass(slots=True)
 class _Unheard:
-    """A frame that goes on when sample n of a stream was heard; sound is not passed on.
+    """A frame that waits until sample n of a stream was played; sound is then dropped.
 
-    speech: None: nothing was spoken before it. is_timed: n lies within the sound, as of a word;
-    else behind all that came before the frame.
+    speech: None: the frame follows no speech. is_timed: n lies within the sound, as for a word;
+    otherwise behind all sound that came before the frame.
     """
 
     speech: AsyncSpeech | None
@@ -92,26 +92,23 @@ class _Unheard:
 
     @property
     def may_go_on(self) -> bool:
-        """It was heard; behind a whole stream: and the face is free for others."""
+        """Whether its sound was played and, if that ended the stream, the stream is over."""
         is_last = self.speech is not None and self.speech.is_complete and not self.speech.is_over
         return self.is_heard and (self.is_sound or not is_last)
 
     @property
     def is_lost(self) -> bool:
-        """Whether it never will be heard.
-
-        Its stream was cut off, by another client or a lost connection.
-        """
+        """Whether its sound will never be played, because the stream was cut off."""
         return self.speech is not None and self.speech.is_over and not self.is_heard
 
 
 class PipecatFace(_FaceProcessor):
-    """Stands behind the TTS service, where the sound would go to the transport.
+    """A processor behind the TTS service that plays its sound on a face instead of a transport.
 
-    Frames behind sound go on when it was heard, so that the context holds what a person heard.
-    Where no face answers, an error is pushed and the sound goes on to the transport, until the face
-    is back and the transport has played it. last_played: what became of the speech that a person
-    interrupted last; None: there was none.
+    Frames behind sound go on when the sound was played, so that the context contains what a person
+    heard. While no face answers, an error is pushed and the sound goes on to the transport, until
+    the face is back and the transport has played it. last_played: how much was played of the speech
+    that was last interrupted; None: there was none.
     """
 
     def __init__(self, url: str = "ws://127.0.0.1:8765", token: str | None = None) -> None:
@@ -137,7 +134,7 @@ class PipecatFace(_FaceProcessor):
         self.last_played: Played | None = None
 
     async def process_frame(self, frame: frames.Frame, direction: FrameDirection) -> None:
-        """Take the sound; hand on everything else, once what is before it was heard."""
+        """Send sound to the face; push every other frame once the sound before it was played."""
         await super().process_frame(frame, direction)
         if isinstance(frame, frames.StartFrame):
             await self._connect(self._follow(), self._ask_positions())
@@ -192,7 +189,7 @@ class PipecatFace(_FaceProcessor):
             await asyncio.shield(self._release())
 
     async def _stream(self, rate_hz: int) -> AsyncSpeech:
-        """The stream of this turn. Raises FaceError."""
+        """Return the open stream of this turn, or a new one. Raises FaceError."""
         speech = self._speech
         if speech is not None and speech.rate_hz != rate_hz:
             await speech.end()
@@ -206,7 +203,7 @@ class PipecatFace(_FaceProcessor):
         return speech
 
     async def _tell(self, frame: frames.AggregatedTextFrame) -> None:
-        """Words with their times, else sentences before their sound."""
+        """Send words with their times to the face, or sentences before their sound."""
         is_spoken = isinstance(frame, frames.TTSTextFrame)
         n = self._sample_of(frame)
         text = frame.text.strip()
@@ -222,9 +219,9 @@ class PipecatFace(_FaceProcessor):
             await self._speech.tell(text if n is None else ("words", [(text, n)]))
 
     def _sample_of(self, frame: frames.Frame) -> int | None:
-        """Return the sample of the stream where a word is spoken.
+        """Return the sample of the stream at which a word is spoken; None without a time.
 
-        None: it is no word, or one without a time.
+        None also for a frame that is no text, or while no stream is open.
         """
         speech = self._speech
         context = self._contexts.get(getattr(frame, "context_id", None))
@@ -236,7 +233,7 @@ class PipecatFace(_FaceProcessor):
         return max(0, int(context[0] + round(since_s * speech.rate_hz)))
 
     def _wait_in_line(self, frame: frames.Frame) -> None:
-        """Put a frame behind the sound that came before it, or where in the sound its time is."""
+        """Insert a frame behind the sound that came before it, or at its time within the sound."""
         speech = self._speech or (self._line[-1].speech if self._line else None)
         n = self._sample_of(frame)
         if n is not None:
@@ -252,7 +249,7 @@ class PipecatFace(_FaceProcessor):
         self._line.append(_Unheard(speech, n, frame))
 
     async def _mark(self) -> None:
-        """Have the face tell when all that was sent until now was heard."""
+        """Request a mark for all samples sent until now, if frames wait for them."""
         speech, name = self._speech, str(self._n)
         is_awaited = any(not each.is_sound for each in self._line)
         if speech is None or speech.is_over or not is_awaited:
@@ -263,7 +260,7 @@ class PipecatFace(_FaceProcessor):
                 await speech.mark(name)
 
     async def _release(self) -> None:
-        """Hand on what was heard by now; what never will be is no part of a context."""
+        """Push the waiting frames whose sound was played; drop text that will never be spoken."""
         async with self._releasing:
             speech = self._speech
             if self._is_complete and all(each.is_heard for each in self._line if each.is_sound):
@@ -286,14 +283,17 @@ class PipecatFace(_FaceProcessor):
                 await speech.end()
 
     async def _tell_speaking(self, is_speaking: bool) -> None:
-        """The pipeline learns when the face is heard, as it would from an output transport."""
+        """Broadcast a start or stop of the bot's speech, unless that was the last broadcast."""
         if is_speaking != self._is_speaking:
             self._is_speaking = is_speaking
             kind = frames.BotStartedSpeakingFrame if is_speaking else frames.BotStoppedSpeakingFrame
             await self.broadcast_frame(kind)
 
     async def _interrupt(self, *, everything: bool) -> None:
-        """Silence, but for what may not be interrupted; what was heard goes on first."""
+        """Interrupt the face, push the frames already played, and send uninterruptible ones again.
+
+        everything: uninterruptible frames are dropped too.
+        """
         async with self._releasing:
             sound = [each for each in self._line if each.is_sound and not each.is_heard]
             kept = [each for each in sound if not (each.frame.interruptible or everything)]
@@ -342,10 +342,11 @@ class PipecatFace(_FaceProcessor):
 
 
 class PipecatFollower(_FaceProcessor):
-    """Stands before an output transport, for robots whose sound is WebRTC or a telephone line.
+    """A processor before an output transport that moves a face's lips to the transport's sound.
 
-    Sound goes to the face at once and to the transport as much later as the face needs; the lips
-    follow what the transport says that it plays. All other frames keep their place.
+    For robots whose sound is WebRTC or a telephone line. Sound goes to the face at once and to the
+    transport later by the face's delay; the lips follow the transport's reports of what it plays.
+    All other frames keep their order.
     """
 
     def __init__(self, url: str = "ws://127.0.0.1:8765", token: str | None = None) -> None:
@@ -358,7 +359,7 @@ class PipecatFollower(_FaceProcessor):
         self._began_s: float | None = None
 
     async def process_frame(self, frame: frames.Frame, direction: FrameDirection) -> None:
-        """Show the sound; hand everything on, later by the face's delay."""
+        """Send sound to the face; push all but system frames later, by the face's delay."""
         await super().process_frame(frame, direction)
         now_s = asyncio.get_running_loop().time()
         if isinstance(frame, frames.StartFrame):
@@ -422,7 +423,7 @@ class PipecatFollower(_FaceProcessor):
 
 
 def _rest_of(sound: _Unheard) -> frames.TTSAudioRawFrame:
-    """Return the part of a frame of sound that was not heard."""
+    """Return the part of a frame of sound that was not played."""
     width = 2 * sound.frame.num_channels
     n_played = 0 if sound.speech is None else sound.speech.n_played
     n_rest = min(sound.n - n_played, len(sound.frame.audio) // width)

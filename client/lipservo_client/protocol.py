@@ -1,4 +1,4 @@
-"""What a client and a face exchange: the protocol's version, answers, errors, and samples as bytes.
+"""Data that a client and a face exchange: the protocol's version, results, errors, and samples.
 
 docs/agents.md is the protocol.
 """
@@ -15,7 +15,7 @@ _FULL_SCALE = 32_767
 
 
 class FaceError(Exception):
-    """The face refused, or does not answer. code: one of those in docs/agents.md, for programs."""
+    """An error that a face reported, or no answer. code: one of docs/agents.md, for programs."""
 
     def __init__(self, code: str, message: str) -> None:
         super().__init__(message)
@@ -24,9 +24,9 @@ class FaceError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Played:
-    """What became of speech. finished: it was heard whole; else it was cut off.
+    """How much of a stream was played. finished: all of it; otherwise it was cut off.
 
-    played_s: was heard; dropped_s: never will be.
+    played_s: seconds that were played; dropped_s: seconds that never will be.
     """
 
     finished: bool
@@ -35,13 +35,13 @@ class Played:
 
 
 def played_of(event: Event) -> Played:
-    """Return what became of a stream, from its last event."""
+    """Return how much of a stream was played, from its last event."""
     finished = event["type"] == "finished"
     return Played(finished, float(event["played_s"]), float(event.get("dropped_s", 0.0)))
 
 
 def error_of(event: Event) -> FaceError:
-    """An `error` event, to be raised."""
+    """Return a FaceError with the code and message of an `error` event."""
     return FaceError(str(event.get("code", "")), str(event.get("message", "")))
 
 
@@ -55,7 +55,7 @@ _CHARACTERS_AT_ONCE: Final = 10_000
 
 
 def unit_messages(units: SpeechUnits) -> Iterator[dict[str, Any]]:
-    """The messages that tell it, each with its `type`; none of an empty text."""
+    """Yield the messages that send a text or units, each with its `type`; none for empty text."""
     if isinstance(units, str):
         for first in range(0, len(units), _CHARACTERS_AT_ONCE):
             yield {"type": "text", "text": units[first : first + _CHARACTERS_AT_ONCE]}
@@ -73,14 +73,14 @@ def _unit(unit: Unit) -> dict[str, object]:
 
 @runtime_checkable
 class SampleArray(Protocol):
-    """A NumPy array, known by this; numpy is loaded only where one is written."""
+    """A NumPy array, by two of its attributes; numpy is loaded only where an array is written."""
 
     @property
     def dtype(self) -> object:
-        """The type of its numbers."""
+        """The type of the array's numbers."""
 
     def tobytes(self) -> bytes:
-        """Return its numbers as bytes."""
+        """Return the array's numbers as bytes."""
 
 
 #: s16le bytes, or an array (n,) or (n, 1): int16, or float in [-1, 1].
@@ -88,7 +88,7 @@ Pcm = bytes | bytearray | memoryview | SampleArray
 
 
 def pcm_bytes(samples: Pcm) -> bytes:
-    """The samples as s16le. Raises ValueError for an array of another shape or type."""
+    """Return samples as s16le bytes. Raises ValueError for an array of another shape or type."""
     if isinstance(samples, (bytes, bytearray, memoryview)):
         return bytes(samples)
     import numpy as np
@@ -106,7 +106,7 @@ def pcm_bytes(samples: Pcm) -> bytes:
 
 
 def mono_pcm(data: bytes | memoryview, n_channels: int) -> bytes:
-    """s16le of one channel: the mean of those that lie side by side in `data`."""
+    """Return one channel of s16le sound: the mean of the `n_channels` interleaved in `data`."""
     if n_channels == 1:
         return bytes(data)
     import numpy as np

@@ -1,9 +1,9 @@
-"""What speech synthesisers tell of what they say, as units that a face understands.
+"""Timings in the messages of speech synthesisers, as units that a face understands.
 
 A message as its vendor documents it, parsed from JSON, becomes words, phonemes or visemes with
-times in seconds. Which keys hold what is a table, and envelopes are walked through, so that an
-event, a whole answer and a file of many are read alike: docs/text.md has an example of each.
-The standard library is all that it needs.
+times in seconds. A table lists the keys, and envelopes are searched, so that an event, a whole
+answer and a file of many are read alike: docs/text.md has an example of each. Only the standard
+library is needed.
 """
 
 import reprlib
@@ -34,11 +34,11 @@ _MS, _TICK_S = 1e-3, 1e-7
 
 
 class VendorError(ValueError):
-    """A message that cannot be used: where in it, what, and what to do, in one line."""
+    """A vendor's message cannot be used; the text contains, in one line, where, what, remedy."""
 
 
 class TimedUnit(NamedTuple):
-    """A word, a phoneme or a viseme as its vendor writes it; seconds, None: not known."""
+    """A word, phoneme or viseme as its vendor writes it, with times in seconds; None: not known."""
 
     label: str
     start_s: float
@@ -49,8 +49,9 @@ class TimedUnit(NamedTuple):
 class VendorUnits:
     """Units of one kind in the order in which they are spoken, with starts that never decrease.
 
-    alphabet: of their labels, as a face knows it: `ipa` (ARPAbet too), `misaki`, or whose visemes
-    they are, `azure`, `polly`, `ovr`, `inworld`; None: of words, and of phonemes that are visemes.
+    alphabet: of their labels, as a face knows it: `ipa` (ARPAbet too), `misaki`, or the vendor of
+    the visemes, `azure`, `polly`, `ovr`, `inworld`; None: for words, and for visemes written as
+    phonemes.
     """
 
     kind: Kind
@@ -58,7 +59,7 @@ class VendorUnits:
     alphabet: str | None = None
 
     def stream_units(self, rate_hz: int) -> SpeechUnits:
-        """Return the units for `tell` of a stream, beside `alphabet=units.alphabet`."""
+        """Return the units in samples, for a stream's `tell` with `alphabet=units.alphabet`."""
         return _PLURAL[self.kind], [
             (each.label, round(each.start_s * rate_hz), _sample(each.end_s, rate_hz))
             for each in self.units
@@ -67,10 +68,10 @@ class VendorUnits:
 
 @dataclass(frozen=True, slots=True)
 class _Shape:
-    """Where a message has its units: keys in lower case without underscores, the first that counts.
+    """The keys of units in a message: lower case without underscores, the first present one counts.
 
-    The values are one unit's, or lists of as many. lasts: a duration. type: what the message's
-    `type` must say. unit_s: of its times.
+    The values are one unit's, or lists of equal length. lasts: key of a duration. type: required
+    value of the message's `type`. unit_s: seconds per unit of its times.
     """
 
     kind: Literal["word", "phoneme", "viseme", "character"]
@@ -128,10 +129,11 @@ _UNSAID: Final = ("punctuation", "sentence")
 
 
 def vendor_units(message: object, from_s: float = 0.0) -> tuple[VendorUnits, ...]:
-    """All that a message tells, the most precise kind first: phonemes, visemes, words.
+    """Return all timed units in a message, the most precise kind first: phonemes, visemes, words.
 
     message: parsed JSON of a vendor, or a list of several. from_s: added to its times, where they
-    are counted from the beginning of a piece of sound and not of the stream. Raises VendorError.
+    are counted from the beginning of a piece of sound and not of the stream. Raises VendorError for
+    a message without times, or a malformed one.
     """
     found = _Found(from_s)
     for node, here in _nodes(message, _Here()):
@@ -152,7 +154,7 @@ _Node = Mapping[str, object]
 
 @dataclass(frozen=True, slots=True)
 class _Here:
-    """Where an object lies, and what those around it say: a sample rate, an alphabet."""
+    """The path of an object in a message, with the sample rate and alphabet given around it."""
 
     place: str = ""
     rate_hz: object = None
@@ -160,7 +162,7 @@ class _Here:
     depth: int = 0
 
     def inside(self, node: _Node, step: str) -> "_Here":
-        """For what lies in an object of the message, under a key or a number."""
+        """Return the path of a value in `node` at `step`. VendorError if nested too deep."""
         place = f"{self.place}{step}".lstrip(".")[:200]
         if self.depth >= _DEEPEST:
             raise VendorError(f"{place}: nested deeper than any vendor's message")
@@ -170,7 +172,7 @@ class _Here:
 
 
 def _nodes(value: object, here: _Here) -> Iterator[tuple[_Node, _Here]]:
-    """Every object in the message, its keys as `_Shape` has them."""
+    """Yield every object in the message with its path, keys in lower case without underscores."""
     if isinstance(value, list):
         for number, each in enumerate(value):
             yield from _nodes(each, here.inside({}, f"[{number}]"))
@@ -196,7 +198,7 @@ def _key(key: object) -> str:
 
 
 def _mouths(frames: list[object], node: _Node, here: _Here) -> _Node:
-    """Frames of blendshapes as visemes, which are phones that look like them."""
+    """Return frames of blendshapes as visemes, which are the phones that look most like them."""
     rate_hz, first = node.get("fps", DEFAULT_RATE_HZ), node.get("frameindex", 0)
     if not isinstance(rate_hz, int | float) or not 10 <= rate_hz <= 1000:
         raise VendorError(f"{here.place or 'message'}: fps must be 10 to 1000")
@@ -211,7 +213,7 @@ def _mouths(frames: list[object], node: _Node, here: _Here) -> _Node:
 
 
 def _tier(key: str, rows: list[list[object]], place: str) -> _Node:
-    """Rows of [label, start, end] as an object of three lists."""
+    """Return rows of [label, start, end] as one object of three lists."""
     if any(len(row) != 3 for row in rows):
         raise VendorError(f"{place}: each row must be [label, start, end]")
     labels, starts, ends = (list(column) for column in zip(*rows, strict=True))
@@ -220,13 +222,13 @@ def _tier(key: str, rows: list[list[object]], place: str) -> _Node:
 
 @dataclass(slots=True)
 class _Found:
-    """The units of each kind and alphabet so far."""
+    """A collection of the units found so far in a message, by kind and alphabet."""
 
     from_s: float
     _of: dict[tuple[Kind, str], list[TimedUnit]] = field(default_factory=dict)
 
     def take(self, shape: _Shape, node: _Node, here: _Here) -> None:
-        """Add the units of an object, if it has the shape."""
+        """Add the units of an object, if it has the shape's keys. Raises VendorError."""
         label, *times = (_first(node, each) for each in (shape.label, shape.start, shape.end))
         lasts, unit_s = _first(node, shape.lasts), shape.unit_s
         if lasts is None and shape.kind == "phoneme" and _SAMPLES in node:
@@ -261,7 +263,7 @@ class _Found:
     def _times(
         self, values: list[object], unit_s: float, reached_s: float, place: str
     ) -> tuple[float, float | None]:
-        """Of start, end and duration; without a start it begins where the last one ended."""
+        """Return start and end in s of [start, end, duration]; without a start, `reached_s`."""
         start, end, lasts = values
         start_s, end_s = reached_s, None
         if start is not None:
@@ -279,7 +281,7 @@ class _Found:
         return round(start_s, _DIGITS), round(end_s, _DIGITS)
 
     def units(self) -> tuple[VendorUnits, ...]:
-        """In order of kind; each unit ends where the next begins at the latest."""
+        """Return the units by kind, phonemes first; each ends by the start of the next."""
         order: tuple[Kind, ...] = ("phoneme", "viseme", "word")
         found = sorted(self._of.items(), key=lambda item: order.index(item[0][0]))
         return tuple(
@@ -290,7 +292,10 @@ class _Found:
 
 
 def _without_overlap(rows: list[TimedUnit], kind: Kind) -> tuple[TimedUnit, ...]:
-    """Each ends where the next begins at the latest; a word of which no end is known may pause."""
+    """Return units that end where the next begins at the latest; a word may lack its end.
+
+    A phoneme or viseme without an end ends there. Raises VendorError for starts that decrease.
+    """
     cut = []
     for number, (unit, following) in enumerate(pairwise(rows)):
         if following.start_s < unit.start_s:
@@ -307,7 +312,7 @@ def _without_overlap(rows: list[TimedUnit], kind: Kind) -> tuple[TimedUnit, ...]
 
 
 def _words(characters: Iterable[TimedUnit]) -> Iterator[TimedUnit]:
-    """Characters joined from one white space to the next."""
+    """Yield the words that characters form between white space."""
     word: TimedUnit | None = None
     for each in characters:
         if each.label.isspace():
@@ -336,7 +341,7 @@ def _is_spoken(node: _Node) -> bool:
 
 
 def _label(value: object, kind: Kind, place: str) -> str | None:
-    """Of a unit; None for a boundary that is none of a word."""
+    """Return a unit's label; None for a boundary that is no word's. Raises VendorError."""
     if isinstance(value, dict):  # Azure's, on its WebSocket
         node = {_key(key): each for key, each in value.items()}
         return _label(node.get("text"), kind, place) if _is_spoken(node) else None

@@ -1,4 +1,4 @@
-"""The WebSocket that a face is spoken to over: opened, read at all times, and given up in time."""
+"""The WebSocket connection to a face: opening with a token, reading at all times, time limits."""
 
 import asyncio
 import contextlib
@@ -20,7 +20,7 @@ _PING_S, _PONG_S, _CLOSING_S = 3.0, 6.0, 0.5
 
 
 class Wire:
-    """A connection whose events are read at all times, since the face drops who does not read."""
+    """A connection that reads events at all times, since a face drops clients that do not read."""
 
     def __init__(
         self,
@@ -34,17 +34,17 @@ class Wire:
         self._reading = asyncio.get_running_loop().create_task(self._read())
 
     async def send(self, kind: str, **fields: object) -> None:
-        """A message. Raises FaceError once the connection is gone."""
+        """Send a message of type `kind` as JSON, without None fields. FaceError if disconnected."""
         given = {name: value for name, value in fields.items() if value is not None}
         await self.send_message(json.dumps({"type": kind, **given}))
 
     async def close(self) -> None:
-        """Disconnect; streams that were written whole are spoken to their end."""
+        """Disconnect; streams whose end was sent are played to their end."""
         await self._socket.close()
         await self._reading
 
     async def send_message(self, message: str | bytes) -> None:
-        """A text, or bytes, which are samples. Raises FaceError."""
+        """Send a text, or bytes, which are samples. FaceError if disconnected or after 10 s."""
         try:
             async with asyncio.timeout(PATIENCE_S):
                 await self._socket.send(message)
@@ -71,18 +71,17 @@ async def connected(
     on_close: Callable[[FaceError], None],
     patience_s: float,
 ) -> Wire:
-    """Connect to a face.
+    """Connect to a face's WebSocket with a token; return the connection.
 
     Parameters
     ----------
-    token : that the face requires; None: on this computer it is found in the runtime folders, of
-        another none is sent.
+    token : that the face requires; None: a face of this computer has it in the runtime folders,
+        one of another computer is sent none.
 
     Raises
     ------
     FaceError
         unauthorized, refused, not_answering.
-
     """
     tokens = [token] if token is not None else await asyncio.to_thread(found_tokens, url)
     for each in tokens[:-1]:
@@ -93,11 +92,11 @@ async def connected(
 
 
 class _UnauthorizedError(FaceError):
-    """The token is another, or none was sent."""
+    """The face refused the token, or required one and got none."""
 
 
 async def _opened(url: str, token: str | None, patience_s: float) -> ClientConnection:
-    """Open a WebSocket. Raises FaceError."""
+    """Open a WebSocket. Raises FaceError: unauthorized, refused, not_answering."""
     headers = None if token is None else {"Authorization": f"Bearer {token}"}
     try:
         return await connect(

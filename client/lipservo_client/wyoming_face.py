@@ -1,6 +1,6 @@
-"""A face as the loudspeaker of a Wyoming satellite, as Home Assistant has them: its `snd` service.
+"""A face as the loudspeaker of a Wyoming satellite, as in Home Assistant: its `snd` service.
 
-Sound only. Wyoming knows no token: every client that reaches the port speaks through the face.
+Sound only. Wyoming has no tokens: every client that reaches the port speaks through the face.
 Needs the extra `wyoming`.
 """
 
@@ -24,7 +24,7 @@ _FORMAT: Final = AudioFormat(rate=22_050, width=2, channels=1)
 
 
 class _Handler(AsyncEventHandler):
-    """One client: `audio-start`, `audio-chunk` and `audio-stop`, answered by `played`."""
+    """A Wyoming client's connection: `audio-start`, `-chunk` and `-stop`, answered by `played`."""
 
     def __init__(
         self, url: str, token: str | None, reader: StreamReader, writer: StreamWriter
@@ -36,7 +36,10 @@ class _Handler(AsyncEventHandler):
         self._convert = AudioChunkConverter(width=2, channels=1)
 
     async def handle_event(self, event: Event) -> bool:
-        """Do what it asks for; what the face refuses is logged once, and is not heard."""
+        """Handle an event; return False, which disconnects, if it cannot be read.
+
+        Errors of the face are logged, once until the next `audio-start`; the sound is not played.
+        """
         try:
             await self._handle(event)
         except FaceError as error:
@@ -51,7 +54,7 @@ class _Handler(AsyncEventHandler):
         return True
 
     async def disconnect(self) -> None:
-        """The client has gone: in the middle of a word, silence."""
+        """Disconnect from the face, which cuts off unfinished speech."""
         await self._face.__aexit__()
 
     async def _handle(self, event: Event) -> None:
@@ -79,9 +82,9 @@ class _Handler(AsyncEventHandler):
 
 
 async def serve_wyoming(host: str, port: int, url: str, token: str | None) -> None:
-    """Serve `snd` at an address until cancelled, or SIGTERM.
+    """Serve Wyoming's `snd` at an address until cancelled, or SIGTERM.
 
-    url, token: of the face, as for `lipservo.connect`. Raises OSError for the address.
+    url, token: of the face, as for `lipservo.connect`. Raises OSError if the address is in use.
     """
     await AsyncTcpServer(host, port).run(partial(_Handler, url, token))
 

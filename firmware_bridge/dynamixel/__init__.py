@@ -1,1 +1,1 @@
-"""Real Dynamixel servos: their registers as data, their packets as bytes, and the line to them."""
+"""Real Dynamixel servos: their registers as data, their packets as bytes, and their serial line."""

@@ -34,7 +34,7 @@ USUAL_RATES: Final = (57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_00
 def cycle_s(
     n_servos: int, baud_rate: int, return_delay_s: float = 0.0, latency_s: float = 0.0
 ) -> float:
-    """Seconds of one cycle: goals out, places of all and health of one back.
+    """Return the seconds of one cycle: goals out, positions of all and health of one servo back.
 
     latency_s: how long the adapter holds an answer back; a USB frame at least.
     """
@@ -46,10 +46,10 @@ def cycle_s(
 def slow_adapter(
     n_servos: int, baud_rate: int, rate_hz: float, latency_timer_ms: float | None
 ) -> str | None:
-    """Why this adapter cannot do `rate_hz`, and what to do; None when it can or does not tell.
+    """Return why this adapter cannot do `rate_hz`, and the remedy; None if it can, or is unknown.
 
-    latency_timer_ms: as `serial_transport.latency_timer_ms` reads it; 16 is what FTDI chips come
-    with: https://github.com/ROBOTIS-GIT/DynamixelSDK/issues/302
+    latency_timer_ms: from `serial_transport.latency_timer_ms`, None = unknown; FTDI chips come with
+    16: https://github.com/ROBOTIS-GIT/DynamixelSDK/issues/302
     """
     tick_s = cycle_s(n_servos, baud_rate, latency_s=(latency_timer_ms or 0.0) * 1e-3)
     if latency_timer_ms is None or latency_timer_ms <= 1.0 or tick_s * rate_hz <= 1.0:
@@ -63,7 +63,7 @@ def slow_adapter(
 def budget(
     n_servos: int, baud_rate: int, rate_hz: float, return_delay_s: float = 0.0
 ) -> str | None:
-    """Why this bus cannot do `rate_hz` with feedback, and what would; None when it can."""
+    """Return why this bus cannot do `rate_hz` with feedback, and the remedy; None if it can."""
     if cycle_s(n_servos, baud_rate, return_delay_s) * rate_hz <= 1.0:
         return None
     better = [r for r in USUAL_RATES if cycle_s(n_servos, r) * rate_hz <= 1.0]
@@ -96,7 +96,7 @@ _NO_FAST: Final = (
 
 
 class DynamixelBus:
-    """Servos on one line, found by their ids, spoken to in joint degrees.
+    """Servos on one line, found by their ids, addressed in joint degrees.
 
     A servo that falls silent costs its own samples only. When the port fails every method raises
     PortGone until `reopen` succeeds. Never writes EEPROM.
@@ -114,10 +114,11 @@ class DynamixelBus:
         make_line: Callable[[Any], Line] = Line,
         adapter_remark: Callable[[], str | None] = lambda: None,
     ) -> None:
-        """watchdog_s: how long servos go on without hearing anything; 0 = for ever.
+        """Make a bus of these servos, closed until `__enter__`; then opened by `open_transport`.
 
-        strict: every servo must answer before the first goal; else one critical or none at all
-        missing is enough to go on. make_line: `SdkLine` leaves the packets to dynamixel-sdk.
+        watchdog_s: how long servos go on without receiving a packet; 0 = for ever. strict: every
+        servo must answer before the first goal; otherwise servos may be missing, but neither a
+        critical one nor all. make_line: `SdkLine` leaves the packets to dynamixel-sdk.
         adapter_remark: a remark on the adapter, read once its port is open.
         """
         self._make_line = make_line
@@ -151,13 +152,13 @@ class DynamixelBus:
 
     @property
     def line(self) -> Line:
-        """The open line. Raises PortError when there is none."""
+        """The open line. Raises PortError when no line is open."""
         if self._line is None:
             raise PortError("the bus is used outside its `with` block, or its port is gone")
         return self._line
 
     def write_positions(self, positions_deg: Array) -> None:
-        """Send every goal inside its servo's range; NaN is not, nor is what the servo would refuse.
+        """Send every goal inside its servo's own range; skip NaN and goals outside the range.
 
         Parameters
         ----------
@@ -191,16 +192,16 @@ class DynamixelBus:
         line.tell(codec.sync_write(_GOAL, 4, blocks))
 
     def widen(self, joints: NDArray[np.bool_]) -> None:
-        """Do nothing: these servos keep their limits themselves.
+        """Do nothing: only hobby servos accept goals beyond their joints' limits.
 
         Parameters
         ----------
         joints : NDArray[np.bool_]
-            (n_servos,).
+            (n_servos,), ignored.
         """
 
     def read(self) -> Readings:
-        """Read goals and places of all servos, then their torque."""
+        """Read goals and positions of all servos, then whether their torque is on."""
         line = self.line
         found = self._note(self._whole.ask(line))
         for status in found:
@@ -224,7 +225,7 @@ class DynamixelBus:
         )
 
     def feedback(self) -> Feedback:
-        """One question to all; of a silent servo the last answer, with its age."""
+        """Read positions and load of all servos; for a silent one its last values and their age."""
         line = self._line or self.line
         found = self._motion.ask(line)
         now_s = line.transport.clock.now()
@@ -239,7 +240,10 @@ class DynamixelBus:
         )
 
     def look_after(self) -> Health:
-        """Torque, errors and watchdog of one servo, or its warmth and voltage, in turns."""
+        """Read torque, errors and watchdog of one servo, or its temperature and voltage, in turns.
+
+        Return what is known of all servos.
+        """
         line, cache = self._line or self.line, self._cache
         turn, kind = divmod(self._turn, 2)
         self._turn = (self._turn + 1) % (2 * len(self._ids))
@@ -267,22 +271,26 @@ class DynamixelBus:
         return cache.health(line.transport.clock.now(), self._present.current_ma)
 
     def obstacle(self, index: int) -> str:
-        """Checked anew before every torque on.
+        """Return why one servo cannot hold its position; empty: it can. To call before torque on.
 
-        The servo may have been replaced or set up elsewhere.
+        Read anew each time: the servo may have been replaced, or set up elsewhere.
         """
         return self._torque.obstacle(self.line, index)
 
     def enable_torque(self, index: int) -> str:
-        """Identity, place, watchdog, goal, slow start, torque; each read back before the next."""
+        """Switch one servo's torque on without motion; return why it stays off, "" if confirmed.
+
+        Checked or set in this order, each read back before the next: identity, position, watchdog,
+        goal, slow start, torque.
+        """
         return self._torque.enable(self.line, index)
 
     def keep_torque(self, index: int) -> bool:
-        """Goal := place and a running watchdog, for a servo whose torque is on already."""
+        """Hold a servo whose torque is on at its present position; return whether that worked."""
         return self._torque.keep(self.line, index)
 
     def disable_torque(self, index: int) -> bool:
-        """Switch torque off, and read back whether it is."""
+        """Switch one servo's torque off; return whether a read confirms it."""
         return self._torque.disable(self.line, index)
 
     def disable_all(self) -> NDArray[np.bool_]:
@@ -291,7 +299,7 @@ class DynamixelBus:
         Returns
         -------
         NDArray[np.bool_]
-            (n_servos,): which servos confirmed.
+            (n_servos,): True for servos that confirmed.
         """
         line = self.line
         self._soft_start.cancel()
@@ -312,7 +320,7 @@ class DynamixelBus:
         return confirmed
 
     def remarks(self) -> Sequence[str]:
-        """What is unusual about adapter and servos, in sentences for a log."""
+        """Return what is unusual about adapter and servos, in sentences for a log."""
         if self._line is not None and self._line.echoes and _ECHO not in self._remarks:
             self._remarks += (_ECHO,)
         if any(each.fast_unsupported for each in self._groups) and _NO_FAST not in self._remarks:
@@ -320,13 +328,13 @@ class DynamixelBus:
         return self._remarks
 
     def reboot(self, index: int) -> None:
-        """Restart one servo and forget what was known of it."""
+        """Restart one servo; forget the hardware error and watchdog trip read from it."""
         self.line.reboot(self._ids[index])
         self._cache.set_one("hardware", index, 0)
         self._cache.set_one("tripped", index, False)
 
     def reopen(self) -> None:
-        """A new handle. Raises PortError."""
+        """Open the port again with a new handle. Raises PortError."""
         self._close()
         self._begin(self._open_line())
 
@@ -358,7 +366,7 @@ class DynamixelBus:
         return self._make_line(self._open_transport())
 
     def _begin(self, line: Line) -> None:
-        """Use this line from now on, with the deadlines that its slowest servo needs."""
+        """Use this line from now on, with the answer deadline that the slowest servo needs."""
         self._line = line
         line.return_delay_s = float(self._cache.return_delay_s.max())
         line.tell(codec.sync_write(_LEVEL, 1, [(each, b"\2") for each in self._ids]))
@@ -371,7 +379,7 @@ class DynamixelBus:
             self._line = None
 
     def _note(self, statuses: Sequence[Status]) -> Sequence[Status]:
-        """Store which servos answered, and with what error."""
+        """Store which servos answered and the errors they reported; return `statuses`."""
         now_s = self.line.transport.clock.now()
         self._watchdogs.spoke(now_s)
         self._present.note(statuses, now_s)

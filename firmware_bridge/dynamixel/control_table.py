@@ -1,6 +1,6 @@
 """Registers and models of the Dynamixel X servos, read from `control_tables.yaml` beside this file.
 
-Facts stand there with their sources; nothing here is specific to a model.
+That file has the facts with their sources; nothing here is specific to a model.
 """
 
 from collections.abc import Mapping
@@ -43,7 +43,7 @@ RETURN_DELAY_UNIT_S: Final = 2e-6
 
 @dataclass(frozen=True, slots=True)
 class Register:
-    """One entry of a control table. low and high bound what may be written; None: no fixed bound.
+    """One entry of a control table. low, high: bounds of what may be written; None: no fixed bound.
 
     in_eeprom: kept without power, and locked while torque is on.
     """
@@ -59,21 +59,21 @@ class Register:
 
     @property
     def end(self) -> int:
-        """The address after the last byte."""
+        """The address after the register's last byte."""
         return self.address + self.size
 
     def encode(self, value: int) -> bytes:
-        """The bytes of `value`, little-endian. Raises OverflowError when it does not fit."""
+        """Return `value` as little-endian bytes. Raises OverflowError when it does not fit."""
         return value.to_bytes(self.size, "little", signed=self.signed)
 
     def decode(self, data: bytes) -> int:
-        """The value of `data`, (size,) bytes."""
+        """Return the integer that `data` encodes, (size,) little-endian bytes."""
         return int.from_bytes(data, "little", signed=self.signed)
 
 
 @dataclass(frozen=True, slots=True)
 class IndirectBlock:
-    """`count` two-byte addresses from `addresses` on, each shown as one byte from `data` on."""
+    """`count` two-byte addresses from `addresses` on, each mapped to one byte from `data` on."""
 
     addresses: int
     data: int
@@ -82,7 +82,7 @@ class IndirectBlock:
 
 @dataclass(frozen=True, slots=True)
 class ServoModel:
-    """One servo model: its registers, factory settings, and what its motor can do."""
+    """One servo model: its registers, factory settings, and the limits of its motor."""
 
     name: str
     model_number: int
@@ -101,7 +101,7 @@ class ServoModel:
 
     @property
     def measures_current(self) -> bool:
-        """Whether present_current counts current; else it counts load in 0.1 %."""
+        """Whether present_current counts current; otherwise it counts load in 0.1 %."""
         return self.current_unit_ma is not None
 
     @property
@@ -111,13 +111,13 @@ class ServoModel:
 
     @property
     def table_size(self) -> int:
-        """Bytes of the control table, indirect data included."""
+        """Size of the control table in bytes, indirect data included."""
         return max(block.data + block.count for block in self.indirect)
 
 
 @cache
 def baud_rates() -> Mapping[int, int]:
-    """Return baud rates by the code that register `baud_rate` holds."""
+    """Return baud rates by their code in register `baud_rate`."""
     return MappingProxyType(dict(_tables()["codes"]["baud_rate"]))
 
 
@@ -129,18 +129,18 @@ def servo_models() -> Mapping[str, ServoModel]:
 
 @cache
 def model_by_number(number: int) -> ServoModel | None:
-    """The model that answers a ping with `number`, if it is known here."""
+    """Return the model that answers a ping with `number`; None if it is unknown here."""
     return next((m for m in servo_models().values() if m.model_number == number), None)
 
 
 def model_name(number: int) -> str:
-    """For people: `XL330-M288`, or `unknown model 4711`."""
+    """Return a model's name for people: `XL330-M288`, or `unknown model 4711`."""
     known = model_by_number(number)
     return known.name if known else f"unknown model {number}"
 
 
 def register(name: str) -> Register:
-    """A register that all models share, by name. Raises KeyError for any other."""
+    """Return the register of this name, shared by all models. Raises KeyError for another name."""
     raw = _tables()["registers"][name]
     low, high = raw.get("range", (None, None))
     return Register(

@@ -1,4 +1,4 @@
-"""Everything that can be wrong between a computer and its servos, found by looking only."""
+"""Checks of everything that can be wrong between a computer and its Dynamixels; only reads."""
 
 import statistics
 from collections.abc import Iterator, Sequence
@@ -28,9 +28,9 @@ _TRIES: Final = 3
 
 
 def measured_latency_s(line: Line, servo_id: int) -> float | None:
-    """How much later than on the wire answers of this servo arrive, the median of a few pings.
+    """Return the median delay of a servo's ping answers beyond their time on the wire, in s.
 
-    Return delay and computer included. None when it does not answer.
+    Return delay and computer included. None when the servo does not answer.
     """
     clock = line.transport.clock
     wire_s = (len(codec.ping(servo_id)) + codec.EMPTY_STATUS_SIZE + 3) * line.byte_s
@@ -43,7 +43,7 @@ def measured_latency_s(line: Line, servo_id: int) -> float | None:
 
 
 def without_fast_read(line: Line, ids: Sequence[int]) -> list[int]:
-    """Return those of these servos, all of which answer, that are silent to Fast Sync Read."""
+    """Return which of these ids do not answer Fast Sync Read, though they answer plain reads."""
     spans = [SpanRead((each,), 0, 2, fast=True) for each in ids]
     return [span.ids[0] for span in spans if not any(line.sync_read(span) for _ in range(_TRIES))]
 
@@ -71,10 +71,10 @@ _STATE: Final = (
 def examine(
     line: Line, servos: Sequence[MountedServo], rate_hz: float, latency_timer_ms: int | None
 ) -> Iterator[Finding]:
-    """Findings in the order they are made; nothing is written to any servo.
+    """Yield findings about adapter, bus and servos in the order of the checks; write to no servo.
 
-    line: one that waits for late answers, by `UNHURRIED_S`. latency_timer_ms: what the adapter's
-    driver declares; None: it does not tell, so it is measured.
+    line: one that waits `UNHURRIED_S` for late answers. latency_timer_ms: what the adapter's driver
+    declares; None: it declares nothing, so the latency is measured.
     """
     wanted_rate = line.baud_rate
     ids = [servo.joint.servo_id for servo in servos]
@@ -133,7 +133,7 @@ def examine(
 
 
 def _strength(servos: Sequence[MountedServo]) -> Iterator[Finding]:
-    """Who pulls as hard as it can, although it could be bounded."""
+    """Yield a warning naming the servos without `max_current_ma` whose current could be limited."""
     unbounded = [s for s in servos if s.model.measures_current and s.max_current_ma is None]
     if not unbounded:
         return
@@ -149,7 +149,7 @@ def _strength(servos: Sequence[MountedServo]) -> Iterator[Finding]:
 
 
 def _adapter(line: Line, servo_id: int | None, latency_timer_ms: int | None) -> Iterator[Finding]:
-    """What the adapter does to answers: holds them back, or adds what was sent."""
+    """Yield findings about the adapter: whether it delays answers, or echoes what was sent."""
     if latency_timer_ms is None:
         latency_s = measured_latency_s(line, servo_id) if servo_id is not None else None
         if latency_s is not None and latency_s > _SLOW_S:

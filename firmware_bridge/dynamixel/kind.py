@@ -1,4 +1,4 @@
-"""Dynamixel servos at a serial port, as one kind of bus."""
+"""The kind of bus `dynamixel`: Dynamixel servos at a serial port."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -21,7 +21,7 @@ _WATCHDOG_S: Final = 0.1
 
 
 class DynamixelKind(BusKind):
-    """See `BusKind`."""
+    """The kind of bus `dynamixel`; `BusKind` describes the methods."""
 
     name = "dynamixel"
     settings = DynamixelSettings
@@ -30,11 +30,11 @@ class DynamixelKind(BusKind):
     simulator_module = "firmware_bridge.simulator.host"
 
     def capabilities(self, _settings: "BusSettings") -> BusCapabilities:
-        """All capabilities: Dynamixels report everything."""
+        """Return the capabilities of Dynamixels, which report everything."""
         return CAPABILITIES
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":  # noqa: ARG002 - real servos have the clock of the computer
-        """Open the bus, by our own packets or by the vendor's library."""
+        """Return the bus; by `backend` its packets are made by our codec or dynamixel-sdk."""
         from firmware_bridge.dynamixel.bus import DynamixelBus, slow_adapter
         from firmware_bridge.dynamixel.mounting import mounted_servos
         from firmware_bridge.serial_servos.serial_transport import SameAdapter, latency_timer_ms
@@ -59,19 +59,22 @@ class DynamixelKind(BusKind):
         return bus(lambda: SdkTransport(port, settings.baud_rate), make_line=SdkLine)
 
     def slowness(self, wiring: Wiring, rate_hz: float) -> str | None:
-        """Return why the rate is too high for the bytes of a tick; empty: it is not."""
+        """Return why the baud rate is too low for ticks at `rate_hz`; None if it is not."""
         from firmware_bridge.dynamixel.bus import budget
 
         return budget(len(wiring.servos), wiring.settings.baud_rate, rate_hz)
 
     def answers_at(self, transport: "Transport") -> bool:
-        """Whether a servo answers a broadcast ping."""
+        """Return whether a servo answers a broadcast ping at this transport."""
         from firmware_bridge.dynamixel.wire.line import Line
 
         return bool(Line(transport).ping_all())
 
     def port_release(self, port: str, wiring: Wiring | None) -> Callable[[], PortRelease]:
-        """At the face's rate; where that is not known, at all usual ones."""
+        """Return a function that opens the port to switch torque off at the face's baud rate.
+
+        Without a wiring the rate is unknown, and all usual ones are tried.
+        """
         from firmware_bridge.dynamixel.provisioning import SCANNED_RATES
         from firmware_bridge.dynamixel.torque import LineRelease
         from firmware_bridge.serial_servos.serial_transport import SameAdapter
@@ -81,7 +84,7 @@ class DynamixelKind(BusKind):
         return lambda: LineRelease(opener(), rates)
 
     def examine(self, wiring: Wiring) -> Iterator[Finding]:
-        """Port, adapter, and every servo."""
+        """Yield findings about port, adapter, and every servo."""
         from firmware_bridge.dynamixel.doctor import examine
         from firmware_bridge.dynamixel.mounting import mounted_servos
         from firmware_bridge.dynamixel.provisioning import unhurried_line
@@ -93,7 +96,7 @@ class DynamixelKind(BusKind):
             yield from examine(line, servos, wiring.rate_hz, latency_timer_ms(port))
 
     def memories(self, wiring: Wiring) -> Sequence[Mapping[str, int] | None]:
-        """Read the EEPROM of each servo."""
+        """Read and return each servo's EEPROM values; None for a servo that does not answer."""
         from firmware_bridge.dynamixel.mounting import mounted_servos, read_identities
         from firmware_bridge.serial_servos.serial_transport import SameAdapter
 

@@ -1,4 +1,4 @@
-"""Dynamixels in their places in the face, and whether those that answer are the right ones."""
+"""Dynamixels mounted in a face, and whether those that answer are the ones of its YAML."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ MountedServo = Mounted[ServoModel]
 
 
 def mounted_servos(wiring: Wiring) -> list[MountedServo]:
-    """Every servo of a face in its place, in the order of its joints."""
+    """Return every servo of a face with its joint, sign and offset, in the order of its joints."""
     return [
         MountedServo(joint, each.facts, each.sign, each.zero_offset_deg, each.max_current_ma)
         for joint, each in zip(wiring.joints, wiring.servos, strict=True)
@@ -52,7 +52,7 @@ class ServoIdentity:
 
 
 def identify(line: Line, servo: MountedServo, tries: int = _TRIES) -> ServoIdentity | None:
-    """Ping and read one servo's settings; None when it does not answer so many times."""
+    """Ping one servo and read its EEPROM; None if it does not answer within `tries` attempts."""
     servo_id = servo.joint.servo_id
     pong: Status | None = None
     for extra_wait_s in _EXTRA_WAITS_S[:tries]:
@@ -73,7 +73,7 @@ def identify(line: Line, servo: MountedServo, tries: int = _TRIES) -> ServoIdent
 
 
 def mismatches(servo: MountedServo, identity: ServoIdentity) -> list[str]:
-    """Where this servo is not as the face's YAML says; one line each, empty = it can be driven."""
+    """Return how a servo differs from the face's YAML, one line each; empty: it can be driven."""
     if identity.model_number != servo.model.model_number:
         known = model_by_number(identity.model_number)
         it_is = f"an {known.name}" if known else f"unknown model {identity.model_number}"
@@ -108,7 +108,10 @@ def mismatches(servo: MountedServo, identity: ServoIdentity) -> list[str]:
 def identify_all(
     line: Line, servos: Sequence[MountedServo], *, strict: bool
 ) -> list[ServoIdentity | None]:
-    """Ask every servo. Raises as `checked_identities`."""
+    """Read model and EEPROM of every servo, None for a silent one; ServoError for a mismatch.
+
+    Silent servos raise ServoError too: any if strict, otherwise a critical one or all of them.
+    """
     found = [identify(line, servo) for servo in servos]
     own = line.transport if isinstance(line.transport, Transport) else None
     return checked_identities("dynamixel", own, servos, found, mismatches, strict=strict)
@@ -117,10 +120,10 @@ def identify_all(
 def read_identities(
     open_transport: Callable[[], Transport], servos: Sequence[MountedServo]
 ) -> list[ServoIdentity | None]:
-    """Model and EEPROM of every servo, in the order given, before anybody drives them.
+    """Open the port, read model and EEPROM of every servo in the order given, and close the port.
 
-    Opens the port for this alone; None: a servo that does not answer, unless it is critical or
-    no servo answers. Raises PortError, and ServoError when a servo differs from the face's YAML.
+    None: a servo that does not answer, unless it is critical or no servo answers. Raises PortError,
+    and ServoError when a servo differs from the face's YAML.
     """
     transport = open_transport()
     try:

@@ -18,7 +18,7 @@ _MOTION_BLOCK = CommonFrame.block_of(_MOTION)
 
 
 class PresentState:
-    """Takes what servos answer into their `cache`."""
+    """Stores what servos answer in their `cache`."""
 
     def __init__(self, servos: Sequence[MountedServo]) -> None:
         ids = [servo.joint.servo_id for servo in servos]
@@ -53,7 +53,7 @@ class PresentState:
         return current_ma
 
     def take_temperature(self, index: int, temperature_degc: int) -> None:
-        """Store a servo's temperature, and its distance from the servo's own limit."""
+        """Store a servo's temperature, and how far it is below the servo's own limit."""
         cache = self.cache
         cache.set_one("temperature_degc", index, temperature_degc)
         cache.set_one("room_degc", index, cache.hottest[index] - temperature_degc)
@@ -63,7 +63,7 @@ class PresentState:
         self.cache.take_identity(index, found, found.eeprom["temperature_limit"], now_s)
 
     def note(self, statuses: Sequence[Status], now_s: float) -> None:
-        """Store which servos answered, and with what error."""
+        """Store when servos answered, and the errors in their status packets."""
         cache = self.cache
         for status in statuses:
             n = cache.index[status.servo_id]
@@ -73,7 +73,7 @@ class PresentState:
                 cache.errors[n] = status.error
 
     def take_motion(self, statuses: Sequence[Status], now_s: float) -> Array:
-        """Store position, velocity and current from one read of all servos.
+        """Store position and current from one read of all servos; return how old each is.
 
         Parameters
         ----------
@@ -85,7 +85,7 @@ class PresentState:
         Returns
         -------
         Array
-            (n_servos,) seconds: how old each servo's part is.
+            (n_servos,) seconds: age of each servo's values; 0 for those that answered.
         """
         cache = self.cache
         if isinstance(statuses, CommonFrame) and statuses.ids == cache.ids:

@@ -1,7 +1,6 @@
-"""Setting Dynamixels up: what each should hold in its EEPROM, and how it is written.
+"""Setting Dynamixels up: what each should store in its EEPROM, and how it is written.
 
-Servos that belong to no face yet are found, taken over from another program, and moved a little,
-here too.
+Also: servos that belong to no face yet are found, taken over from another program, and moved.
 """
 
 from collections.abc import Iterable, Mapping
@@ -43,7 +42,7 @@ _TRIES: Final = 3
 
 
 def wanted_settings(servo: MountedServo, baud_rate: int) -> dict[str, int]:
-    """Return the EEPROM values, by register, that a servo should have."""
+    """Return the EEPROM values, by register name, that a mounted servo should have."""
     low, high = servo.pulse_range()
     margin = round(SERVO_LIMIT_MARGIN_DEG * PULSES_PER_DEG)
     code = next(code for code, rate in baud_rates().items() if rate == baud_rate)
@@ -66,7 +65,7 @@ def wanted_settings(servo: MountedServo, baud_rate: int) -> dict[str, int]:
 def read_settings(
     line: Line, servo_id: int, model: ServoModel, names: Iterable[str]
 ) -> dict[str, int]:
-    """The values of these registers. Raises ServoError when the servo does not answer."""
+    """Read and return these registers by name. Raises ServoError when the servo does not answer."""
     found = {}
     for name in names:
         entry = model.registers[name]
@@ -81,7 +80,7 @@ def read_settings(
 
 
 def duplicates(line: Line, ids: Iterable[int]) -> list[int]:
-    """Ids on which answers come spoilt, again and again: two servos speak at once."""
+    """Return the ids at which only damaged answers arrive: probably two servos answer at once."""
     doubtful = []
     for servo_id in ids:
         n_bad = line.n_bad
@@ -92,7 +91,10 @@ def duplicates(line: Line, ids: Iterable[int]) -> list[int]:
 
 
 def _write(line: Line, servo_id: int, model: ServoModel, name: str, value: int) -> None:
-    """One register. A servo whose id or rate has changed may answer to the old one no more."""
+    """Write one register of one servo. Raises ServoError when it refuses or does not answer.
+
+    Silence is accepted for id and baud rate: the servo may no longer answer at the old one.
+    """
     entry = model.registers[name]
     for _ in range(_TRIES):
         status = line.write(servo_id, entry.address, entry.encode(value), _EEPROM_WRITE_S)
@@ -114,7 +116,7 @@ _REQUESTED, _WHOLE, _SPOILT = 6, 5, 4
 
 
 def shares_id(line: Line, servo_id: int) -> bool:
-    """Whether several servos seem to answer to `servo_id`; False for one that is silent."""
+    """Return whether several servos seem to answer to `servo_id`; False if none answers."""
     pongs = line.ping_each(servo_id)
     if len(pongs) > 1:
         return True
@@ -168,7 +170,10 @@ CLEARS_MIDDLE: Final = True
 
 
 def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
-    """The first rate at which anybody answers, and the model of every id there."""
+    """Return the first baud rate at which servos answer, and the model name by id.
+
+    Raises ServoError where none answers or a model is unknown, and PortError.
+    """
     with unhurried_line(port, first_rate) as line:
         scanned = scan(line, [first_rate, *SCANNED_RATES])
         rate, found = next((each for each in scanned if each[1]), (0, {}))
@@ -185,9 +190,9 @@ def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
 
 
 def foreign_settings(port: str, rate: int, found: Mapping[int, str]) -> dict[int, list[Difference]]:
-    """What differs, by id, of servos found with their models; those that are plain are left out.
+    """Return, by id, the registers of found servos that differ from a plain set-up; {} if none.
 
-    Raises PortError, and ServoError for a servo that falls silent.
+    found: model name by id. Raises PortError, and ServoError for a servo that falls silent.
     """
     with unhurried_line(port, rate) as line:
         held = {
@@ -201,9 +206,9 @@ def foreign_settings(port: str, rate: int, found: Mapping[int, str]) -> dict[int
 def clear_foreign_settings(
     port: str, rate: int, found: Mapping[int, str], foreign: Mapping[int, list[Difference]]
 ) -> None:
-    """Write what `foreign_settings` found, torque off. Raises PortError, ServoError.
+    """Reset the registers listed in `foreign`, torque off. Raises PortError, ServoError.
 
-    Refuses a servo that turns the other way: what was recorded of it would be mirrored.
+    A servo in reverse drive mode raises ServoError: a range recorded of it would be mirrored.
     """
     for servo_id, changes in foreign.items():
         if any(each.name == "drive_mode" and each.found & 1 for each in changes):
@@ -220,7 +225,7 @@ def clear_foreign_settings(
 def lone_servo(
     port: str, rate: int, servo_id: int, model_name: str, reach_deg: float
 ) -> tuple[DynamixelBus, Joint, int]:
-    """A bus of one servo whose joint has 0 where it stands now; and that place, in ticks."""
+    """Return a bus of one servo, its joint (0 = present position), and that position in ticks."""
     model = servo_models()[model_name]
     with unhurried_line(port, rate) as line:
         place = read_settings(line, servo_id, model, ["present_position"])["present_position"]

@@ -1,6 +1,6 @@
-"""What a face YAML says of Dynamixel servos and their port; simulated ones use the same keys.
+"""The YAML settings of Dynamixel servos and their port; simulated servos use the same keys.
 
-Loads the tables of the models, and nothing that speaks to a servo.
+Loads the tables of the models, and nothing that opens a port.
 """
 
 from collections.abc import Mapping
@@ -56,25 +56,25 @@ class DynamixelSettings(BusSettings):
 
 
 class _Keys(Strict):
-    """What comes first in the entry of a servo."""
+    """The first keys of a servo's entry in the YAML."""
 
     id: ServoId
     model: ServoModel
 
 
 class DynamixelServo(BusServo, _Keys):
-    """A Dynamixel. max_current_ma: it never pulls harder; only models that measure current."""
+    """A Dynamixel. max_current_ma: limit of its current; only for models that measure current."""
 
     max_current_ma: Milliamperes | None = None
 
     @property
     def facts(self) -> ModelFacts:
-        """The facts of its model."""
+        """The facts of the servo's model."""
         return servo_models()[self.model]
 
     @property
     def bounds(self) -> Mapping[str, float | None]:
-        """The factory limits of its model."""
+        """The factory limits of temperature (degC) and voltage (V) of the servo's model."""
         defaults = self.facts.defaults
         return {
             "hottest_degc": defaults["temperature_limit"],
@@ -83,7 +83,10 @@ class DynamixelServo(BusServo, _Keys):
         }
 
     def strain(self, effort: float) -> float:
-        """Share of max_current_ma, where the model measures current."""
+        """Return the current drawn at `effort` as a share of max_current_ma.
+
+        0 without max_current_ma, or where the model does not measure current.
+        """
         if self.max_current_ma is None or not self.facts.measures_current:
             return 0.0
         return effort * self.facts.stall_a * 1e3 / self.max_current_ma

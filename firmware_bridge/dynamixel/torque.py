@@ -1,4 +1,4 @@
-"""Torque of single servos: who may hold, on without a jump or jerk, off for certain; watchdogs."""
+"""Torque of single servos: on without a jump or jerk, off until a read confirms it; watchdogs."""
 
 import struct
 from collections.abc import Sequence
@@ -26,9 +26,9 @@ _WRITE_TRIES: Final = 3
 
 
 def write_verified(line: Line, servo_id: int, address: int, data: bytes) -> bool:
-    """Write `data` to one servo until a read shows it, three times at most; whether it did.
+    """Write `data` to one servo until a read shows it, at most three times; return whether it did.
 
-    An acknowledgement is not enough: it carries nothing, and may belong to an earlier packet.
+    An acknowledgement is not enough: it carries no data, and may belong to an earlier packet.
     """
     for _ in range(_WRITE_TRIES):
         line.write(servo_id, address, data)
@@ -43,10 +43,10 @@ _LONGEST: Final = 127
 
 
 class Watchdogs:
-    """Sets the watchdogs of all servos, and notices when our own silence may have tripped them."""
+    """The servos' bus watchdogs, and whether a pause of our own packets may have tripped them."""
 
     def __init__(self, ids: Sequence[int], timeout_s: float) -> None:
-        """timeout_s: how long servos go on without hearing anything; 0 = for ever."""
+        """Set for how long servos go on without receiving a packet; 0 = for ever."""
         self._ids = tuple(ids)
         self._setting = min(_LONGEST, int(np.ceil(timeout_s / WATCHDOG_UNIT_S - 1e-9)))
         self._trips_after_s = self._setting * WATCHDOG_UNIT_S if self._setting else float("inf")
@@ -55,14 +55,14 @@ class Watchdogs:
 
     @property
     def setting(self) -> int:
-        """What the register must hold while torque is on; 0 = no watchdog."""
+        """The value that register `bus_watchdog` must have while torque is on; 0 = no watchdog."""
         return self._setting
 
     def start(self, line: Line, servo_id: int) -> bool:
-        """Clear one servo's watchdog and start it; whether its register now says so.
+        """Clear and start one servo's watchdog; return whether a read shows the new setting.
 
-        A tripped one takes no goals before, and a lost write would leave nothing to stop a face
-        whose computer has died.
+        A tripped watchdog accepts no goals until it is cleared, and a lost write would leave
+        nothing to stop a face whose computer has died.
         """
         cleared = write_verified(line, servo_id, _ADDRESS, b"\0")
         if not (cleared and self._setting):
@@ -70,13 +70,13 @@ class Watchdogs:
         return write_verified(line, servo_id, _ADDRESS, bytes((self._setting,)))
 
     def spoke(self, now_s: float) -> None:
-        """The servos hear us now; whether they heard us in time before is remembered."""
+        """Note a packet sent at `now_s`; record whether the pause before it may trip watchdogs."""
         if now_s - self._spoke_s >= self._trips_after_s:
             self._lapsed = True
         self._spoke_s = now_s
 
     def keep(self, line: Line) -> None:
-        """Set servos going again that may have stopped by themselves; before every goal."""
+        """Restart all watchdogs if a pause may have tripped them; to call before every goal."""
         self.spoke(line.transport.clock.now())
         if self._lapsed:
             self._lapsed = False
@@ -99,7 +99,7 @@ _REPEAT_S: Final = 0.1
 
 
 class SoftStart:
-    """Knows which servos are still limited, and lifts the limits when their time has come."""
+    """Tracks which servos are limited after torque came on, and lifts their limits when due."""
 
     def __init__(self, servos: Sequence[MountedServo]) -> None:
         self._servos = tuple(servos)
@@ -112,7 +112,10 @@ class SoftStart:
         return bool(self._n_left.any())
 
     def apply_soft_limits(self, line: Line, index: int) -> bool:
-        """Before torque comes on: slow, weak where there is a cap; whether it confirmed."""
+        """Limit speed and, where there is a cap, current; return whether reads confirm it.
+
+        To be called before torque comes on.
+        """
         servo = self._servos[index]
         servo_id, cap = servo.joint.servo_id, servo.current_cap
         slow_deg_s = min(_SOFT_DEG_S, servo.joint.max_speed_deg_s)
@@ -123,17 +126,17 @@ class SoftStart:
         return all(write_verified(line, servo_id, *each) for each in wanted)
 
     def note_torque_on(self, index: int, now_s: float) -> None:
-        """Begin the soft start of a servo whose torque was switched on."""
+        """Begin the soft start of a servo whose torque was switched on at `now_s`."""
         self._due_s[index] = now_s + SOFT_START_S
         self._n_left[index] = _REPEATS
 
     def cancel(self) -> None:
-        """End all soft starts: torque is off everywhere."""
+        """End all soft starts, since torque is off everywhere."""
         self._due_s[:] = np.inf
         self._n_left[:] = 0
 
     def restore_full_limits(self, line: Line) -> None:
-        """Full speed and strength a second after torque came on; call it again and again."""
+        """Set servos to full speed and current a second after torque on; to call in every tick."""
         if not any_set(self._n_left):
             return
         now_s = line.transport.clock.now()
@@ -156,7 +159,7 @@ def _full_profile(servo: MountedServo) -> bytes:
 
 
 def _velocity(deg_s: float) -> int:
-    """In units of the profile velocity register, at least 1: 0 would mean without bound."""
+    """Return a speed in units of the profile velocity register, at least 1: 0 is unlimited."""
     return max(1, min(32_767, round(deg_s / VELOCITY_UNIT_DEG_S)))
 
 
@@ -187,11 +190,11 @@ class TorqueSwitch:
         self._watchdogs = watchdogs
 
     def obstacle(self, line: Line, index: int) -> str:
-        """Why this servo cannot hold where it stands; empty: it can."""
+        """Return why this servo cannot hold its present position; empty: it can."""
         return self._place_to_hold(line, index)[0]
 
     def enable(self, line: Line, index: int) -> str:
-        """Let it hold where it stands; why it does not, empty: it confirmed."""
+        """Switch a servo's torque on at its present position; return why not, "" if confirmed."""
         cache, servo_id = self._cache, self._servos[index].joint.servo_id
         obstacle, place = self._place_to_hold(line, index)
         if obstacle:
@@ -217,7 +220,10 @@ class TorqueSwitch:
         return ""
 
     def keep(self, line: Line, index: int) -> bool:
-        """Whether a servo that holds goes on holding where it stands; switches nothing on."""
+        """Hold a servo with torque on at its present position; return whether that worked.
+
+        False if its torque is off, which it stays, or if it does not confirm watchdog and goal.
+        """
         cache, servo_id = self._cache, self._servos[index].joint.servo_id
         torque = line.read(servo_id, _TORQUE, 1)
         if torque is None or torque.data != b"\1":
@@ -240,13 +246,16 @@ class TorqueSwitch:
         return limp
 
     def renew_watchdog(self, line: Line, index: int, found: int) -> None:
-        """Set again a watchdog that is off while torque is on: it would protect nothing."""
+        """Restart a servo's watchdog if it is off although torque is on: it would not protect.
+
+        found: the value read from register `bus_watchdog`.
+        """
         tripped, wanted = 0xFF, self._watchdogs.setting
         if self._cache.enabled[index] and found not in (wanted, tripped):
             self._watchdogs.start(line, self._servos[index].joint.servo_id)
 
     def _place_to_hold(self, line: Line, index: int) -> tuple[str, int]:
-        """What is in the way, or nothing and the place in pulses."""
+        """Return why a servo cannot hold, "" if it can, and its position in pulses (0: unknown)."""
         servo, cache = self._servos[index], self._cache
         servo_id = servo.joint.servo_id
         identity = identify(line, servo, tries=_TRIES)
@@ -278,17 +287,17 @@ _ANSWERS: Final = register("status_return_level").address
 
 
 class LineRelease:
-    """Torque off by force at an open port, of servos that another process drove before."""
+    """Torque off at an open port, for servos that another process drove before."""
 
     confirms: Final = True
 
     def __init__(self, transport: Transport, rates: Sequence[int]) -> None:
-        """rates: baud rates at which servos may listen; the transport is open at the first."""
+        """Set the baud rates at which servos may listen; `transport` is open at the first."""
         self._line = Line(transport)
         self._rates = tuple(dict.fromkeys(rates))
 
     def tell_all(self, addresses: Sequence[int]) -> None:
-        """Torque off to everybody, again and again; a tripped watchdog is cleared in between.
+        """Broadcast torque off several times; a tripped watchdog is cleared in between.
 
         Servos that were set not to answer, answer from now on.
         """
@@ -305,7 +314,7 @@ class LineRelease:
     def ask(self, address: int) -> str:
         """Return "" when the servo confirms torque off.
 
-        Else the reason, and the order is sent once more.
+        Otherwise return the reason, after torque off was sent once more.
         """
         status = self._line.read(address, _TORQUE_ENABLE, 1)
         if status is not None and status.data == b"\0":
@@ -314,7 +323,10 @@ class LineRelease:
         return NOT_SEEN if status is None else "kept its torque"
 
     def find(self, addresses: Sequence[int]) -> Sequence[int]:
-        """Broadcast torque off at every rate. A chain has one: the others are not searched then."""
+        """Send torque off at every baud rate; return `addresses` and the ids that answer a ping.
+
+        A chain has one rate: once servos answer at one rate, the others are not searched.
+        """
         line, found = self._line, set(addresses)
         for rate in self._rates:
             line.baud_rate = rate

@@ -45,7 +45,7 @@ _ECHO: Final = "the adapter gives back what is sent to the servos; that is swall
 
 
 def cycle_s(n_servos: int, baud_rate: int, dialect: Dialect) -> float:
-    """Seconds of one cycle: goals out, state of all and control of one back."""
+    """Return the seconds of one cycle: goals out, state of all and control of one servo back."""
     write = _ASK_ALL + 3 * n_servos
     answer = EMPTY_SIZE + dialect.state_size
     state = n_servos * answer + (_ASK_ALL + n_servos if dialect.sync_read else n_servos * _ASK_ONE)
@@ -55,7 +55,7 @@ def cycle_s(n_servos: int, baud_rate: int, dialect: Dialect) -> float:
 
 
 def budget(servos: Sequence[MountedServo], baud_rate: int, rate_hz: float) -> str | None:
-    """Why this bus cannot do `rate_hz` with feedback, and what would; None when it can."""
+    """Return why this bus cannot do `rate_hz` with feedback, and the remedy; None if it can."""
     dialect = servos[0].model.dialect
     can_hz = 1.0 / cycle_s(len(servos), baud_rate, dialect)
     if can_hz >= rate_hz:
@@ -69,7 +69,7 @@ def budget(servos: Sequence[MountedServo], baud_rate: int, rate_hz: float) -> st
 
 
 class FeetechBus:
-    """Servos of one dialect on one line, found by their ids, spoken to in joint degrees.
+    """Servos of one dialect on one line, found by their ids, addressed in joint degrees.
 
     A servo that falls silent costs its own samples only. When the port fails every method raises
     PortGone until `reopen` succeeds. Never writes EEPROM, nor a goal to a servo that is to be limp.
@@ -85,10 +85,12 @@ class FeetechBus:
         strict: bool = True,
         period_s: float = math.inf,
     ) -> None:
-        """strict: every servo must answer before the first goal.
+        """Make a bus of these servos, closed until `__enter__`; then opened by `open_transport`.
 
-        Else it is enough that one does, and all that are critical. period_s: of the ticks. A servo
-        whose goals were withheld follows by at most its way of one of them, however late it comes.
+        strict: every servo must answer before the first goal; otherwise servos may be missing, but
+        neither a critical one nor all. period_s: of the ticks. A servo whose goals were withheld
+        moves at most as far as its top speed allows in one period per goal, however late the goal
+        comes.
         """
         self._servos = tuple(servos)
         self._ids = [servo.joint.servo_id for servo in servos]
@@ -127,13 +129,13 @@ class FeetechBus:
 
     @property
     def line(self) -> Line:
-        """The open line. Raises PortError when there is none."""
+        """The open line. Raises PortError when no line is open."""
         if self._line is None:
             raise PortError("the bus is used outside its `with` block, or its port is gone")
         return self._line
 
     def write_positions(self, positions_deg: Array) -> None:
-        """Send every goal inside its servo's range; NaN is not. Limp servos get theirs with torque.
+        """Send every goal inside its servo's range; a limp servo gets none before its torque.
 
         Parameters
         ----------
@@ -186,16 +188,16 @@ class FeetechBus:
             )
 
     def widen(self, joints: NDArray[np.bool_]) -> None:
-        """Do nothing: these servos keep their limits themselves.
+        """Do nothing: only hobby servos accept goals beyond their joints' limits.
 
         Parameters
         ----------
         joints : NDArray[np.bool_]
-            (n_servos,).
+            (n_servos,), ignored.
         """
 
     def read(self) -> Readings:
-        """One question to all: torque, goals and places. A limp servo's goal is the one kept."""
+        """Read torque, goals and positions of all servos; for a limp one the goal stored here."""
         line, cache = self.line, self._cache
         found = self._whole.ask(line)
         statuses = statuses_in(found) if isinstance(found, bytes) else found
@@ -221,7 +223,7 @@ class FeetechBus:
         )
 
     def feedback(self) -> Feedback:
-        """One question to all; of a silent servo the last answer, with its age."""
+        """Read positions and load of all servos; for a silent one its last values and their age."""
         line, cache = self._line or self.line, self._cache
         found = self._state.ask(line)
         now_s = line.transport.clock.now()
@@ -237,9 +239,9 @@ class FeetechBus:
         )
 
     def look_after(self) -> Health:
-        """Torque and bounds of one servo, in turns; the rest comes with every feedback.
+        """Read torque and limits of one servo, in turns; return what is known of all servos.
 
-        Of one that is back from a silence first: until then it gets no goals.
+        A servo that answers again after a silence comes first: until then it gets no goals.
         """
         line, cache = self._line or self.line, self._cache
         index = self._turn
@@ -259,21 +261,27 @@ class FeetechBus:
         return cache.health(line.transport.clock.now(), self._present.current_ma)
 
     def obstacle(self, index: int) -> str:
-        """Checked anew before every torque on: the servo may be another, or set up elsewhere."""
+        """Return why one servo cannot hold its position; empty: it can. To call before torque on.
+
+        Read anew each time: the servo may have been replaced, or set up elsewhere.
+        """
         return self._torque.obstacle(self.line, index)
 
     def enable_torque(self, index: int) -> str:
-        """Identity, place, bounds, goal, torque; each read back before the next."""
+        """Switch one servo's torque on without motion; return why it stays off, "" if confirmed.
+
+        Each read back before the next: identity, position, limits, goal, torque.
+        """
         self._behind[index] = False
         return self._torque.enable(self.line, index)
 
     def keep_torque(self, index: int) -> bool:
-        """Goal := place, for a servo whose torque is on already."""
+        """Hold a servo whose torque is on at its present position; return whether that worked."""
         self._behind[index] = False
         return self._torque.keep(self.line, index)
 
     def disable_torque(self, index: int) -> bool:
-        """Switch torque off, and read back whether it is."""
+        """Switch one servo's torque off; return whether a read confirms it."""
         return self._torque.disable(self.line, index)
 
     def disable_all(self) -> NDArray[np.bool_]:
@@ -282,7 +290,7 @@ class FeetechBus:
         Returns
         -------
         NDArray[np.bool_]
-            (n_servos,): which servos confirmed.
+            (n_servos,): True for servos that confirmed.
         """
         line, cache = self.line, self._cache
         self._torque.disable_all()
@@ -304,18 +312,21 @@ class FeetechBus:
         return confirmed
 
     def remarks(self) -> Sequence[str]:
-        """What is unusual about adapter and servos, in sentences for a log."""
+        """Return what is unusual about adapter and servos, in sentences for a log."""
         if self._line is not None and self._line.echoes and _ECHO not in self._remarks:
             self._remarks += (_ECHO,)
         return self._remarks
 
     def reboot(self, index: int) -> None:
-        """Torque off, which ends the servo's protection; not all know an instruction to restart."""
+        """Switch one servo's torque off, which clears its errors, in place of a restart.
+
+        Not all models have an instruction to restart.
+        """
         self._torque.disable(self.line, index)
         self._present.forget_trouble(index)
 
     def reopen(self) -> None:
-        """A new handle. Raises PortError."""
+        """Open the port again with a new handle. Raises PortError."""
         self._close()
         self._begin(Line(self._open_transport()))
 
@@ -347,7 +358,7 @@ class FeetechBus:
             self._close()
 
     def _begin(self, line: Line) -> None:
-        """Use this line from now on, with the deadlines that its slowest servo needs."""
+        """Use this line from now on, with the answer deadline that the slowest servo needs."""
         self._line = line
         line.return_delay_s = float(self._cache.return_delay_s.max())
         for group in (self._state, self._whole, self._holding):

@@ -1,4 +1,4 @@
-"""Packets of Feetech's protocol as bytes, found in a stream, and prepared once for every tick.
+"""Packets of Feetech's protocol as bytes: made, found in a stream, or prepared for every tick.
 
     FF FF | id | length | instruction, or status of an answer | parameters | checksum
 
@@ -25,7 +25,7 @@ MAX_ID: Final = 253
 
 
 class Instruction(IntEnum):
-    """Those that are sent here. A ping has no place: its echo looks like its answer."""
+    """The instructions sent here. A ping is not among them: its echo looks like its answer."""
 
     READ = 0x02
     WRITE = 0x03
@@ -34,7 +34,7 @@ class Instruction(IntEnum):
 
 
 class Status(NamedTuple):
-    """What one servo answered. error: bits of register `status`."""
+    """The answer of one servo. error: bits of register `status`."""
 
     servo_id: int
     error: int
@@ -42,9 +42,9 @@ class Status(NamedTuple):
 
 
 def packet(packet_id: int, instruction: int, parameters: bytes = b"") -> bytes:
-    """A whole packet; with a status in place of the instruction that of a servo.
+    """Return a whole packet; a servo's answer with its status in place of `instruction`.
 
-    Raises ValueError when it does not fit: the length field counts to 255.
+    Raises ValueError when the parameters do not fit: the length field counts to 255.
     """
     body = bytes((packet_id, len(parameters) + 2, instruction)) + parameters
     return HEADER + body + bytes((~sum(body) & 0xFF,))
@@ -52,27 +52,30 @@ def packet(packet_id: int, instruction: int, parameters: bytes = b"") -> bytes:
 
 @lru_cache(maxsize=1024)
 def read(servo_id: int, address: int, size: int) -> bytes:
-    """Ask one servo for `size` bytes. Remembered: a tick asks the same of each, in turn."""
+    """Return the request for `size` bytes of one servo; cached, since a tick sends it often."""
     return packet(servo_id, Instruction.READ, bytes((address, size)))
 
 
 def write(servo_id: int, address: int, data: bytes) -> bytes:
-    """Set bytes of one servo. Raises ValueError where they reach register `torque_enable`."""
+    """Return the packet that sets bytes of one servo.
+
+    Raises ValueError where the bytes reach register `torque_enable`.
+    """
     return packet(servo_id, Instruction.WRITE, _beside_torque(address, data) + data)
 
 
 def sync_write(address: int, size: int, blocks: Iterable[tuple[int, bytes]]) -> bytes:
-    """Set the same `size` bytes of several servos, (id, bytes) each; no servo answers."""
+    """Return the packet that sets `size` bytes of each servo in `blocks`; no servo answers it."""
     listed = b"".join(bytes((servo_id,)) + each for servo_id, each in blocks)
     parameters = _beside_torque(address, bytes(size)) + bytes((size,)) + listed
     return packet(BROADCAST_ID, Instruction.SYNC_WRITE, parameters)
 
 
 def torque(ids: Sequence[int], *, on: bool) -> bytes:
-    """Torque of these servos on or off, or off of everybody where there are no ids.
+    """Return the packet that switches torque of `ids` on or off; without ids, of all servos off.
 
-    The only packet that writes register `torque_enable`, in which 128 would make the present place
-    the middle of the range, for good.
+    The only packet that writes register `torque_enable`, in which 128 would make the present
+    position the middle of the range, for good.
     """
     if not ids:
         return packet(BROADCAST_ID, Instruction.WRITE, bytes((TORQUE_ENABLE, 0)))
@@ -87,9 +90,9 @@ def _beside_torque(address: int, data: bytes) -> bytes:
 
 
 def packets_in(stream: bytes) -> Iterator[tuple[Status | None, int]]:
-    """Every whole packet in a stream, whatever else is in it, and where it ends.
+    """Yield every whole packet in a stream, skipping all other bytes, and where it ends.
 
-    None where one is damaged, or has not come whole yet; the search goes on inside it.
+    None where a packet is damaged or unfinished; the search goes on inside it.
     """
     at = 0
     while (at := stream.find(HEADER, at)) >= 0 and at + EMPTY_SIZE <= len(stream):
@@ -105,7 +108,7 @@ def packets_in(stream: bytes) -> Iterator[tuple[Status | None, int]]:
 
 
 def statuses_in(stream: bytes) -> list[Status]:
-    """Every whole packet in a stream."""
+    """Return every whole packet in a stream, skipping all other bytes."""
     return [status for status, _ in packets_in(stream) if status is not None]
 
 
@@ -124,7 +127,7 @@ class GoalWrite:
         self._sum = sum(self._head[2:])
 
     def request(self, values: ArrayLike) -> bytes:
-        """Return the Sync Write packet that sets whole numbers from 0 on.
+        """Return the Sync Write packet that sets the register to these whole numbers, 0 or above.
 
         Parameters
         ----------
@@ -142,7 +145,7 @@ class GoalWrite:
 
 
 class SpanRead:
-    """A prepared question to several servos for the same `size` bytes from `address` on."""
+    """A prepared request to several servos for `size` bytes each from `address` on."""
 
     def __init__(self, ids: Sequence[int], address: int, size: int) -> None:
         self.ids = tuple(ids)
@@ -158,7 +161,7 @@ class SpanRead:
         self._sum_bytes = b"\xfd" * n
 
     def is_undisturbed(self, stream: bytes) -> bool:
-        """Whether `stream` is exactly the answers of all, in their order."""
+        """Return whether `stream` is exactly the answers of all servos, in the order of the ids."""
         step = self.step
         if (
             len(stream) != self.reply_size

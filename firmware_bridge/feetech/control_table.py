@@ -37,7 +37,7 @@ CONTROL, STATE = 40, 56
 
 @dataclass(frozen=True, slots=True)
 class Register:
-    """One entry of a control table. sign: the bit that says minus; None: never negative."""
+    """One entry of a control table. sign: the bit that marks a negative value; None: unsigned."""
 
     address: int
     size: int
@@ -49,8 +49,8 @@ class Dialect:
     """Register layout and read instructions of one family of servos.
 
     n_positions: values of the position registers, over `reach_deg` degrees with `center` in the
-    middle. control_size, state_size: bytes from `CONTROL` and `STATE` on that are read together.
-    current_unit_ma: of present_current; None: it has none.
+    middle. control_size, state_size: bytes read at once from `CONTROL` and from `STATE` on.
+    current_unit_ma: of present_current; None: the dialect has no such register.
     """
 
     name: str
@@ -66,18 +66,18 @@ class Dialect:
 
     @property
     def positions_per_deg(self) -> float:
-        """Steps of the position registers a degree."""
+        """Steps of the position registers per degree."""
         return self.n_positions / self.reach_deg
 
     def encode(self, name: str, value: int) -> bytes:
-        """The bytes of a register's value. Raises OverflowError when it does not fit."""
+        """Return a register's value as bytes. Raises OverflowError when it does not fit."""
         entry = self.registers[name]
         if value < 0 and entry.sign is not None:
             value = -value | 1 << entry.sign
         return value.to_bytes(entry.size, self.byte_order)
 
     def decode(self, name: str, data: bytes, start: int = 0) -> int:
-        """The value of a register in `data`, whose first byte is that of address `start`."""
+        """Return a register's value from `data`, whose first byte is that of address `start`."""
         entry = self.registers[name]
         at = entry.address - start
         value = int.from_bytes(data[at : at + entry.size], self.byte_order)
@@ -86,7 +86,7 @@ class Dialect:
         return value
 
     def decode_all(self, data: bytes) -> dict[str, int]:
-        """The values of the registers that lie whole in `data`, from address 0 on, by name."""
+        """Return by name the values of the registers that lie whole in `data`, from address 0."""
         of = self.registers
         whole = (name for name, each in of.items() if each.address + each.size <= len(data))
         return {name: self.decode(name, data) for name in whole}
@@ -94,7 +94,7 @@ class Dialect:
 
 @dataclass(frozen=True, slots=True)
 class ServoModel:
-    """One servo model, which may come with several gears: fastest_deg_s is of the quickest."""
+    """One servo model, which may come with several gears: fastest_deg_s is that of the quickest."""
 
     name: str
     model_number: int
@@ -109,23 +109,23 @@ class ServoModel:
 
     @property
     def center_pulse(self) -> int:
-        """Where the servo angle is 0."""
+        """The position register's value at servo angle 0."""
         return self.dialect.center
 
     @property
     def pulses_per_deg(self) -> float:
-        """Steps of the position registers a degree."""
+        """Steps of the position registers per degree."""
         return self.dialect.positions_per_deg
 
     @property
     def current_unit_ma(self) -> float | None:
-        """Milliamperes a step of present_current; None: the register counts load alone."""
+        """Milliamperes per step of present_current; None: only load is measured."""
         return self.dialect.current_unit_ma
 
 
 @cache
 def baud_rates() -> Mapping[int, int]:
-    """Baud rate by the code that register `baud_rate` holds, the factory's first."""
+    """Return baud rates by their code in register `baud_rate`, the factory's rate first."""
     return MappingProxyType(dict(_tables()["baud_rates"]))
 
 
@@ -143,9 +143,9 @@ def servo_models() -> Mapping[str, ServoModel]:
 
 
 def model_name(number: bytes) -> str:
-    """Of the two bytes at address 3, for people: `STS3215`, or `unknown model 9.99`.
+    """Return the model's name for the two bytes at address 3, as `STS3215` or `unknown model 9.99`.
 
-    Whatever its byte order: two models of two dialects never have the same bytes.
+    The byte order does not matter: models of two dialects never have the same two bytes.
     """
     known = (
         model.name

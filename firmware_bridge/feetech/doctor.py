@@ -1,4 +1,4 @@
-"""Everything that can be wrong between a computer and its Feetech servos, found by looking only."""
+"""Checks of everything that can be wrong between a computer and its Feetech servos; only reads."""
 
 from collections.abc import Iterator, Sequence
 from typing import Final
@@ -27,9 +27,9 @@ _DEAD_COMPUTER: Final = (
 
 
 def examine(line: Line, servos: Sequence[MountedServo], rate_hz: float) -> Iterator[Finding]:
-    """Findings in the order they are made; nothing is written to any servo.
+    """Yield findings about port and servos in the order of the checks; write to no servo.
 
-    line: one that waits for late answers, by `UNHURRIED_S`.
+    line: one that waits `UNHURRIED_S` for late answers.
     """
     wanted_rate = line.baud_rate
     ids = [servo.joint.servo_id for servo in servos]

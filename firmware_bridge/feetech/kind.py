@@ -1,4 +1,4 @@
-"""Feetech servos at a serial port, as one kind of bus."""
+"""The kind of bus `feetech`: Feetech servos at a serial port."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class FeetechKind(BusKind):
-    """See `BusKind`."""
+    """The kind of bus `feetech`; `BusKind` describes the methods."""
 
     name = "feetech"
     settings = FeetechSettings
@@ -26,13 +26,16 @@ class FeetechKind(BusKind):
     simulator_module = "firmware_bridge.feetech.simulator"
 
     def capabilities(self, settings: "BusSettings") -> BusCapabilities:
-        """All but a watchdog: when the computer dies they go on to the goal sent last, and hold."""
+        """Return all capabilities but a watchdog; without a port, those of servos in memory.
+
+        When the computer dies these servos go on to the goal sent last, and hold.
+        """
         if settings.port is None:
             return replace(CAPABILITIES, in_memory=True, memory=False, set_up=False)
         return CAPABILITIES
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":
-        """Open the bus at its port; without one in memory."""
+        """Return the bus at its port; without a port, one that is simulated in memory."""
         from firmware_bridge.feetech.bus import FeetechBus
         from firmware_bridge.feetech.mounting import mounted_servos
 
@@ -47,20 +50,23 @@ class FeetechKind(BusKind):
         return FeetechBus(servos, opener, strict=strict, period_s=1.0 / wiring.rate_hz)
 
     def slowness(self, wiring: Wiring, rate_hz: float) -> str | None:
-        """Return why the rate is too high for the bytes of a tick; empty: it is not."""
+        """Return why the baud rate is too low for ticks at `rate_hz`; None if it is not."""
         from firmware_bridge.feetech.bus import budget
         from firmware_bridge.feetech.mounting import mounted_servos
 
         return budget(mounted_servos(wiring), wiring.settings.baud_rate, rate_hz)
 
     def answers_at(self, transport: "Transport") -> bool:
-        """Whether any id answers a read of its model number."""
+        """Return whether any id answers a read of its model number at this transport."""
         from firmware_bridge.feetech.line import Line
 
         return bool(Line(transport).scan())
 
     def port_release(self, port: str, wiring: Wiring | None) -> Callable[[], PortRelease]:
-        """At the face's rate; where that is not known, at all usual ones."""
+        """Return a function that opens the port to switch torque off at the face's baud rate.
+
+        Without a wiring the rate is unknown, and all usual ones are tried.
+        """
         from firmware_bridge.feetech.control_table import baud_rates
         from firmware_bridge.feetech.torque import LineRelease
         from firmware_bridge.serial_servos.serial_transport import SameAdapter
@@ -70,7 +76,7 @@ class FeetechKind(BusKind):
         return lambda: LineRelease(opener(), rates)
 
     def examine(self, wiring: Wiring) -> Iterator[Finding]:
-        """Port, adapter, and every servo."""
+        """Yield findings about port, adapter, and every servo."""
         from firmware_bridge.feetech.doctor import examine
         from firmware_bridge.feetech.mounting import mounted_servos
         from firmware_bridge.feetech.provisioning import unhurried_line
@@ -79,7 +85,10 @@ class FeetechKind(BusKind):
             yield from examine(line, mounted_servos(wiring), wiring.rate_hz)
 
     def memories(self, wiring: Wiring) -> Sequence[Mapping[str, int] | None]:
-        """Read the EEPROM of each servo."""
+        """Read and return each servo's EEPROM values; None for a servo that does not answer.
+
+        Empty without a port, for servos in memory.
+        """
         from firmware_bridge.feetech.mounting import identify_all, mounted_servos
         from firmware_bridge.feetech.provisioning import unhurried_line
 

@@ -1,4 +1,4 @@
-"""One line of Feetech servos: questions to them and their answers."""
+"""One line of Feetech servos: requests to them and their answers."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -33,8 +33,8 @@ _RETRY_EVERY: Final = 200
 class Line(HalfDuplex):
     """Master of the line.
 
-    An answer that could be the late one to another question does not count: the question is sent
-    in another length.
+    An answer that could be the late one to another request does not count: the new request is sent
+    for another number of bytes.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class Line(HalfDuplex):
     def read(
         self, servo_id: int, address: int, size: int, extra_wait_s: float = 0.0
     ) -> Status | None:
-        """`size` bytes of one servo. extra_wait_s: waited for longer than an answer should take."""
+        """Read `size` bytes of one servo; None: no answer. extra_wait_s: beyond the deadline."""
         wide = size
         if self._pending.any and self._pending.expire(self._clock.now()):
             wide = self._pending.free_size((servo_id,), size)
@@ -67,7 +67,7 @@ class Line(HalfDuplex):
         return status if wide == size else status._replace(data=status.data[:size])
 
     def write(self, servo_id: int, address: int, data: bytes, extra_wait_s: float = 0.0) -> None:
-        """Set bytes of one servo. What it acknowledges says nothing: read it back."""
+        """Set bytes of one servo. Its acknowledgement proves nothing: read the bytes back."""
 
         def take(stream: bytes, *, last: bool) -> Status | None:  # noqa: ARG001 - whole or nothing
             return next((s for s in statuses_in(stream) if s.servo_id == servo_id), None)
@@ -76,7 +76,7 @@ class Line(HalfDuplex):
         self._transact(request, EMPTY_SIZE, take, extra_wait_s=extra_wait_s)
 
     def sync_read(self, span: SpanRead) -> Answers:
-        """The answers of all as one stream, undisturbed; or those that came whole, one by one."""
+        """Return all answers as one undisturbed stream, otherwise those that came whole."""
         wide = span
         if self._pending.any and self._pending.expire(self._clock.now()):
             size = self._pending.free_size(span.ids, span.size)
@@ -98,10 +98,10 @@ class Line(HalfDuplex):
         return _cut(taken, span.size)
 
     def scan(self, ids: Sequence[int] = range(MAX_ID + 1)) -> dict[int, list[bytes]]:
-        """Who answers, with the model number's two bytes, once for each answer that came whole.
+        """Return by id the model number's two bytes, once for each whole answer to that id.
 
-        One question after another; answers are collected at the end, so that a computer or adapter
-        that is late with them loses none. Half a second for all ids at 1 Mbaud.
+        One request after another; answers are collected at the end, so that a computer or adapter
+        that delays them loses none. Half a second for all ids at 1 Mbaud.
         """
         self.transport.discard_input()
         heard = b""
@@ -126,9 +126,10 @@ def _cut(statuses: Sequence[Status], size: int) -> list[Status]:
 
 
 class Group:
-    """The same bytes of all `ids`, in one question where the dialect has it; doubtful ones last.
+    """A request for the same bytes of all `ids`, one packet if the dialect has sync read.
 
-    leaves_out: whether some are silent for so long that they are polled only now and then.
+    Unreliable ids come last. leaves_out: whether some are silent for so long that they are polled
+    only now and then.
     """
 
     def __init__(self, ids: Sequence[int], address: int, size: int, *, sync: bool) -> None:
@@ -145,7 +146,7 @@ class Group:
         self._span = SpanRead(self.ids, self._address, self._size)
 
     def ask(self, line: Line) -> Answers:
-        """A stream of all answers in the order of the ids; else the answers that came."""
+        """Send the request; return one stream of all answers, otherwise the answers that came."""
         self._n_requests += 1
         if self.leaves_out and self._n_requests % _RETRY_EVERY in (0, 1):
             self._prepare(retry=self._n_requests % _RETRY_EVERY == 0)
@@ -165,15 +166,15 @@ class Group:
         return found
 
     def trust(self, servo_id: int) -> None:
-        """It has been heard elsewhere: ask it again, if it was left out."""
+        """Include a servo again that was left out, since it has answered another request."""
         if self._silent[servo_id] >= _ABSENT_AFTER:
             self._silent[servo_id] = 0
             self._prepare()
 
     def _judge(self, answered: set[int]) -> None:
-        """Count silent servos.
+        """Count silent servos, and prepare the next request.
 
-        Where none answers, line or computer stalled, and none is left out.
+        Where none answers, line or computer stalled, and no servo counts as silent.
         """
         for servo_id in self._span.ids:
             if servo_id in answered:

@@ -1,4 +1,4 @@
-"""Feetech servos in their places in the face, and whether those that answer are the right ones."""
+"""Feetech servos mounted in a face, and whether those that answer are the ones of its YAML."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,7 +33,10 @@ MountedServo = Mounted[ServoModel]
 
 
 def mounted_servos(wiring: Wiring) -> list[MountedServo]:
-    """Every servo of a face in its place. Raises ServoError where they speak two dialects."""
+    """Return every servo of a face with its joint, in the order of its joints.
+
+    Raises ServoError where the servos have two dialects, which cannot share a bus.
+    """
     servos = [
         MountedServo(joint, each.facts, each.sign, each.zero_offset_deg)
         for joint, each in zip(wiring.joints, wiring.servos, strict=True)
@@ -50,9 +53,9 @@ def mounted_servos(wiring: Wiring) -> list[MountedServo]:
 
 @dataclass(frozen=True, slots=True)
 class ServoIdentity:
-    """What one servo reported of itself. model: two bytes; eeprom: register values by name.
+    """Model, settings and position read from one servo. model: two bytes; eeprom: values by name.
 
-    place: its position register. doubled: answers came spoilt, as of two servos with one id.
+    place: its position register. doubled: answers were damaged, as from two servos with one id.
     """
 
     model: bytes
@@ -66,7 +69,7 @@ class ServoIdentity:
         return self.eeprom["return_delay_time"] * RETURN_DELAY_UNIT_S
 
     def speed_register(self, deg_s: float, dialect: Dialect) -> int:
-        """goal_speed for a speed, in the unit that this servo is set to; never 0.
+        """Return the goal_speed value for a speed, in the unit set in this servo; never 0.
 
         0 is "stop" or "as fast as it can", by another bit of `phase`.
         """
@@ -79,7 +82,10 @@ class ServoIdentity:
 def identify(
     line: Line, servo: MountedServo, tries: int = len(_EXTRA_WAITS_S)
 ) -> ServoIdentity | None:
-    """Read one servo's settings and place; None when it does not answer so many times."""
+    """Read one servo's settings and position; None if it does not answer within `tries` attempts.
+
+    doubled=True where nearly all of the usual attempts get damaged answers.
+    """
     servo_id, dialect = servo.joint.servo_id, servo.model.dialect
     n_spoilt = 0
     for extra_wait_s in _EXTRA_WAITS_S[:tries]:
@@ -95,7 +101,7 @@ def identify(
 
 
 def mismatches(servo: MountedServo, found: ServoIdentity) -> list[str]:
-    """Where this servo is not as the face's YAML says; one line each, empty = it can be driven."""
+    """Return how a servo differs from the face's YAML, one line each; empty: it can be driven."""
     model = servo.model
     if found.doubled:
         one_alone = f"connect one of them alone and run `lipservo setup-servos {servo.joint.name}`"
@@ -118,6 +124,9 @@ def mismatches(servo: MountedServo, found: ServoIdentity) -> list[str]:
 def identify_all(
     line: Line, servos: Sequence[MountedServo], *, strict: bool
 ) -> list[ServoIdentity | None]:
-    """Ask every servo. Raises as `checked_identities`."""
+    """Read settings and position of every servo, None for a silent one; ServoError for a mismatch.
+
+    Silent servos raise ServoError too: any if strict, otherwise a critical one or all of them.
+    """
     found = [identify(line, servo) for servo in servos]
     return checked_identities("feetech", line.transport, servos, found, mismatches, strict=strict)

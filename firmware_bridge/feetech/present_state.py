@@ -1,4 +1,4 @@
-"""Place, load, warmth and trouble of every Feetech servo, read in place from its answers."""
+"""Position, load, temperature and errors of every Feetech servo, read in place from its answers."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -28,12 +28,12 @@ _HARDWARE: Final = np.array(
 
 
 def hardware_errors(status: int) -> int:
-    """Bits of `HardwareError` for a value of register `status`."""
+    """Return the bits of `HardwareError` for a value of register `status`."""
     return int(_HARDWARE[status & _STATUS_BITS])
 
 
 class PresentState:
-    """Takes what servos answer into their `cache`. Trouble is kept until they are restarted."""
+    """Stores what servos answer in their `cache`. Errors are kept until the servo is restarted."""
 
     def __init__(self, servos: Sequence[MountedServo]) -> None:
         n, dialect = len(servos), servos[0].model.dialect
@@ -74,7 +74,7 @@ class PresentState:
         Returns
         -------
         Array
-            (n_servos,) mA; NaN where its register set has none.
+            (n_servos,) mA; NaN where the dialect has no current register.
         """
         if self._currents is None or self._current_unit_ma is None:
             return np.full(len(self.cache.ids), np.nan)
@@ -86,19 +86,19 @@ class PresentState:
         self._seen = b""
 
     def take_state(self, found: bytes | list[Status], now_s: float) -> Array:
-        """Store one read of all servos' registers from `STATE` on.
+        """Store one read of all servos' registers from `STATE` on; return how old each one's is.
 
         Parameters
         ----------
         found : bytes | list[Status]
-            As a `Group` returns them.
+            The answers, as returned by `Group.ask`.
         now_s : float
             Monotonic seconds.
 
         Returns
         -------
         Array
-            (n_servos,) seconds: how old each servo's part is.
+            (n_servos,) seconds: age of each servo's values; 0 for those that answered.
         """
         cache = self.cache
         if isinstance(found, bytes):
@@ -135,7 +135,7 @@ class PresentState:
         return places
 
     def _take_conditions(self) -> None:
-        """Volts, warmth and trouble, which hardly ever change from tick to tick."""
+        """Store voltage, temperature and errors if they changed, which hardly ever happens."""
         of, cache = self._conditions, self.cache
         seen = b"".join([values.tobytes() for values in of.values()])
         if seen == self._seen and self._all_heard:
@@ -148,6 +148,6 @@ class PresentState:
         self.cache.hardware = read_only(cache.hardware | now)
 
     def forget_trouble(self, index: int) -> None:
-        """Clear the errors of a servo that was restarted."""
+        """Clear the stored errors of a servo that was restarted."""
         self.cache.set_one("hardware", index, 0)
         self._seen = b""

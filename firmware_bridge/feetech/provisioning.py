@@ -1,4 +1,4 @@
-"""Setting Feetech servos up: what each should hold, and memory unlocked and locked again."""
+"""Setting Feetech servos up: what each should store, with its EEPROM unlocked and locked again."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -38,7 +38,7 @@ _REQUESTED, _HEARD, _SPOILT = 6, 5, 4
 def wanted_settings(
     servo: MountedServo, baud_rate: int, found: Mapping[str, int]
 ) -> dict[str, int]:
-    """EEPROM values by register name for a servo in its place; found: what it holds now."""
+    """Return a mounted servo's EEPROM values by register name. found: the present values."""
     low, high = servo.pulse_range()
     dialect = servo.model.dialect
     margin = round(SERVO_LIMIT_MARGIN_DEG * dialect.positions_per_deg)
@@ -56,7 +56,7 @@ def wanted_settings(
 
 
 def read_eeprom(line: Line, servo_id: int, model: ServoModel) -> dict[str, int]:
-    """Its registers by name. Raises ServoError when the servo does not answer."""
+    """Read a servo's EEPROM registers, by name. Raises ServoError if the servo does not answer."""
     for _ in range(_TRIES):
         answer = line.read(servo_id, 0, EEPROM_SIZE)
         if answer is not None:
@@ -65,9 +65,9 @@ def read_eeprom(line: Line, servo_id: int, model: ServoModel) -> dict[str, int]:
 
 
 def shares_id(line: Line, servo_id: int) -> bool:
-    """Whether several servos seem to answer to `servo_id`; False for one that is silent.
+    """Return whether several servos seem to answer to `servo_id`; False if none answers.
 
-    Two of one model say the same of themselves, and not of where they stand.
+    Two servos of one model answer alike about their model, but not about their position.
     """
     n_heard = n_spoilt = 0
     for _ in range(_REQUESTED):
@@ -127,9 +127,10 @@ CLEARS_MIDDLE: Final = False
 
 
 def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
-    """The first rate at which anybody answers, and the model of every id there.
+    """Return the first baud rate at which servos answer, and the model name by id.
 
-    Each rate is tried twice: a computer that stood still for a moment has heard no answer.
+    Each rate is tried twice, since a computer that stalled misses answers. Raises ServoError where
+    none answers, two have one id or a model is unknown, and PortError.
     """
     rates = list(dict.fromkeys([first_rate, *baud_rates().values()]))
     with unhurried_line(port, first_rate) as line:
@@ -154,9 +155,9 @@ def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
 
 
 def foreign_settings(port: str, rate: int, found: Mapping[int, str]) -> dict[int, list[Difference]]:
-    """What differs, by id, of servos found with their models; those that are plain are left out.
+    """Return, by id, the registers of found servos that differ from a plain set-up; {} if none.
 
-    Raises PortError, and ServoError for a servo that falls silent.
+    found: model name by id. Raises PortError, and ServoError for a servo that falls silent.
     """
     differing = {}
     with unhurried_line(port, rate) as line:
@@ -171,7 +172,7 @@ def foreign_settings(port: str, rate: int, found: Mapping[int, str]) -> dict[int
 def clear_foreign_settings(
     port: str, rate: int, found: Mapping[int, str], foreign: Mapping[int, Sequence[Difference]]
 ) -> None:
-    """Write what `foreign_settings` found, torque off. Raises PortError, ServoError."""
+    """Reset the registers listed in `foreign`, torque off. Raises PortError, ServoError."""
     with unhurried_line(port, rate) as line:
         for servo_id, changes in foreign.items():
             for _ in set_up(line, servo_id, servo_models()[found[servo_id]], changes):
@@ -181,7 +182,7 @@ def clear_foreign_settings(
 def lone_servo(
     port: str, rate: int, servo_id: int, name: str, reach_deg: float
 ) -> tuple[FeetechBus, Joint, int]:
-    """A bus of one servo whose joint has 0 where it stands now; and that place, in ticks."""
+    """Return a bus of one servo, its joint (0 = present position), and that position in ticks."""
     model = servo_models()[name]
     joint = Joint(f"id_{servo_id}", servo_id, -reach_deg, reach_deg, _CAREFUL_DEG_S)
     with unhurried_line(port, rate) as line:

@@ -1,4 +1,4 @@
-"""What a face YAML says of Feetech servos and their port."""
+"""The YAML settings of Feetech servos and their port."""
 
 from collections.abc import Mapping
 from typing import Annotated, Literal, Self
@@ -17,7 +17,7 @@ class FeetechSettings(BusSettings):
 
 
 class _Keys(Strict):
-    """What comes first in the entry of a servo."""
+    """The first keys of a servo's entry in the YAML."""
 
     id: Annotated[int, within(0, 253)]
     model: Literal["STS3215", "STS3250", "SCS0009"]
@@ -28,12 +28,12 @@ class FeetechServo(BusServo, _Keys):
 
     @property
     def facts(self) -> ServoModel:
-        """The facts of its model."""
+        """The facts of the servo's model."""
         return servo_models()[self.model]
 
     @property
     def bounds(self) -> Mapping[str, float | None]:
-        """Limits of its model, in its widest variant."""
+        """Temperature (degC) and voltage (V) limits of the servo's model, in its widest variant."""
         facts = self.facts
         return {
             "hottest_degc": facts.hottest_degc,

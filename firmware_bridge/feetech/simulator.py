@@ -1,6 +1,6 @@
-"""A simulated chain of Feetech servos, to the byte; in memory or behind a terminal.
+"""A simulated chain of Feetech servos, to the byte; in memory or behind a pseudo-terminal.
 
-Every change of torque and goal is logged by the simulator alone: tests judge by that.
+The simulator itself logs every change of torque and goal: tests judge by that log.
 """
 
 import json
@@ -65,9 +65,9 @@ _FACTORY: Final = {
 
 
 class ChainFault(Strict):
-    """What goes wrong, and when: once at at_s, or again and again; lasts for lasts_s.
+    """A simulated fault: once at at_s, or every every_s seconds from then on; each lasts lasts_s.
 
-    servo: its place in the chain; None: all of them.
+    servo: its index in the chain; None: all servos.
     """
 
     kind: Literal["lost", "spoilt", "silence", "brown-out", "overload", "jam", "locked", "unplug"]
@@ -82,7 +82,7 @@ class _Script(Strict):
 
 
 def read_faults(text: str | None) -> tuple[ChainFault, ...]:
-    """Faults of a script. Raises ValueError for whatever is not allowed in it."""
+    """Parse the YAML text of a fault script; () for None. Raises ValueError for a bad script."""
     if text is None:
         return ()
     try:
@@ -98,7 +98,7 @@ def read_faults(text: str | None) -> tuple[ChainFault, ...]:
 
 @dataclass(frozen=True, slots=True)
 class ServoChange:
-    """A change of torque or goal at one servo, and where its shaft stood then; in its steps."""
+    """A change of torque or goal of one servo, and its position at that time, in its steps."""
 
     time_s: float
     servo_id: int
@@ -108,9 +108,9 @@ class ServoChange:
 
 
 class SimulatedServo:
-    """One servo: its control table, whose motor is number `index` of `motors`.
+    """One simulated servo: its control table, whose motor has number `index` in `motors`.
 
-    Goals switch torque on, as in real ones. wakes_up_stiff: torque is on once it has power.
+    A goal switches torque on, as in real servos. wakes_up_stiff: torque is on after power-up.
     n_middles: how often 128 was written to torque_enable.
     """
 
@@ -137,7 +137,7 @@ class SimulatedServo:
         return self.dialect.decode(name, bytes(self.table))
 
     def __setitem__(self, name: str, value: int) -> None:
-        """Past all locks, as a fault or a test may."""
+        """Set a register despite all locks, for faults and tests."""
         entry = self.dialect.registers[name]
         self.table[entry.address : entry.address + entry.size] = self.dialect.encode(name, value)
         if entry.address < EEPROM_SIZE:
@@ -145,23 +145,23 @@ class SimulatedServo:
 
     @property
     def baud_rate(self) -> int:
-        """The rate it listens at."""
+        """The baud rate at which the servo listens; 0 for an invalid code."""
         return baud_rates().get(self["baud_rate"], 0)
 
     @property
     def place(self) -> int:
-        """The value of its position register."""
+        """The value of the servo's position register."""
         shaft = float(self._motors.position[self.index])
         return round((shaft - CENTER_PULSE) / self._scale) + self.dialect.center
 
     def stand_at(self, place: int) -> None:
-        """Put the shaft where its position register reads `place`; its goal is there, too."""
+        """Move shaft and goal at once to where the position register reads `place`."""
         motors, i = self._motors, self.index
         motors.position[i] = motors.trajectory[i] = motors.goal[i] = self._shaft(place)
         self["goal_position"] = place
 
     def power_up(self) -> None:
-        """As after power has been away: what was not kept is forgotten."""
+        """Reset all registers outside the EEPROM, as after power was off."""
         self.table[:EEPROM_SIZE] = self.stored
         self.table[EEPROM_SIZE:] = bytes(_TABLE_SIZE - EEPROM_SIZE)
         self["lock"] = 1
@@ -172,13 +172,13 @@ class SimulatedServo:
         self._settle()
 
     def read(self, address: int, size: int) -> bytes:
-        """Return the bytes that a read of its registers gets."""
+        """Return the bytes that a read of the servo's registers gets."""
         if address + size > STATE:
             self._refresh()
         return bytes(self.table[address : address + size])
 
     def write(self, address: int, data: bytes) -> None:
-        """Registers of the present cannot be written; EEPROM is kept where it is not locked."""
+        """Write registers as a packet would; read-only ones stay, EEPROM lasts only if unlocked."""
         lock = self.dialect.registers["lock"].address
         for at, byte in enumerate(data, start=address):
             if at in (TORQUE_ENABLE, lock) or not 5 <= at < STATE:
@@ -200,7 +200,7 @@ class SimulatedServo:
         self._settle()
 
     def protect(self) -> None:
-        """The bits of `status` as things are now; an overload lasts until torque goes off."""
+        """Update the bits of `status`; an overload lasts until torque goes off."""
         motors, i = self._motors, self.index
         status = self.table[65] & _OVERLOAD
         if motors.overload_s[i] >= self["protection_time"] * 0.01:
@@ -229,7 +229,7 @@ class SimulatedServo:
             motors.overload_s[i] = 0.0
 
     def _settle(self) -> None:
-        """Let the motor be as the registers say."""
+        """Set the motor's speed, acceleration and strength from the registers."""
         motors, i, of = self._motors, self.index, self.dialect.registers
         speed = abs(self["goal_speed"])
         fine = "homing_offset" not in of or self["phase"] & SPEED_IN_STEPS
@@ -267,7 +267,7 @@ class _Reply:
 
 
 class SimulatedChain:
-    """A `SimulatedDevice`: servos on one half-duplex wire. `changes` is what tests look at.
+    """A `SimulatedDevice`: servos on one half-duplex wire. `changes`: the log that tests read.
 
     n_spoken_over: how often one device sent while another did.
     """
@@ -282,7 +282,7 @@ class SimulatedChain:
         environment: Environment | None = None,
         on_change: Callable[[ServoChange], None] = lambda _change: None,
     ) -> None:
-        """Fresh from the factory but for the ids. on_change: gets each one, besides `changes`."""
+        """Set all servos to factory settings but for the ids. on_change: called at each change."""
         self.motors = Motors(models, environment or Environment())
         self.servos = [
             SimulatedServo(model, n, self.motors, wakes_up_stiff=wakes_up_stiff)
@@ -304,16 +304,16 @@ class SimulatedChain:
 
     @property
     def plugged(self) -> bool:
-        """Whether its port is there."""
+        """Whether the chain's port exists; False during a fault `unplug`."""
         return self._now_s >= self._until_s["unplug"]
 
     @property
     def next_delivery_s(self) -> float:
-        """The time of the next bytes to the computer; infinity: none."""
+        """The time at which the next bytes reach the computer; infinity: none are under way."""
         return min((reply.end_s for reply in self._replies), default=_FOREVER)
 
     def advance(self, now_s: float) -> None:
-        """Move all servos on to `now_s`."""
+        """Simulate all servos and due faults up to `now_s`."""
         if now_s <= self._now_s:
             return
         for at_s, fault in [each for each in self._faults if each[0] <= now_s]:
@@ -330,7 +330,7 @@ class SimulatedChain:
             servo.protect()
 
     def receive(self, data: bytes, now_s: float, baud_rate: int) -> None:
-        """Take bytes that the computer writes at `now_s`, at its baud rate."""
+        """Process bytes that the computer writes at `now_s`, at its baud rate."""
         self.advance(now_s)
         if not self.plugged:
             return
@@ -456,7 +456,7 @@ class SimulatedChain:
 
 
 def chain_for(servos: Sequence[MountedServo], baud_rate: int, **options: Any) -> SimulatedChain:
-    """Every servo with its id, rate and limits, limp in neutral.
+    """Return a simulated chain with each servo's id, rate and limits, limp in neutral.
 
     options: those of `SimulatedChain`.
     """
@@ -471,7 +471,7 @@ def chain_for(servos: Sequence[MountedServo], baud_rate: int, **options: Any) ->
 
 
 def simulated_wire(wiring: Wiring) -> tuple[FeetechBus, ManualClock]:
-    """The servos of a face in memory, and the clock that moves them."""
+    """Return a bus of the face's servos simulated in memory, and the clock that drives them."""
     servos, clock, rate = mounted_servos(wiring), ManualClock(), wiring.settings.baud_rate
     chain = chain_for(servos, rate)
     return FeetechBus(servos, lambda: MemoryTransport(chain, clock, rate)), clock
@@ -488,12 +488,11 @@ def serve(
     faults: str | None,
     **others: Any,
 ) -> PtyHost:
-    """Servos behind a terminal that any program can open: a face's, or `n_servos` of one model.
+    """Return the host of a pseudo-terminal with a face's servos, or with `n_servos` of one model.
 
-    link: a path that leads to it. faults: the text of a script. others: log, a file that gets
-    every change of torque and goal as a line of JSON.
-    Raises ServoError for what no chain can have, ValueError, and PortError where no terminal can
-    be made.
+    link: a path that leads to it. faults: the text of a script. others: log, a file to which every
+    change of torque and goal is written as a line of JSON. Raises ServoError for what no chain can
+    have, ValueError for an invalid script, and PortError where no terminal can be made.
     """
     models, last_id, model = servo_models(), first_id + n_servos - 1, model or "STS3215"
     if model not in models:

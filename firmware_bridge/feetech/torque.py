@@ -1,4 +1,4 @@
-"""Torque of single Feetech servos: on without a jump or jerk, off for certain, off by force."""
+"""Torque of single Feetech servos: on without a jump or jerk, off until confirmed, off by force."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -30,7 +30,7 @@ _RESTART_S: Final = 0.1
 
 
 def write_verified(line: Line, servo_id: int, address: int, data: bytes) -> bool:
-    """Write `data` to one servo until a read shows it, three times at most; whether it did."""
+    """Write `data` to a servo until a read shows it, three times at most; return whether it did."""
     for _ in range(_WRITE_TRIES):
         line.write(servo_id, address, data)
         status = line.read(servo_id, address, len(data))
@@ -40,7 +40,7 @@ def write_verified(line: Line, servo_id: int, address: int, data: bytes) -> bool
 
 
 def torque_verified(line: Line, servo_id: int, *, on: bool) -> bool:
-    """Switch torque on or off, and return whether a read confirms it."""
+    """Set torque to `on` until a read confirms it, three times at most; return whether it did."""
     for _ in range(_WRITE_TRIES):
         line.tell(codec.torque((servo_id,), on=on))
         status = line.read(servo_id, TORQUE_ENABLE, 1)
@@ -76,21 +76,21 @@ class TorqueSwitch:
         self._goal = self._dialect.registers["goal_position"].address
 
     def note_identity(self, index: int, found: ServoIdentity, now_s: float) -> None:
-        """Store a servo's own settings, which count from now on."""
+        """Store a servo's own settings, which are used from now on."""
         self._identities[index] = found
         self._present.take_identity(index, found, now_s)
 
     @property
     def at_full_strength(self) -> bool:
-        """Whether no servo with torque on is slow any more."""
+        """Whether no servo with torque on is still limited by its slow start."""
         return not np.isfinite(self._full_at_s).any()
 
     def obstacle(self, line: Line, index: int) -> str:
-        """Why this servo cannot hold where it stands; empty: it can."""
+        """Return why this servo cannot hold its present position; empty: it can."""
         return self._place_to_hold(line, index)[0]
 
     def enable(self, line: Line, index: int) -> str:
-        """Let it hold where it stands; why it does not, empty: it confirmed."""
+        """Switch a servo's torque on at its present position; return why not, "" if confirmed."""
         cache, servo_id = self._cache, self._servos[index].joint.servo_id
         obstacle, place = self._place_to_hold(line, index)
         if obstacle:
@@ -112,7 +112,10 @@ class TorqueSwitch:
         return ""
 
     def keep(self, line: Line, index: int) -> bool:
-        """Whether a servo that holds goes on holding where it stands; switches nothing on."""
+        """Hold a servo with torque on at its present position; return whether that worked.
+
+        False if its torque is off, which it stays, or if it does not confirm limits and goal.
+        """
         cache, servo_id = self._cache, self._servos[index].joint.servo_id
         torque = line.read(servo_id, TORQUE_ENABLE, 1)
         if torque is None or torque.data != b"\1" or self._identities[index] is None:
@@ -141,7 +144,7 @@ class TorqueSwitch:
         self._full_at_s[:] = np.inf
 
     def doubt(self, ages_s: Array) -> None:
-        """Withhold goals from servos that were silent for long.
+        """Withhold goals from driven servos that were silent for more than 0.1 s.
 
         Parameters
         ----------
@@ -153,7 +156,7 @@ class TorqueSwitch:
         self.driven &= ~silent
 
     def look_after(self, line: Line, index: int, control: bytes) -> None:
-        """Full strength once it is due; off, if it has forgotten its bounds: it has restarted.
+        """Set full strength when due; switch off a servo that lost its speed limit in a restart.
 
         control: the bytes from `CONTROL` on. Some come back from a brown-out with torque on.
         """
@@ -171,7 +174,7 @@ class TorqueSwitch:
             self._full_at_s[index] = np.inf
 
     def _bound(self, line: Line, index: int, *, soft: bool) -> bool:
-        """Bound its speed and, where it can, its strength; whether it keeps them.
+        """Limit a servo's speed and, if possible, its torque; return whether it keeps the limits.
 
         A servo that cannot go as fast as its setting keeps the most that it can.
         """
@@ -208,7 +211,7 @@ class TorqueSwitch:
         return taken
 
     def _place_to_hold(self, line: Line, index: int) -> tuple[str, int]:
-        """What is in the way, or nothing and the place in pulses."""
+        """Return why a servo cannot hold, "" if it can, and its position in pulses (0: unknown)."""
         servo, cache = self._servos[index], self._cache
         found = identify(line, servo, tries=_TRIES)
         if found is None:
@@ -223,24 +226,24 @@ class TorqueSwitch:
 
 
 class LineRelease:
-    """Torque off by force at an open port, of servos that another process drove before."""
+    """Torque off at an open port, for servos that another process drove before."""
 
     confirms: Final = True
 
     def __init__(self, transport: Transport, rates: Sequence[int]) -> None:
-        """rates: baud rates at which servos may listen; the transport is open at the first."""
+        """Set the baud rates at which servos may listen; `transport` is open at the first."""
         self._line = Line(transport)
         self._rates = tuple(dict.fromkeys(rates))
 
     def tell_all(self, addresses: Sequence[int]) -> None:
-        """Torque off to everybody, again and again."""
+        """Send torque off to these addresses and to all servos, twice each."""
         for ids in (tuple(addresses), (), tuple(addresses), ()):
             self._line.tell(codec.torque(ids, on=False))
 
     def ask(self, address: int) -> str:
         """Return "" when the servo confirms torque off.
 
-        Else the reason, and it is ordered once more.
+        Otherwise return the reason, after torque off was sent once more.
         """
         status = self._line.read(address, TORQUE_ENABLE, 1)
         if status is not None and status.data == b"\0":
@@ -249,7 +252,10 @@ class LineRelease:
         return NOT_SEEN if status is None else "kept its torque"
 
     def find(self, addresses: Sequence[int]) -> Sequence[int]:
-        """Broadcast torque off at every rate. A chain has one: the others are not searched then."""
+        """Send torque off at every baud rate; return `addresses` and the ids that a scan finds.
+
+        A chain has one rate: once servos answer at one rate, the others are not searched.
+        """
         line, found = self._line, set(addresses)
         for rate in self._rates:
             line.baud_rate = rate

@@ -1,1 +1,1 @@
-"""What every goal must pass: limits, braking, rules between joints, tracking."""
+"""The checks that every goal must pass: limits, braking, rules between joints, tracking."""

@@ -1,10 +1,10 @@
 """A plan of each joint's next goal, which keeps limits of speed by starting earlier.
 
 The limiter at the bus trusts nothing and knows only its last goal: a joint that should move faster
-than it can comes late, and lips that come late do not touch. A planner that knows the next
-goals can do better. In this order of priority: no joint leaves its limits; poses
-that are mandatory are reached, the nearest first; everything else is as near as may be to what is
-wanted, neither early nor late on average.
+than it can comes late, and lips that come late do not touch. A planner that knows the next goals
+can do better. In this order of priority: no joint leaves its limits; mandatory poses are reached,
+the nearest first; everything else is as near as possible to its target, neither early nor late on
+average.
 """
 
 from dataclasses import dataclass
@@ -33,8 +33,9 @@ class TargetWindow:
     """Targets of joints from now on.
 
     times_s: (k,), seconds from now, ascending from 0; positions_deg: (k, n_joints); must_meet:
-    (k,), poses for which others give way, such as lips that touch. urgent_deg: (n_joints,), a pose
-    that may become mandatory with no more notice than the window gives; None: there is none.
+    (k,), mandatory poses to which others are adapted, such as lips that touch. urgent_deg:
+    (n_joints,), a pose that may become mandatory with no more notice than the window gives; None:
+    there is none.
     """
 
     times_s: Array
@@ -44,19 +45,19 @@ class TargetWindow:
 
 
 class JointPlan:
-    """Streaming: `step` takes a window each `period_s` and gives the next goals.
+    """A streaming planner: `step` takes a window each `period_s` and returns the next goals.
 
     A rate limit that only looks back lags behind. Where two poses of a window are too far apart
-    both give way by half, so that the way between has the timing of what is wanted. A pose that
-    is mandatory in t seconds bounds where the joint may be now: no farther from it than it goes in
-    t. A pose that may become urgent bounds it always: a mouth opens no farther than it can close in
+    both are moved by half, so that the motion between them keeps its timing. A pose that is
+    mandatory in t seconds bounds where the joint may be now: no farther from it than it moves in t.
+    A pose that may become urgent bounds it always: a mouth opens no farther than it can close in
     time, which lowers the scale of a motion on a robot that is too slow for it, and on no other.
     """
 
     def __init__(
         self, max_speed_deg_s: Array, max_acceleration_deg_s2: Array, period_s: float
     ) -> None:
-        """Limits (n_joints,); an infinite one is none."""
+        """Set the limits, (n_joints,) each, infinity = no limit, and the period between steps."""
         self._speed_deg_s = _SHARE_OF_LIMITS * max_speed_deg_s
         self._acceleration_deg_s2 = _SHARE_OF_LIMITS * max_acceleration_deg_s2
         self._step_deg = self._speed_deg_s * period_s
@@ -107,7 +108,7 @@ class JointPlan:
 
     @property
     def held_back_share(self) -> Array:
-        """Share of all steps in which each joint was kept off its target.
+        """Share of all steps in which each joint was planned more than 2 deg off its target.
 
         Returns
         -------
@@ -117,7 +118,7 @@ class JointPlan:
         return np.asarray(self._n_held_back / max(self._n_steps, 1))
 
     def _closable(self, window: TargetWindow) -> Array:
-        """The poses (k, n_joints), those that are not mandatory within reach of the urgent one."""
+        """Return the poses (k, n_joints), all but mandatory ones kept near the urgent pose."""
         poses_deg, urgent_deg = window.positions_deg, window.urgent_deg
         if urgent_deg is None:
             return poses_deg
@@ -126,10 +127,10 @@ class JointPlan:
         return np.where(window.must_meet[:, None], poses_deg, near_deg)
 
     def _feasible(self, times_s: Array, poses_deg: Array) -> Array:
-        """The first of poses that a joint can run through, near those wanted, (n_joints,).
+        """Return the first of the poses nearest to the given ones that keep top speed, (n_joints,).
 
         The least squares by Dykstra's projections (Boyle and Dykstra 1986), from the last pair of
-        poses to the first: what a pair gave way for before is taken back, and given anew.
+        poses to the first: each pair's earlier correction is undone, and computed anew.
         """
         reach_deg = (times_s[1:] - times_s[:-1])[:, None] * self._speed_deg_s
         if not (np.abs(poses_deg[1:] - poses_deg[:-1]) > reach_deg).any():
@@ -146,7 +147,7 @@ class JointPlan:
         return np.asarray(found_deg[0])
 
     def _reach(self, time_s: float) -> Array:
-        """How far joints come from rest to rest in a time, (n_joints,)."""
+        """Return how far joints move from rest to rest in `time_s`, (n_joints,) degrees."""
         if not self._rises:
             return self._speed_deg_s * time_s
         gentle_deg = self._gentle_deg_s2 * time_s * time_s

@@ -1,7 +1,6 @@
-"""The last gate before the servos; it trusts no input: range, speed, finiteness, staleness.
+"""The last gate before the servos; it trusts no input: finiteness, range, speed, rules.
 
-Nothing here knows what a good motion is. A wrong one comes out slow, inside the
-limits, and counted.
+It does not judge the motion. A wrong one comes out slow, inside the limits, and counted.
 """
 
 from collections.abc import Sequence
@@ -41,9 +40,9 @@ def braking_speed(distance_deg: Array, deceleration_deg_s2: Array, step_s: float
 
 
 class AccelerationLimit:
-    """Chooses steps whose change of speed is bounded, and which can stop at goal and range ends.
+    """Limits the change of speed of each step, so that joints can stop at goal and range ends.
 
-    Joints with infinite acceleration are left alone.
+    Joints with infinite acceleration are not limited.
     """
 
     def __init__(self, max_acceleration_deg_s2: Array, max_speed_deg_s: Array) -> None:
@@ -55,7 +54,7 @@ class AccelerationLimit:
         self._wanted = np.zeros(len(max_speed_deg_s))
 
     def rest_at(self, positions_deg: Array) -> None:
-        """Start again from standstill.
+        """Set all joints to standstill at these positions.
 
         Parameters
         ----------
@@ -66,7 +65,7 @@ class AccelerationLimit:
         self._wanted = positions_deg.copy()
 
     def rest_one(self, index: int, position_deg: float) -> None:
-        """Start one joint again from standstill."""
+        """Set one joint to standstill at a position in degrees."""
         self._velocity[index] = 0.0
         self._wanted[index] = position_deg
 
@@ -106,7 +105,7 @@ class AccelerationLimit:
         return np.asarray(np.where(self._limited, sent + velocity * step_s, wanted))
 
     def sent(self, before: Array, after: Array, step_s: float) -> None:
-        """Store the step that was made in the end.
+        """Store the step that was sent after all limits, for the speed of the next step.
 
         Parameters
         ----------
@@ -124,7 +123,7 @@ _SAME_SUM = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class PreventRule:
-    """sum of factors x joint degrees stays at most `above`. factors: one a joint, 0 = no part."""
+    """The sum of factors x joint degrees is at most `above`. factors: one a joint, 0 = not used."""
 
     factors: tuple[float, ...]
     above: float
@@ -132,10 +131,10 @@ class PreventRule:
 
 
 class Prevention:
-    """Cuts a step short where it would break a rule; a step out of a broken rule is free."""
+    """Cuts a step short where it would break a rule; a step out of a broken rule is not cut."""
 
     def __init__(self, rules: Sequence[PreventRule], n_joints: int) -> None:
-        """Raises ValueError unless every rule has a factor for each joint and allows neutral."""
+        """Store the rules. Raises ValueError if one lacks a joint's factor or forbids neutral."""
         for rule in rules:
             if len(rule.factors) != n_joints or rule.above < 0.0:
                 raise ValueError(f"rule {rule.because!r} does not fit {n_joints} joints at rest")
@@ -144,10 +143,11 @@ class Prevention:
         self._above = [rule.above for rule in rules]
 
     def cut(self, from_deg: Array, to_deg: Array) -> Array:
-        """Return the goals that keep the rules between joints, in place of `to_deg`.
+        """Return the goals in place of `to_deg` that keep the rules between joints.
 
-        All joints of a rule stop at the same share of their step. Cutting for one rule may undo
-        what another needs, so it is repeated; when that does not help, the step is not made.
+        All joints of a rule stop at the same share of their step. Cutting for one rule may break
+        another, so it is repeated; when that does not help, the step is not made and `from_deg` is
+        returned.
 
         Parameters
         ----------
@@ -188,7 +188,7 @@ _STALL_PERIODS = 2.0 + 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Limited:
-    """What the gate let through, and where it stepped in. Every array is (n_joints,)."""
+    """The goals that passed the gate, and where limits changed them; every array is (n_joints,)."""
 
     positions_deg: Array
     range_hits: NDArray[np.bool_]
@@ -199,7 +199,7 @@ class Limited:
 
 @dataclass(frozen=True, slots=True)
 class GateCounts:
-    """How often the gate stepped in since it was made, per joint, (n_joints,) each."""
+    """How often the gate changed a goal since it was made, by kind of limit, (n_joints,) each."""
 
     range_hits: NDArray[np.int64]
     rate_hits: NDArray[np.int64]
@@ -208,10 +208,10 @@ class GateCounts:
 
 
 class Limiter:
-    """Keeps every goal finite, in range, within reach of the last one sent, and out of harm.
+    """Keeps every goal finite, in range, within reach of the last one sent, and within the rules.
 
-    `period_s` is the loop's nominal period. Start it where the joints stand; a goal outside
-    its joint's range is clamped to the range, and reached no faster than the joint may move.
+    `period_s` is the loop's nominal period. Start it at the joints' positions; a goal outside its
+    joint's range is clamped to the range, and reached no faster than the joint may move.
     """
 
     def __init__(
@@ -244,7 +244,7 @@ class Limiter:
 
     @property
     def sent_deg(self) -> Array:
-        """The goals let through last.
+        """The goals that passed the gate last.
 
         Returns
         -------
@@ -255,7 +255,7 @@ class Limiter:
 
     @property
     def counts(self) -> GateCounts:
-        """How often each kind of limit was hit so far."""
+        """How often each kind of limit changed a goal so far."""
         return GateCounts(
             self._range_hits.copy(),
             self._rate_hits.copy(),
@@ -264,9 +264,10 @@ class Limiter:
         )
 
     def widen(self, low_deg: Array, high_deg: Array) -> NDArray[np.bool_]:
-        """Set the range from now on, for a person who finds the limits of hobby servos.
+        """Set the joints' range from now on, for a person who searches the limits of hobby servos.
 
-        Never less than the limits, never more than `JointPulse.reach_us`.
+        Never less than the joints' limits, never more than `JointPulse.reach_us`. Return which
+        joints may go beyond their limits.
 
         Parameters
         ----------
@@ -284,7 +285,7 @@ class Limiter:
         return (self._low_deg < self._min_deg) | (self._high_deg > self._max_deg)
 
     def start_from(self, positions_deg: Array, time_s: float) -> None:
-        """Take the joints' present positions as sent.
+        """Store the joints' present positions as the goals sent last, at standstill.
 
         Parameters
         ----------
@@ -296,7 +297,7 @@ class Limiter:
         Raises
         ------
         ValueError
-            They are not finite, or of another shape.
+            The positions are not finite, or of another shape.
         """
         if positions_deg.shape != self._sent_deg.shape or not np.isfinite(positions_deg).all():
             raise ValueError(f"cannot start from {positions_deg}: one finite angle a joint, please")
@@ -305,14 +306,14 @@ class Limiter:
         self._acceleration.rest_at(positions_deg)
 
     def follow(self, joints: NDArray[np.bool_], positions_deg: Array) -> None:
-        """Take as sent where joints without goals stand; what is not known stays.
+        """Store positions of joints without goals as sent last; NaN leaves a joint unchanged.
 
-        So the rules between joints count with where a limp joint is.
+        So the rules between joints count with the real position of a limp joint.
 
         Parameters
         ----------
         joints : NDArray[np.bool_]
-            (n_joints,): which.
+            (n_joints,): True for joints without goals.
         positions_deg : Array
             (n_joints,) degrees, NaN = not known.
         """
@@ -322,7 +323,7 @@ class Limiter:
             self._acceleration.rest_one(index, float(positions_deg[index]))
 
     def start_one(self, index: int, position_deg: float) -> None:
-        """Take one joint's present position as sent. Raises ValueError unless it is finite."""
+        """Store one joint's position as its goal sent last. Raises ValueError if not finite."""
         if not np.isfinite(position_deg):
             raise ValueError(f"cannot start from {position_deg}")
         self._sent_deg = self._sent_deg.copy()
@@ -330,14 +331,14 @@ class Limiter:
         self._acceleration.rest_one(index, position_deg)
 
     def hold_back(self, ready: NDArray[np.bool_] | None) -> None:
-        """Keep joints that are not ready; each is slow from then on until it has caught up.
+        """Keep joints that are not ready at their last goal; once ready, each catches up slowly.
 
         So the rules between joints count with where each is sent, not with its target.
 
         Parameters
         ----------
         ready : NDArray[np.bool_] | None
-            (n_joints,); None: all are.
+            (n_joints,): True for joints that are ready; None: all are ready.
         """
         if ready is None and not self._any_late:
             return
@@ -347,13 +348,13 @@ class Limiter:
         self._any_late = any_set(self._waits) or any_set(self._catches_up)
 
     def apply(self, positions_deg: Array, time_s: float) -> Limited:
-        """Choose the goals to send at `time_s`.
+        """Return the goals to send at `time_s`, limited in this order.
 
         Not finite: the joint stays at its last goal; a wrong shape makes every joint stay. Then the
-        range; then the step from the last goal: at most top speed times the time since, and no
-        faster change of speed than the joint may make; then the rules between joints, for which a
-        step is cut short, whatever that does to its acceleration. Never raises: on the live path a
-        held mouth is better than a stopped loop.
+        range; then the step from the last goal: at most top speed times the time since, a period at
+        most, and no faster change of speed than the joint may make; then the rules between joints,
+        for which a step is cut short, whatever that does to its acceleration. Never raises: on the
+        live path a held mouth is better than a stopped loop.
 
         Parameters
         ----------
@@ -408,14 +409,14 @@ class Limiter:
         )
 
     def unchanged(self) -> Limited:
-        """The last goals, for a tick in which no servo gets new ones; no limit is hit."""
+        """Return the last goals with no limit hit, for a tick in which no servo gets new ones."""
         none = self._no_joint
         return Limited(self._sent_deg, none, none, none, none)
 
     def _hits(
         self, limited_deg: Array, wanted_deg: Array, total: NDArray[np.int64]
     ) -> NDArray[np.bool_]:
-        """Where a limit changed a goal, added to `total`; nearly always it changed none at all."""
+        """Return where a limit changed a goal, and count it in `total`; nearly always none did."""
         if limited_deg is wanted_deg or limited_deg.tobytes() == wanted_deg.tobytes():
             return self._no_joint
         hits = np.abs(limited_deg - wanted_deg) > _SAME_DEG
@@ -424,6 +425,6 @@ class Limiter:
 
 
 def _clip(values: Array, low: Array, high: Array) -> Array:
-    """As np.clip, in a quarter of its time for a face full of joints."""
+    """Return np.clip(values, low, high), in a quarter of its time for a face's few joints."""
     clipped = np.maximum(values, low)
     return np.minimum(clipped, high, out=clipped)

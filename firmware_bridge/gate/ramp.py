@@ -1,7 +1,7 @@
 """Joints moved slowly from one pose to another, and a target that fades as it grows old.
 
-Every slow move of a face is a `Ramp`; a `StaleRule` says what replaces a silent speech side.
-Pure: time comes in as an argument. What they ask for still goes through the limits of the gate.
+Every slow move of a face is a `Ramp`; a `StaleRule` decides what replaces missing targets. Pure:
+time comes in as an argument. Their poses still pass the limits of the gate.
 """
 
 from dataclasses import dataclass
@@ -15,17 +15,17 @@ EASE_PEAK_SLOPE = 1.5
 
 
 def ease(progress: float) -> float:
-    """From 0 to 1 with rest at both ends: 3 p^2 - 2 p^3, p clipped to [0, 1]."""
+    """Return 3 p^2 - 2 p^3, p = progress clipped to [0, 1]: from 0 to 1 with rest at both ends."""
     p = min(max(progress, 0.0), 1.0)
     return p * p * (3.0 - 2.0 * p)
 
 
 @dataclass(frozen=True, slots=True)
 class Ramp:
-    """From start_deg to goal_deg, (n_joints,) each; it begins at start_s and lasts duration_s.
+    """A move from start_deg to goal_deg, (n_joints,) each, from start_s on for duration_s.
 
-    eased: with rest at both ends (`ease`), whose greatest speed is `EASE_PEAK_SLOPE` times the
-    steady speed that it has otherwise. All joints arrive together.
+    eased: with rest at both ends (`ease`), whose greatest speed is `EASE_PEAK_SLOPE` times that of
+    the steady ramp. All joints arrive together.
     """
 
     start_deg: NDArray[np.float64]
@@ -42,7 +42,7 @@ class Ramp:
         start_s: float,
         speed_deg_s: float,
     ) -> "Ramp":
-        """Make a steady ramp on which the joint with the longest way moves at `speed_deg_s`.
+        """Return a steady ramp on which the joint that moves farthest has `speed_deg_s`.
 
         Parameters
         ----------
@@ -62,7 +62,7 @@ class Ramp:
         return cls(start_deg, goal_deg, start_s, longest_deg / speed_deg_s)
 
     def at(self, time_s: float) -> NDArray[np.float64]:
-        """Return where the joints should be.
+        """Return the pose of the ramp at a time.
 
         Parameters
         ----------
@@ -72,7 +72,7 @@ class Ramp:
         Returns
         -------
         NDArray[np.float64]
-            (n_joints,) degrees; exactly the goal once it is over.
+            (n_joints,) degrees; exactly the goal once the ramp is over.
         """
         share = self._share(time_s)
         if self.eased:
@@ -80,18 +80,18 @@ class Ramp:
         return np.asarray((1.0 - share) * self.start_deg + share * self.goal_deg)
 
     def is_over(self, time_s: float) -> bool:
-        """Whether the ramp has reached its goal."""
+        """Return whether the ramp has reached its goal at `time_s`."""
         return time_s - self.start_s >= self.duration_s
 
     def _share(self, time_s: float) -> float:
-        """The part of its time that is over, 0..1; a ramp may last no time at all."""
+        """Return the part of the duration that is over, 0..1; 1 for a ramp of no duration."""
         if self.is_over(time_s):
             return 1.0
         return max(0.0, (time_s - self.start_s) / self.duration_s)
 
 
 class StaleLevel(IntEnum):
-    """How far the bridge has gone in giving up on a silent speech side."""
+    """What the bridge does about missing targets: follow, ease to neutral, stay there, go limp."""
 
     FRESH = 0
     EASING = 1
@@ -101,7 +101,7 @@ class StaleLevel(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class StaleRule:
-    """What happens when no new target comes: follow and hold, ease to neutral, let go.
+    """What happens when no new target arrives: follow and hold, ease to neutral, torque off.
 
     Up to `hold_s` the last target counts in full; from there to `neutral_s` it fades to neutral; at
     `limp_s` torque goes off. The defaults are our choice: 0.1 s is ten missing targets at 100 Hz
@@ -121,7 +121,7 @@ class StaleRule:
             )
 
     def level(self, age_s: float) -> StaleLevel:
-        """Decide what to do when the newest target is `age_s` old."""
+        """Return what to do when the newest target is `age_s` old."""
         if age_s <= self.hold_s:
             return StaleLevel.FRESH
         if age_s < self.neutral_s:
@@ -129,5 +129,5 @@ class StaleRule:
         return StaleLevel.NEUTRAL if age_s < self.limp_s else StaleLevel.LIMP
 
     def weight(self, age_s: float) -> float:
-        """Say how much of the held position remains: 1 while fresh, fading to 0 = neutral."""
+        """Return the share of the held position at `age_s`: 1 while fresh, later down to 0."""
         return 1.0 - ease((age_s - self.hold_s) / (self.neutral_s - self.hold_s))

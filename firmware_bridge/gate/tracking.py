@@ -1,6 +1,6 @@
-"""Notices servos that do not follow: jammed, too weak, or a horn that slipped.
+"""Detects servos that do not follow: jammed, too weak, or a horn that slipped.
 
-Two signs. A servo stays far from its goal; or its goals travel and it does not, however near they
+Two signs. A servo stays far from its goal; or its goals move and it does not, however near they
 are: a jaw moves 7 degrees in speech, so a jammed one is never far from its goal.
 """
 
@@ -38,12 +38,12 @@ _SAMPLE_S: Final = 0.049
 
 @dataclass(frozen=True, slots=True)
 class TrackingRule:
-    """A servo farther than `error_deg` from its goal for `after_s` on end does not follow.
+    """A servo farther than `error_deg` from its goal for `after_s` without a break does not follow.
 
-    error_deg: None = a third of each joint's range, between 3 and 15 degrees. after_s counts for
-    servos that do not move, too. The defaults are our choice: at 400 deg/s a servo that lags by
-    30 ms is 12 deg behind, and no motion of speech goes one way for half a second.
-    Raises ValueError unless both are positive.
+    error_deg: None = a third of each joint's range, between 3 and 15 degrees. after_s applies to
+    servos that do not move, too. The defaults are our choice: at 400 deg/s a servo that lags by 30
+    ms is 12 deg behind, and no motion of speech keeps one direction for half a second. Raises
+    ValueError unless both are positive.
     """
 
     error_deg: float | None = None
@@ -64,9 +64,9 @@ class TrackingRule:
 
 
 class TrackingMonitor:
-    """Compares goals with places, tick by tick. Only what was heard just now counts.
+    """Compares goals with positions in every tick. Only servos that answered just now count.
 
-    error_deg: how far each servo was from its goal when it was last heard, (n_servos,).
+    error_deg: how far each servo was from its goal when it last answered, (n_servos,).
     """
 
     def __init__(self, joints: Sequence[Joint], rule: TrackingRule) -> None:
@@ -82,12 +82,12 @@ class TrackingMonitor:
         return self._rule
 
     def suspend_until(self, index: int, until_s: float) -> None:
-        """One servo need not follow until then: torque that has just come on is slow on purpose."""
+        """Ignore one servo until `until_s`: after torque comes on a servo is slow on purpose."""
         self._within_s[index] = until_s
         self._travel.suspend_until(index, until_s)
 
     def reason(self, index: int) -> str:
-        """Why a servo is behind, in words for a log."""
+        """Return why a servo counts as not following, in words for a log."""
         off_deg = self.error_deg[index]
         if off_deg > self._allowed_deg[index]:
             after_s = self._rule.after_s
@@ -99,19 +99,19 @@ class TrackingMonitor:
         )
 
     def behind(self, sent_deg: Array, feedback: Feedback) -> NDArray[np.bool_]:
-        """Return which servos have not followed their goals for too long.
+        """Compare goals with positions; return which servos have not followed for too long.
 
         Parameters
         ----------
         sent_deg : Array
             (n_joints,) degrees: goals sent last.
         feedback : Feedback
-            Places in degrees, with their age.
+            Positions in degrees, with their age.
 
         Returns
         -------
         NDArray[np.bool_]
-            (n_servos,).
+            (n_servos,): True for those that have not followed.
         """
         error_deg = np.abs(sent_deg - feedback.positions_deg)
         heard = None
@@ -131,9 +131,10 @@ class TrackingMonitor:
 
 
 class _Travel:
-    """How far goals and encoders have gone lately.
+    """How far goals and encoders have moved lately.
 
-    travelled_deg: (2, n_servos), goals and encoders. still: whose goals travel alone, (n_servos,).
+    travelled_deg: (2, n_servos), goals and encoders. still: whose goals move but encoders do not,
+    (n_servos,).
     """
 
     def __init__(self, n: int) -> None:
@@ -156,9 +157,9 @@ class _Travel:
         self.still[index] = False
 
     def observe(self, sent_deg: Array, feedback: Feedback, heard: NDArray[np.bool_] | None) -> None:
-        """See one tick; heard: None = everybody.
+        """Update `travelled_deg` and `still` from one tick. heard: who answered; None: every servo.
 
-        In place and not in every tick: all of them pay for this.
+        Arrays are changed in place, and only every 50 ms or so, to save time in every tick.
         """
         elapsed_s = feedback.time_s - self._time_s
         if elapsed_s < _SAMPLE_S:

@@ -1,1 +1,1 @@
-"""The loop that owns the servos: torque, goals, supervision of servos, stops, and the end."""
+"""The loop that drives the servos: torque, goals, supervision of servos, stops, and the end."""

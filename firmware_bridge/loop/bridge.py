@@ -1,4 +1,4 @@
-"""One tick of the bridge: targets in, one safe goal a servo out. The caller owns loop and clock."""
+"""One tick of the bridge: targets in, one safe goal a servo out. The caller has loop and clock."""
 
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -25,7 +25,10 @@ _LONGEST_WAIT_S: Final = 0.5
 
 
 class PortRetry:
-    """Counts in seconds of tick time. n_lost: how often the port went; due_s: when to try it."""
+    """When to open a lost port again, in seconds of tick time.
+
+    n_lost: how often the port was lost; due_s: when to try to open it.
+    """
 
     def __init__(self) -> None:
         self.is_open = True
@@ -33,14 +36,14 @@ class PortRetry:
         self._wait_s = self.due_s = 0.0
 
     def note_lost(self, time_s: float) -> None:
-        """Note that the port was lost now."""
+        """Note that the port was lost at `time_s`; the first try is due 0.1 s later."""
         self.is_open = False
         self.n_lost += 1
         self._wait_s = _FIRST_WAIT_S
         self.due_s = time_s + _FIRST_WAIT_S
 
     def note_failed(self, time_s: float) -> None:
-        """Note that opening the port failed."""
+        """Note that opening the port failed; the wait before the next try doubles, up to 0.5 s."""
         self._wait_s = min(2.0 * self._wait_s, _LONGEST_WAIT_S)
         self.due_s = time_s + self._wait_s
 
@@ -56,7 +59,7 @@ _LONGEST_S = 2.0
 
 
 class EaseToNeutral:
-    """From where the joints stand, (n_joints,) degrees, to neutral, with rest at both ends."""
+    """A move from the joints' positions, (n_joints,) degrees, to neutral; at rest at both ends."""
 
     def __init__(self, joints: Sequence[Joint], start_deg: Array, start_s: float) -> None:
         speeds_deg_s = np.array([joint.max_speed_deg_s for joint in joints])
@@ -67,7 +70,7 @@ class EaseToNeutral:
         self.arrived = False
 
     def at(self, time_s: float) -> Array:
-        """Return where the joints should be.
+        """Return the pose of the move at a time.
 
         Parameters
         ----------
@@ -82,7 +85,7 @@ class EaseToNeutral:
         return self._ramp.at(time_s)
 
     def over(self, sent_deg: Array, time_s: float) -> bool:
-        """Return whether the joints were sent to neutral, or have been on their way for too long.
+        """Return whether the joints were sent to neutral, or the move has taken 2 s.
 
         Parameters
         ----------
@@ -94,7 +97,7 @@ class EaseToNeutral:
         Returns
         -------
         bool
-            False while the way goes on.
+            False while the move goes on.
         """
         self.arrived = self._ramp.is_over(time_s) and not sent_deg.any()
         return self.arrived or time_s - self._ramp.start_s >= _LONGEST_S
@@ -107,10 +110,10 @@ _DRIVEN, _SILENT, _FRESH = FaceState.DRIVEN, FaceState.SILENT, StaleLevel.FRESH
 class Bridge:
     """Turns targets into goals on a bus that its caller has opened.
 
-    Limp until `start`. A servo in trouble is left out and supervised while the others go on; a
-    port that goes is waited for; torque comes on through the `TorqueGate` alone. `stop` is what a
-    person ordered: it holds whatever happens to port, servos and speech, until `start`. `tick`
-    never raises for them; it goes on after a stop until the state is ENDED.
+    Limp until `start`. A servo in trouble is left out and supervised while the others go on; a lost
+    port is opened again; torque comes on through the `TorqueGate` alone. `stop` is what a person
+    ordered: it lasts whatever happens to port, servos and speech, until `start`. `tick` never
+    raises for them; it goes on after a stop until the state is ENDED.
     """
 
     def __init__(
@@ -120,7 +123,7 @@ class Bridge:
         channel: TargetChannel,
         settings: BridgeSettings,
     ) -> None:
-        """Joints and targets share their order."""
+        """Make a limp bridge; `joints` are in the order of the channel's targets."""
         self._joints = tuple(joints)
         self._settings = settings
         self._targets = FollowedTargets(channel, len(self._joints), settings.stale)
@@ -136,37 +139,37 @@ class Bridge:
 
     @property
     def rate_hz(self) -> float:
-        """The nominal rate of `tick`."""
+        """The nominal rate of `tick`, in Hz."""
         return self._settings.rate_hz
 
     @property
     def capabilities(self) -> BusCapabilities:
-        """The capabilities of its servos."""
+        """The capabilities of the face's servos."""
         return self._servos.gate.capabilities
 
     @property
     def state(self) -> FaceState:
-        """What the face is doing."""
+        """The state of the face: stopped, driven, frozen, ..."""
         return self._state
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The joints, in the order of everything else."""
+        """The names of the joints, in the order of all arrays."""
         return tuple(joint.name for joint in self._joints)
 
     @property
     def plugged(self) -> bool:
-        """Whether the port is there."""
+        """Whether the port of the servos is open."""
         return self._port.is_open
 
     @property
     def tick_counts(self) -> tuple[int, int, int]:
-        """Ticks so far, those missed, and those without a fresh target, as `status` counts them."""
+        """Ticks so far, missed ticks, and ticks with torque on but no fresh target."""
         return self._n_ticks, self._n_late, self._n_stale
 
     @property
     def status(self) -> BridgeStatus:
-        """The counts so far."""
+        """The state of face and servos, and the counts since the bridge was made."""
         return BridgeStatus(
             state=self._state,
             n_ticks=self._n_ticks,
@@ -183,40 +186,40 @@ class Bridge:
 
     @property
     def feedback(self) -> Feedback | None:
-        """Where the servos stood in the last tick; None before it, and while the port is gone."""
+        """The positions read in the last tick; None before it, and while the port is lost."""
         return self._servos.feedback if self._port.is_open else None
 
     @property
     def jogged(self) -> tuple[str, ...]:
-        """The joints that a person jogs just now."""
+        """The names of the joints that a person is jogging now."""
         return tuple(self._joints[index].name for index in self._jog.jogged)
 
     @property
     def n_trouble_changes(self) -> int:
-        """Grows whenever `troubles` changes, so that a loop need not look at texts."""
+        """A count that grows with each change of `troubles`, so that loops compare no texts."""
         return self._servos.supervision.n_changes
 
     @property
     def settled(self) -> bool:
-        """Whether every servo is driven, or `troubles` says why not."""
+        """Whether every servo is driven or has a reason in `troubles`."""
         return self._servos.supervision.settled
 
     @property
     def given_up(self) -> Mapping[int, str]:
-        """Servos that stay limp for good, by index, with the reason."""
+        """Servos that stay limp for good: reason by index."""
         return self._servos.gate.given_up
 
     @property
     def troubles(self) -> tuple[str, ...]:
-        """A line for each servo that is not driven, with the reason; for a log, not for a tick."""
+        """A line for each servo that is not driven, with the reason; too slow for every tick."""
         return self._servos.troubles
 
     def remarks(self) -> Sequence[str]:
-        """What is unusual about the bus, in sentences for a log; they stay and become more."""
+        """Return what is unusual about the bus, as sentences for a log; the list only grows."""
         return self._servos.remarks()
 
     def pulses(self) -> dict[str, dict[str, float]]:
-        """Of each hobby servo by name: its `JointPulse`, and sent_us, where it was sent last."""
+        """Return by joint name each hobby servo's `JointPulse` and sent_us, the pulse sent last."""
         sent_deg = self._servos.limiter.sent_deg.tolist()
         return {
             joint.name: {**asdict(joint.pulse), "sent_us": round(joint.pulse.us(deg), 2)}
@@ -225,7 +228,7 @@ class Bridge:
         }
 
     def servo_health(self) -> tuple[ServoHealth, ...]:
-        """The last reading of every servo's condition; for a log, not for a tick."""
+        """Return the last reading of every servo's condition; too slow for every tick."""
         return self._servos.health()
 
     def health_records(self) -> list[dict[str, object]]:
@@ -233,12 +236,12 @@ class Bridge:
         return self._servos.health_records()
 
     def start(self, may_continue: Callable[[], bool] = lambda: True) -> None:
-        """A person starts the face: let everybody go, then let them hold where they stand.
+        """Start the face: switch all torque off, then on at the present positions; nothing moves.
 
-        Nothing moves. Tolerant, the ticks bring up one servo after another; a critical one must be
-        able to hold now. Otherwise all hold when this returns, or none: raises ServoError that
-        names those that cannot. may_continue: called in between; False: all are limp, and it
-        returns. Raises PortError when the port fails.
+        If tolerant, the ticks bring up one servo after another, and only critical ones must be able
+        to hold now. Otherwise all hold when this returns, or none: raises ServoError that names
+        those that cannot. may_continue: called in between; False: all are limp, and it returns.
+        Raises PortError when the port fails.
         """
         self._servos.gate.open()
         self._servos.disable_all()
@@ -257,10 +260,10 @@ class Bridge:
         self._n_armed += 1
 
     def resume(self) -> None:
-        """A person takes a freeze back: the face goes on from where its servos stand.
+        """End a freeze: drive the face again from its servos' present positions.
 
-        Those that hold go on holding; those that lost their torque meanwhile are brought up one by
-        one, as after a replug. Raises PortError when the port fails.
+        Servos with torque keep it; those that lost it meanwhile are brought up one by one, as after
+        a replug. Raises PortError when the port fails.
         """
         self._begin(self._servos.read().start_deg(self.capabilities), self._tick_s)
         self._servos.gate.open()
@@ -268,11 +271,11 @@ class Bridge:
         self._n_armed += 1
 
     def await_start(self) -> None:
-        """Stay limp after the end of a stop: ticks go on, and `start` brings the face back."""
+        """Set the state to STOPPED after the end of a stop: limp, with ticks, until `start`."""
         self._state = FaceState.STOPPED
 
     def start_frozen(self) -> None:
-        """Take over a face that a person froze: what holds goes on holding, nothing else does."""
+        """Start as a face that a person froze: hold servos whose torque is on; switch none on."""
         readings = self._servos.read()
         self._begin(readings.start_deg(self.capabilities), readings.time_s)
         self._servos.gate.close(_by_a_person(StopLevel.FREEZE))
@@ -280,7 +283,7 @@ class Bridge:
         self._servos.keep_holding(readings.time_s)
 
     def tick(self, time_s: float, late: int = 0) -> TickReport:
-        """Send the goals for grid time `time_s`; `late` ticks were missed before it."""
+        """Send the goals for grid time `time_s`; return a report. late: ticks missed before it."""
         self._tick_s = time_s
         self._n_ticks += 1
         self._n_late += late
@@ -319,7 +322,7 @@ class Bridge:
         )
 
     def stop(self, level: StopLevel) -> None:
-        """A person stops the face. LIMP and FREEZE act at once, SOFT from the next tick on.
+        """Stop the face for a person. LIMP and FREEZE act at once, SOFT from the next tick on.
 
         A stop that goes further may follow: SOFT, then LIMP; FREEZE, then either. Never raises.
         """
@@ -336,7 +339,7 @@ class Bridge:
             self._state = FaceState.EASING
 
     def refusal(self, order: Order) -> str:
-        """Why an order of a person to single servos is refused now, in one line; empty: it is not.
+        """Return why a person's order to servos or face is refused now; empty: it is accepted.
 
         After a stop nothing but `StartFace` leads to torque again; jogging needs `ArmJog`, and a
         face that is driven.
@@ -346,7 +349,7 @@ class Bridge:
         return self._single.refusal(order, self._state, plugged=self._port.is_open)
 
     def obey(self, order: Order, time_s: float) -> str:
-        """Carry an order out from the tick of `time_s` on; why not, as `refusal`. Never raises."""
+        """Carry out an order to servos; return why it is refused, "" if it is not. Never raises."""
         why_not = self.refusal(order)
         if not why_not:
             try:
@@ -356,7 +359,7 @@ class Bridge:
         return why_not
 
     def stop_report(self) -> StopReport:
-        """What the servos reported at the end."""
+        """Return which servos confirmed torque off, and whether the face was at rest before."""
         at_rest = self._easing is not None and self._easing.arrived
         return self._servos.torque_off.report(at_rest=at_rest, plugged=self._port.is_open)
 
@@ -379,7 +382,7 @@ class Bridge:
         self._easing = None
 
     def _act(self, time_s: float) -> tuple[Array, Limited]:
-        """Return the goals of a face that is not driven: (wanted, sent)."""
+        """Do the tick of a face that is not driven; return (wanted, sent) goals."""
         if self._state is FaceState.EASING:
             return self._ease(time_s)
         if self._state is FaceState.FROZEN:
@@ -393,7 +396,7 @@ class Bridge:
         return self._targets.held_deg, self._servos.limiter.unchanged()
 
     def _drive(self, time_s: float, wanted_deg: Array, level: StaleLevel) -> tuple[Array, Limited]:
-        """Return the goals of a driven face: (wanted, sent)."""
+        """Do the tick of a driven face; return (wanted, sent) goals."""
         limiter, scale = self._servos.limiter, self._servos.scale
         if level is StaleLevel.LIMP:
             self._jog.clear()
@@ -418,7 +421,7 @@ class Bridge:
         return wanted_deg, limited
 
     def _ease(self, time_s: float) -> tuple[Array, Limited]:
-        """Towards neutral; there, or when it has taken too long, torque goes off."""
+        """Send goals towards neutral; torque off there, or after 2 s. Return (wanted, sent)."""
         limiter = self._servos.limiter
         if self._easing is None:
             self._easing = EaseToNeutral(self._joints, limiter.sent_deg, time_s)
@@ -432,7 +435,7 @@ class Bridge:
         return wanted_deg, limited
 
     def _disable_all(self) -> None:
-        """Torque off now, and in every tick until all have confirmed."""
+        """Switch torque off now, and in every tick until all servos have confirmed."""
         self._state = FaceState.LETTING_GO
         if self._port.is_open:
             self._act_now(self._servos.disable_all)
@@ -440,14 +443,14 @@ class Bridge:
             self._servos.lose_port(self._tick_s, lets_go=True)
 
     def _freeze(self) -> None:
-        """Stay where every servo stands now; those that are limp stay limp."""
+        """Hold every servo at its present position; those that are limp stay limp."""
         if self._state is FaceState.FROZEN:
             return
         self._state = FaceState.FROZEN
         self._act_now(self._servos.hold_position)
 
     def _act_now(self, act: Callable[[float], None]) -> None:
-        """Speak to the servos between two ticks, if the port is there."""
+        """Call `act` with the last tick's time, if the port is open; note a port that fails."""
         if self._port.is_open:
             try:
                 act(self._tick_s)
@@ -455,7 +458,7 @@ class Bridge:
                 self._unplug(self._tick_s)
 
     def _unplug(self, time_s: float) -> None:
-        """A port is gone; with it the whole face is let go, but for one that a person froze."""
+        """Note that a port is lost; switch all torque off, unless a person froze the face."""
         self._port.note_lost(time_s)
         self._jog.clear()
         self._servos.lose_port(time_s, lets_go=self._state is not FaceState.FROZEN)
@@ -463,7 +466,7 @@ class Bridge:
             self._state = FaceState.LETTING_GO
 
     def _try_port(self, time_s: float) -> None:
-        """Try to open the port again. What a person stopped stays stopped."""
+        """Open the port again, if possible, with all torque off; a frozen face keeps its torque."""
         try:
             self._servos.reopen()
             if self._state is FaceState.FROZEN:
@@ -482,13 +485,13 @@ def _by_a_person(level: StopLevel) -> str:
 
 
 def face_status(bridge: Bridge) -> dict[str, object]:
-    """One object for JSON. Made on request, not in every tick.
+    """Return the face's status as one object for JSON; too slow for every tick.
 
-    state: a `FaceState`; plugged: whether the port is there; servos: the `ServoState` in words of
+    state: a `FaceState`; plugged: whether the port is open; servos: the `ServoState` in words of
     each joint, by name; troubles: a line for each servo that is not driven; jogged: joints that a
     person jogs, by name; health: a `ServoHealth` for each servo that was polled, None for what was
-    never heard; capabilities: what the bus can do; pulses: as `Bridge.pulses`; *_total:
-    how often the gate stepped in, over all joints; the counts are those of `BridgeStatus`.
+    never read; capabilities: what the bus can do; pulses: as from `Bridge.pulses`; *_total: how
+    often the gate changed a goal, over all joints; the counts are those of `BridgeStatus`.
     """
     status = bridge.status
     gate = {

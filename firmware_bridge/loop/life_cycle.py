@@ -1,4 +1,4 @@
-"""From the first torque to the last: start, ticks, stops from wherever they come, and the end."""
+"""From the first torque to the last: start, ticks, stops from every source, and the end."""
 
 import contextlib
 import logging
@@ -32,19 +32,19 @@ class Control(Protocol):
     """The source of stop requests: `ControlSocket`."""
 
     def poll(self) -> StopRequest | None:
-        """The stop that was requested, if any; answers nothing and never waits."""
+        """Return the stop that was requested, None if none was; answers no client, never waits."""
 
     def answer(self, status: Callable[[], Mapping[str, object]]) -> None:
-        """Answer what has come, after a stop was acted on; never waits."""
+        """Answer the requests received, once a stop was acted on; never waits."""
 
     def attend(self, refusal: Callable[[Order], str]) -> None:
-        """Orders to single servos are obeyed from now on. refusal: why not this one."""
+        """Accept orders to servos and face from now on, unless `refusal` returns a reason."""
 
     def take_orders(self) -> Sequence[Order]:
-        """What was ordered since the last call, oldest first; never waits."""
+        """Return the orders accepted since the last call, oldest first; never waits."""
 
     def report_end(self, report: Mapping[str, object]) -> None:
-        """Send the processes that requested a stop how it ended."""
+        """Send the clients that requested a stop the report of its end."""
 
 
 class Heartbeat(Protocol):
@@ -54,29 +54,29 @@ class Heartbeat(Protocol):
         """Report that the loop is alive."""
 
     def stopped(self, level: StopLevel, *, ends: bool = False, requested_by: str = "") -> None:
-        """A person stopped the face."""
+        """Report that a person stopped the face; ends: the process ends with the stop."""
 
     def started(self) -> None:
-        """Report that a person ended a freeze."""
+        """Report that a person started the face again."""
 
     def failed(self, index: int, reason: str) -> None:
-        """A servo was given up for good."""
+        """Report that a servo was given up for good, and why."""
 
     def switched(self, index: int, *, on: bool) -> None:
-        """A person switched a servo off, or on again."""
+        """Report that a person switched a servo off, or on again."""
 
 
 def _no_record(_stop: StopRequest | None) -> None:
-    """A face that ends with its stop needs none."""
+    """Do nothing: a face that ends with its stop needs no record of the stop."""
 
 
 @dataclass(frozen=True, slots=True)
 class LifeCycleLinks:
-    """All of them optional.
+    """Optional connections of a `LifeCycle` to the outside.
 
-    status: what the control socket answers. on_health: every 10 s; on_stopped: a person's stop and
-    who requested it, for what must outlive this process, or None once a person has started the face
-    again. Both must return at once.
+    status: what the control socket answers. on_health: called every 10 s; on_stopped: called with a
+    person's stop, for what must outlive this process, or with None once a person has started the
+    face again. Both must return at once.
     """
 
     control: Control | None = None
@@ -98,11 +98,11 @@ _KEPT: Final = (ServoSwitch.OFF, ServoSwitch.ON)
 
 
 class ImmediateStop(BaseException):
-    """A second signal: whatever the program is doing, torque is switched off now."""
+    """Raised by a second signal: torque is switched off now, whatever the program is doing."""
 
 
 class LifeCycle:
-    """Whatever may switch torque on lives in one of these, from `__enter__` to `__exit__`.
+    """A context manager, from `__enter__` to `__exit__`, for whatever may switch torque on.
 
     ::
 
@@ -111,10 +111,11 @@ class LifeCycle:
             for time_s, late in life.ticks():
                 bridge.tick(time_s, late)
 
-    However the block is left, the face is brought to rest and let go, and `report` says what each
-    servo confirmed. A first signal (INT, TERM, HUP, QUIT) stops softly, a second one lets go at
-    once; after an error nothing is eased. While the port is gone, a stop by a signal waits for it
-    for half a minute, or until a third signal; one through the control socket as long as it takes.
+    However the block is left, the face is brought to rest and torque is off, and `report` has what
+    each servo confirmed. A first signal (INT, TERM, HUP, QUIT) stops softly, a second one switches
+    torque off at once; after an error nothing is eased. While the port is lost, a stop by a signal
+    waits for it for half a minute, or until a third signal; one through the control socket without
+    limit.
     """
 
     def __init__(
@@ -126,15 +127,14 @@ class LifeCycle:
         stopped: StopRequest | None = None,
         waits: bool = False,
     ) -> None:
-        """Make it; nothing is switched on.
+        """Set up the life cycle; nothing is switched on.
 
         Parameters
         ----------
-        stopped : a person's stop that an earlier process of this face was given. FREEZE: what holds
-            is held, and nothing is armed. With `waits` any other: all are let go, and it waits.
+        stopped : a person's stop that an earlier process of this face got. FREEZE: servos with
+            torque keep it, no other gets it. With `waits` any other: torque off, the face waits.
         waits : whether a soft or limp stop by the control socket leaves a face that waits, limp,
             for a start; otherwise every stop but FREEZE ends the ticks.
-
         """
         links = links or LifeCycleLinks()
         self._bridge = bridge
@@ -173,11 +173,11 @@ class LifeCycle:
 
     @property
     def stopping(self) -> bool:
-        """Whether the end was requested, or reached."""
+        """Whether a stop was requested, with no start since."""
         return self._requested_level is not None
 
     def start(self) -> None:
-        """Arm the face, or take over a stopped one. Raises what `Bridge.start` raises."""
+        """Start the face, or take over a stopped one. Raises what `Bridge.start` raises."""
         if self._stopped is None:
             self._bridge.start(self._may_continue)
             _LOG.debug("torque is on")
@@ -187,12 +187,12 @@ class LifeCycle:
             self._stop(self._stopped.level)
 
     def stop(self, level: StopLevel = StopLevel.SOFT) -> None:
-        """The program has come to its end: bring the face to rest; `ticks` goes on until it is."""
+        """Stop the face at the end of the program; `ticks` goes on until the face is at rest."""
         self._bounded = True
         self._stop(level)
 
     def ticks(self) -> Iterator[tuple[float, int]]:
-        """(time, ticks missed before it) on the grid, until the face is limp after a stop."""
+        """Yield (time, ticks missed before it) on the grid, until the face is limp after a stop."""
         for time_s, late in self._grid:
             self._do_tick_duties(time_s)
             if self._bridge.state is FaceState.ENDED and self._may_wait:
@@ -231,7 +231,11 @@ class LifeCycle:
         return kind is ImmediateStop
 
     def _end(self, kind: type[BaseException] | None) -> None:
-        """Softly after a normal end or an error elsewhere; not after one of servos or port."""
+        """Run ticks until the face is limp, eased to neutral; hold a frozen one until a stop.
+
+        Does nothing for a face that never started, after `ImmediateStop`, or an error of servos or
+        port.
+        """
         if kind is not None and issubclass(kind, (ImmediateStop, BusError)):
             return
         if self._bridge.state is FaceState.STOPPED:
@@ -245,7 +249,7 @@ class LifeCycle:
             self._bridge.tick(time_s, late)
 
     def _disable_all(self) -> None:
-        """Torque off now, with a few more tries for those who do not confirm."""
+        """Switch torque off now, with ticks for half a second for servos that do not confirm."""
         self._is_disabling = True
         self._bridge.stop(StopLevel.LIMP)
         until_s, n_signals = self._clock.now() + _LAST_TRIES_S, self._n_signals
@@ -264,7 +268,7 @@ class LifeCycle:
             self._bridge.tick(time_s, late)
 
     def _on_signal(self, number: int, _frame: FrameType | None) -> None:
-        """A note, which cannot leave a tick half done; the second one breaks into anything."""
+        """Note a signal, which cannot leave a tick half done; raise ImmediateStop at the second."""
         self._n_signals += 1
         self.stopped_by_person = True
         if self.signal_number is None:
@@ -274,7 +278,7 @@ class LifeCycle:
             raise ImmediateStop
 
     def _may_continue(self) -> bool:
-        """Between the servos of a start."""
+        """Return whether a start may go on to the next servo: False once a stop was requested."""
         if self._lifeline is not None:
             self._lifeline.beat()
         if self._requested_level is None:
@@ -282,7 +286,7 @@ class LifeCycle:
         return self._requested_level is None and not self._n_signals
 
     def _do_tick_duties(self, time_s: float) -> None:
-        """Send heartbeats, obey stops, and report changes."""
+        """Send a heartbeat, carry out stops and orders, and log changes, before each tick."""
         if self._lifeline is not None:
             self._lifeline.beat()
         if self._n_signals and not self._by_signal:
@@ -302,7 +306,7 @@ class LifeCycle:
                 _LOG.warning("%s", remark)
 
     def _poll_control(self) -> bool:
-        """Act on a stop that has come, and only then answer; whether one came."""
+        """Act on a requested stop, and only then answer clients; return whether one came."""
         if self._control is None:
             return False
         request = self._control.poll()
@@ -312,9 +316,10 @@ class LifeCycle:
         return request is not None
 
     def _obey_stop(self, request: StopRequest) -> None:
-        """First what lets the stop outlive this process, which costs microseconds; then the servos.
+        """Carry out a stop: first report it to the supervisor, in microseconds; then stop servos.
 
-        A face that is limp and waits has nothing to freeze.
+        The report lets the stop outlive this process. A face that is limp and waits has nothing to
+        freeze.
         """
         if self._lifeline is not None:
             self._lifeline.stopped(
@@ -330,7 +335,7 @@ class LifeCycle:
 
     @property
     def _may_wait(self) -> bool:
-        """Whether the end of this stop is no end of the ticks."""
+        """Whether the ticks go on after the end of this stop."""
         by_person = self._stopped is not None and not (self._n_signals or self._bounded)
         return self.waits and by_person and not (self._ends or self._bridge.failure)
 
@@ -341,7 +346,7 @@ class LifeCycle:
         return self._lifeline is not None and self._stopped is not None and not has_end
 
     def _await_start(self) -> None:
-        """The face is limp, as far as its servos say so; it stays, until a person starts it."""
+        """Report the end of the stop, and let the limp face wait until a person starts it."""
         self._stop_report, self._at_s = self._bridge.stop_report(), round(time.time(), 3)
         if self._control is not None:
             self._control.report_end({"waits": True, **self._stop_report.as_dict()})
@@ -350,7 +355,7 @@ class LifeCycle:
         self._bridge.await_start()
 
     def _described(self) -> dict[str, object]:
-        """The status, with the stop that a person ordered and what the servos reported of it."""
+        """Return the status, with the stop that a person ordered and the servos' report of it."""
         stopped, report = self._stopped, self._stop_report
         return {
             **self._status(),
@@ -361,7 +366,7 @@ class LifeCycle:
         }
 
     def _obey_start(self) -> str:
-        """Drive the face again; why not, in one line, empty: it is driven or on its way."""
+        """Drive the face again; return why not, in one line, "" if it is driven or starting."""
         if why_not := self._bridge.refusal(StartFace()):
             return why_not
         was_stopped, self._stopped = self._stopped, None
@@ -383,7 +388,7 @@ class LifeCycle:
         return ""
 
     def _obey_orders(self, time_s: float, *, is_stopped_now: bool) -> None:
-        """Those of a person; a stop that came with them goes before, and voids a start."""
+        """Carry out a person's orders; a stop of this tick comes before a start, and voids it."""
         for order in () if self._control is None else self._control.take_orders():
             if isinstance(order, StartFace):
                 why_not = "a stop came with it" if is_stopped_now else self._obey_start()
@@ -402,9 +407,9 @@ class LifeCycle:
         self._bridge.stop(level)
 
     def _port_is_lost(self, time_s: float) -> bool:
-        """Whether a stop has waited long enough for a port that does not come back.
+        """Return whether a stop has waited long enough for a port that does not come back.
 
-        A stop that a person requested through the control socket waits as long as it takes.
+        A stop that a person requested through the control socket waits without limit.
         """
         if self._bridge.plugged or not self._bounded:
             self._give_up_s = None
@@ -420,7 +425,7 @@ class LifeCycle:
         return time_s >= self._give_up_s
 
     def _log_changes(self, time_s: float) -> None:
-        """Log lines for what changed; texts are made only then."""
+        """Log what changed of port, silence and servos; texts are made only then."""
         bridge = self._bridge
         if bridge.plugged is not self._was_plugged:
             self._was_plugged = bridge.plugged

@@ -1,4 +1,4 @@
-"""What a bridge is given of its face, and what it reports: each tick, and counts so far."""
+"""The settings of a bridge, and what it reports: each tick, and counts so far."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,14 +15,14 @@ from firmware_bridge.gate.tracking import TrackingRule
 
 @dataclass(frozen=True, slots=True)
 class BridgeSettings:
-    """Rate, rules, and how a face is brought up.
+    """Rate and rules of a bridge, and how its face is brought up.
 
     rate_hz: nominal rate of `Bridge.tick`. stale: what happens without targets. tracking: when a
-    servo counts as not following. prevent: what joints must not do together.
-    tolerant: `Bridge.start` leaves it to the ticks to enable the servos that can hold; not all or
-    none. dry_run: servos are read and supervised, but get neither torque nor goals. given_up:
-    reason by index, of servos that an earlier process of this face gave up. switched_off: by index,
-    those that a person switched off there.
+    servo counts as not following. prevent: what joints must not do together. tolerant:
+    `Bridge.start` leaves it to the ticks to enable the servos that can hold; otherwise all or none.
+    dry_run: servos are read and supervised, but get neither torque nor goals. given_up: reason by
+    index, of servos that an earlier process of this face gave up. switched_off: indices of those
+    that a person switched off there.
     """
 
     rate_hz: float
@@ -41,7 +41,7 @@ class BridgeSettings:
 
 
 class FaceState(StrEnum):
-    """What a face is doing."""
+    """The state of a face."""
 
     STOPPED = "stopped"  # limp until it is started
     DRIVEN = "driven"  # follows its targets, as many servos as are well
@@ -54,12 +54,12 @@ class FaceState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TickReport:
-    """What one tick wanted, sent and noticed. Every array is (n_servos,).
+    """What one tick wanted, sent and measured. Every array is (n_servos,).
 
-    wanted_deg is what reached the last gate; sent_deg what the bus got. While `torque_on` is False
-    no servo gets goals, sent_deg is where the joints stand, and no limit counts as hit.
-    target_age_s counts from the newest target due, or from arming when that is later.
-    late is how many ticks were missed before this one.
+    wanted_deg are the goals before the last gate; sent_deg those that the bus got. While
+    `torque_on` is False no servo gets goals, sent_deg is the joints' positions, and no limit counts
+    as hit. target_age_s counts from the newest target due, or from arming when that is later. late
+    is how many ticks were missed before this one.
     """
 
     time_s: float
@@ -79,7 +79,7 @@ class BridgeStatus:
     """Counts since the bridge was made, for a status line or a dashboard.
 
     n_stale: ticks with torque on whose target was no longer fresh; waiting for the first one after
-    a start does not count. n_armed: how often the face was brought up: started, spoken to again
+    a start does not count. n_armed: how often the face was brought up: started, sent targets again
     after a silence, plugged in again.
     """
 

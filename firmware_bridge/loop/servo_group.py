@@ -40,10 +40,10 @@ _HEAT_EVERY_S: Final = 0.049
 
 
 class HeatDerating:
-    """By how much each joint's amplitude shrinks; arrays are (n_servos,)."""
+    """How far each joint's amplitude is reduced to spare its servo; arrays are (n_servos,)."""
 
     def __init__(self, has_load: Sequence[bool]) -> None:
-        """has_load: which servos report how hard they pull."""
+        """Start at full amplitude. has_load: for each servo, whether it reports its load."""
         n_servos = len(has_load)
         self._has_load = None if all(has_load) else np.array(has_load)
         self._duty = np.zeros(n_servos)
@@ -51,7 +51,7 @@ class HeatDerating:
         self._scale = np.ones(n_servos)
 
     def scale(self, feedback: Feedback, health: Health) -> Array:
-        """Return the share of the amplitude that heat now, and heat to come, allow.
+        """Return the share of the amplitude that temperature and load allow, new every 50 ms.
 
         Parameters
         ----------
@@ -93,7 +93,7 @@ _HEALTH = tuple(each.name for each in fields(ServoHealth))
 
 
 class ServoGroup:
-    """What `Bridge` drives. Every method that speaks to the servos may raise PortError."""
+    """The servos of a `Bridge`. Every method that sends packets may raise PortError."""
 
     def __init__(
         self,
@@ -101,7 +101,7 @@ class ServoGroup:
         joints: Sequence[Joint],
         settings: BridgeSettings,
     ) -> None:
-        """Arguments as those of `Bridge`."""
+        """Make limiter, gate and supervision of these joints; send nothing."""
         self._bus = bus
         self._joints = tuple(joints)
         can = [bus.capabilities.of(index) for index in range(len(self._joints))]
@@ -140,13 +140,13 @@ class ServoGroup:
         self._bus.reopen()
 
     def disable_all(self, time_s: float = 0.0, why: str = "") -> None:
-        """Switch all servos off; none is driven any more."""
+        """Switch all servos off, and mark them as waiting for torque. why: the reason shown."""
         self.torque_off.begin()
         self._note_ready()
         self.supervision.mark_all_waiting(time_s, why)
 
     def lose_port(self, time_s: float, *, lets_go: bool) -> None:
-        """A port is gone, and all wait for it. lets_go: those who can be reached are let go."""
+        """Mark all servos as waiting for a lost port. lets_go: torque off where a port remains."""
         self.torque_off.forget()
         self.supervision.mark_all_waiting(time_s, PORT_GONE)
         if not lets_go:
@@ -158,7 +158,7 @@ class ServoGroup:
                     self.supervision.note_attempt(index, LET_GO_WITH_IT, time_s)
 
     def read(self) -> Readings:
-        """Read where all servos stand, once more for those that did not answer."""
+        """Read and return all servos' positions; up to four times more while one is missing."""
         readings = self._bus.read()
         for _ in range(_READS - 1):
             if np.isfinite(readings.positions_deg[self._has_place]).all():
@@ -167,7 +167,10 @@ class ServoGroup:
         return readings
 
     def check(self, indices: Sequence[int], may_continue: Callable[[], bool]) -> None:
-        """Raise ServoError that names those who could not hold now, with the reason."""
+        """Raise ServoError naming the servos that could not hold now, with the reasons.
+
+        Servos that a person switched off are not checked; may_continue: False ends the checks.
+        """
         indices_on = self._not_off(indices)
         self._refuse(
             [(i, _stop_is_repeated(self.gate.obstacle, i)) for i in indices_on if may_continue()]
@@ -176,9 +179,10 @@ class ServoGroup:
     def enable(
         self, indices: Sequence[int], time_s: float, may_continue: Callable[[], bool]
     ) -> None:
-        """Let these hold where they stand; on an error or a stop none does.
+        """Switch these servos' torque on at their positions; all off on an error or a stop.
 
-        Those that a person switched off stay so.
+        Those that a person switched off stay off. Raises ServoError naming the servos that refuse.
+        may_continue: called before each servo; False: a stop.
         """
         found = []
         for index in self._not_off(indices):
@@ -192,9 +196,9 @@ class ServoGroup:
         self._refuse(found)
 
     def keep_holding(self, time_s: float) -> None:
-        """For a frozen face: a servo that still has torque goes on holding where it stands.
+        """Hold the servos of a frozen face that still have torque at their positions.
 
-        One that does not confirm is ordered again by `stay_on`: just after a replug answers are
+        A servo that does not confirm is ordered again by `stay_on`: just after a replug answers are
         lost, and its watchdog, which tripped meanwhile, protects nothing until it was set again.
         """
         self._to_keep.clear()
@@ -207,11 +211,11 @@ class ServoGroup:
                 self._to_keep.append(index)
 
     def hold_position(self, time_s: float) -> None:
-        """The goals become the places where the servos stand now, or as near as they can stop.
+        """Set the goals to the servos' present positions, or as near as they can stop.
 
         A moving shaft is behind its goal: it may go on to it, but no farther than it moves while it
-        brakes. Who was not heard just now keeps its goal until it is, for where it stands is not
-        known: `stay_on`.
+        brakes. A servo that did not answer just now keeps its goal until it answers (`stay_on`),
+        since its position is unknown.
         """
         heard, near_deg = self._stopping_places()
         here_deg = np.where(heard, near_deg, self.limiter.sent_deg)
@@ -222,9 +226,9 @@ class ServoGroup:
         self._to_stay = ~heard & self._has_place
 
     def stay_on(self, time_s: float) -> Limited:
-        """The goals of a frozen face again; those not heard then stop as soon as they are.
+        """Send a frozen face's goals again; stop servos that were silent once they answer.
 
-        One that came back a moment before is slow, and may have a long way to its goal.
+        A servo that just came back is slow, and may be far from its goal. Return the goals sent.
         """
         if self._to_keep:  # one a tick; one that is limp stays so, and what ails it is still told
             index = self._to_keep.popleft()
@@ -243,7 +247,7 @@ class ServoGroup:
         return limited
 
     def drop_waiting(self, time_s: float) -> None:
-        """Cancel the servos that wait for torque: a person stopped the face."""
+        """Switch off servos that still wait for their torque, since a person stopped the face."""
         ready = self._bus.feedback().ready if self._any_blind else None
         if ready is not None:
             for index in np.flatnonzero(self.supervision.driven & ~ready).tolist():
@@ -251,9 +255,9 @@ class ServoGroup:
                 self.supervision.note_attempt(index, "was stopped before its turn", time_s)
 
     def _start_here(self, index: int) -> None:
-        """Start a holding servo from where it stands; where that is unknown, from its last goal.
+        """Set a holding servo's last goal to its position, or where unknown to the goal sent last.
 
-        A bus that does not say that either goes on from the goal sent last.
+        If the bus reports neither, the limiter's last goal is kept.
         """
         feedback = self._bus.feedback()
         has_place = self._has_place[index]
@@ -264,19 +268,19 @@ class ServoGroup:
         self._note_ready()
 
     def _note_ready(self) -> None:
-        """Where positions are unknown: servos whose turn has not come stay."""
+        """Keep the goals of servos that do not report positions until the bus has started them."""
         if self._any_blind:
             self.limiter.hold_back(self._bus.feedback().ready)
 
     def _stopping_places(self) -> tuple[NDArray[np.bool_], Array]:
-        """Who was heard just now, and where each comes to a stand, given where it goes."""
+        """Return which servos answered just now, and where each can stop, degrees; (n_servos,)."""
         feedback = self._bus.feedback()
         sent_deg, places_deg = self.limiter.sent_deg, feedback.positions_deg
         near_deg = np.clip(sent_deg, places_deg - self._brakes_deg, places_deg + self._brakes_deg)
         return (feedback.age_s == 0.0) & np.isfinite(places_deg), near_deg
 
     def widen(self, low_deg: Array, high_deg: Array) -> None:
-        """Set the range of each joint from now on, as `Limiter.widen`.
+        """Set the range of each joint from now on, in the limiter and, beyond limits, in the bus.
 
         Parameters
         ----------
@@ -311,35 +315,35 @@ class ServoGroup:
             self._start_here(enabled)
 
     def rest(self, time_s: float) -> None:
-        """Run a tick of a face that is limp in a silence: read all, and keep torque off."""
+        """Do a tick of a limp face: read all, and switch off servos that have not confirmed."""
         self.feedback = self._bus.feedback()
         self._health = self._bus.look_after()
         self.supervision.keep_off(time_s, self.gate)
 
     def switch_off(self, index: int, time_s: float) -> None:
-        """A person wants one servo limp; the next tick lets it go."""
+        """Mark one servo as switched off by a person; the next tick switches its torque off."""
         self.gate.switch_off(index)
         self.supervision.switch_off(index, time_s)
 
     def switch_on(self, index: int, time_s: float) -> bool:
-        """A person wants one servo tried again; False: there was nothing to take back."""
+        """Allow one servo torque again for a person; return False if it was not off or given up."""
         self.gate.switch_on(index)
         return self.supervision.switch_on(index, time_s)
 
     def reboot(self, index: int, time_s: float) -> None:
-        """A person restarts one servo that is not driven."""
+        """Restart one servo that is not driven, for a person."""
         self.supervision.reboot(index, time_s, self.gate)
 
     def remarks(self) -> Sequence[str]:
-        """What is unusual about the bus, in sentences for a log."""
+        """Return what is unusual about the bus, in sentences for a log."""
         return self._bus.remarks()
 
     def health(self) -> tuple[ServoHealth, ...]:
-        """The last reading of every servo's condition; for people, not for a tick."""
+        """Return the last reading of every servo's condition; too slow for every tick."""
         return tuple(ServoHealth(*row) for row in zip(*self._health_columns(), strict=True))
 
     def health_records(self) -> list[dict[str, object]]:
-        """The same for JSON: names and values of `ServoHealth`, None for what was never heard."""
+        """Return the servos' `ServoHealth` as dicts for JSON; None for a value never read."""
         records = [dict(zip(_HEALTH, row)) for row in zip(*self._health_columns())]  # noqa: B905 - strict costs as much again
         for record in records:
             for name in ("temperature_degc", "load", "voltage_v"):
@@ -348,7 +352,7 @@ class ServoGroup:
         return records
 
     def _health_columns(self) -> tuple[list[Any], ...]:
-        """The columns of `ServoHealth`, in its order, one value a servo.
+        """Return the columns of `ServoHealth`, in the order of its fields, one value a servo.
 
         () before the first reading.
         """
@@ -380,7 +384,7 @@ class ServoGroup:
 
 
 def _stop_is_repeated(ask: Callable[[int], str], index: int) -> str:
-    """Call `ask` several times until the servo agrees; return "" or its last refusal."""
+    """Call `ask` up to 60 times until the servo agrees; return "" or its last refusal."""
     refusal = ""
     for _ in range(_REQUESTED):
         refusal = ask(index)

@@ -3,7 +3,7 @@
 DRIVEN ──silent, torque lost──▶ WAITING ──answers, enabled──▶ DRIVEN
    ├──hardware error, too hot──▶ COOLING ──▶ REBOOTING ──▶ WAITING
    └──does not follow──────────▶ COOLING ──▶ WAITING
-                                    └──third time in ten minutes──▶ FAILED, limp for good
+                                    └──fourth time in ten minutes─▶ FAILED, limp for good
 any ──a person──▶ SWITCHING_OFF ──torque is read off──▶ OFF ──a person──▶ WAITING; so from FAILED
 """
 
@@ -52,19 +52,19 @@ _SWITCHING_OFF: Final = int(ServoState.SWITCHING_OFF)
 
 
 class TorquePort(Protocol):
-    """What supervision needs of `TorqueGate`."""
+    """The methods of `TorqueGate` that supervision needs."""
 
     def refusal(self, index: int) -> str:
-        """Why this servo must not hold torque; empty: it may."""
+        """Return why this servo must not have torque; empty: it may."""
 
     def enable(self, index: int) -> str:
-        """Let it hold its place; why it does not, empty: it does."""
+        """Switch a servo's torque on at its position; return why not, "" if it holds."""
 
     def disable(self, index: int) -> bool:
         """Switch torque off; return whether the servo confirmed it."""
 
     def reboot(self, index: int) -> None:
-        """Restart one servo, which comes back limp."""
+        """Restart one servo, which leaves its torque off."""
 
     def give_up(self, index: int, because: str) -> None:
         """Leave a servo limp for good. because: the reason, for people."""
@@ -84,9 +84,10 @@ class ServoSupervision:
         given_up: Mapping[int, str] | None = None,
         switched_off: Collection[int] = (),
     ) -> None:
-        """given_up: reason by index, of servos that stay limp from the beginning.
+        """Mark every servo as waiting for torque, except those in `given_up` and `switched_off`.
 
-        switched_off: by index, those that a person switched off.
+        given_up: reason by index, of servos that stay limp from the beginning. switched_off:
+        indices of those that a person switched off.
         """
         n = len(joints)
         self._tracking = TrackingMonitor(joints, tracking or TrackingRule())
@@ -109,28 +110,28 @@ class ServoSupervision:
 
     @property
     def driven(self) -> NDArray[np.bool_]:
-        """Which servos get goals.
+        """Mask of the servos that get goals.
 
         Returns
         -------
         NDArray[np.bool_]
-            (n_servos,).
+            (n_servos,): True for driven servos.
         """
         return np.asarray(self.states == _DRIVEN)
 
     @property
     def all_driven(self) -> bool:
-        """Whether all of them do."""
+        """Whether all servos get goals."""
         return self.states.tobytes() == self._all_driven
 
     @property
     def any_driven(self) -> bool:
-        """Whether any of them does."""
+        """Whether any servo gets goals."""
         return _DRIVEN in self.states.tobytes()
 
     @property
     def lost_critical(self) -> int | None:
-        """A critical servo that has failed for good, by its index."""
+        """The index of a critical servo that has failed for good; None if none has."""
         if not self._any_critical:
             return None
         lost = np.flatnonzero(self._critical & (self.states == ServoState.FAILED))
@@ -142,7 +143,7 @@ class ServoSupervision:
         return all(self.reasons[i] for i in np.flatnonzero(self.states != ServoState.DRIVEN))
 
     def note_attempt(self, index: int, why_not: str, time_s: float) -> None:
-        """Note how an attempt to enable a servo went; empty: it holds its place."""
+        """Store the result of an attempt to enable a servo. why_not: empty = its torque is on."""
         self.states[index] = ServoState.WAITING if why_not else ServoState.DRIVEN
         self._until_s[index] = time_s + _RETRY_S
         self._behind[index] = False
@@ -150,7 +151,10 @@ class ServoSupervision:
         self._set_reason(index, why_not)
 
     def mark_all_waiting(self, time_s: float, why: str = "") -> None:
-        """Mark all as not driven: the port is gone, or all were let go."""
+        """Mark all as not driven, when the port is lost or all torque was switched off.
+
+        Servos that a person switched off have to confirm again; failed ones stay failed.
+        """
         for index in np.flatnonzero(self.states != ServoState.FAILED).tolist():
             if self.states[index] in _SWITCHED_OFF:
                 self.switch_off(index, time_s)  # what it confirmed before may not be so any more
@@ -158,14 +162,14 @@ class ServoSupervision:
                 self._wait(index, time_s, why)
 
     def switch_off(self, index: int, time_s: float) -> None:
-        """A person wants this servo limp: it gets no goals, and `act` lets it go, first of all."""
+        """Mark a servo as switched off by a person: no goals, and `act` disables it first."""
         self.states[index] = ServoState.SWITCHING_OFF
         self._until_s[index] = time_s
         self._next = index
         self._set_reason(index, f"{SWITCHED_OFF}, has not confirmed yet")
 
     def switch_on(self, index: int, time_s: float) -> bool:
-        """A person wants this servo tried again, as if it had never failed; False: it is anyway."""
+        """Let `act` enable a servo as if it had never failed; return False if it was not off."""
         if self.states[index] not in (*_SWITCHED_OFF, ServoState.FAILED):
             return False
         self._reboots[index].clear()
@@ -173,7 +177,7 @@ class ServoSupervision:
         return True
 
     def reboot(self, index: int, time_s: float, port: TorquePort) -> None:
-        """A person restarts a servo that is not driven; what it is to do afterwards is the same."""
+        """Restart a servo that is not driven; afterwards it is off, or tried again, as before."""
         port.reboot(index)
         self.n_reboots[index] += 1
         if self.states[index] in _SWITCHED_OFF:
@@ -183,25 +187,25 @@ class ServoSupervision:
         self._until_s[index] = time_s + _REBOOT_S
 
     def keep_off(self, time_s: float, port: TorquePort) -> None:
-        """For a tick without `act`: ask those that a person switched off, until they confirm."""
+        """Disable switched-off servos until they confirm, in ticks without `act`."""
         for index in np.flatnonzero(self.states == _SWITCHING_OFF).tolist():
             if time_s >= self._until_s[index]:
                 self._let_go(index, time_s, port)
 
     def check_tracking(self, sent_deg: Array, feedback: Feedback) -> None:
-        """Compare the goals sent last with where the servos stand.
+        """Compare the goals sent last with the servos' positions; `act` uses the result.
 
         Parameters
         ----------
         sent_deg : Array
-            (n_joints,) degrees.
+            (n_joints,) degrees: goals sent last.
         feedback : Feedback
-            Places in degrees, with their age.
+            Positions in degrees, with their age.
         """
         self._behind = self._tracking.behind(sent_deg, feedback)
 
     def act(self, health: Health, time_s: float, port: TorquePort) -> int | None:
-        """Act on one servo at most; the index of one that was enabled just now."""
+        """Act on one servo at most; return its index if it was enabled just now, else None."""
         if self._all_normal(health):
             return None
         n = len(self.states)
@@ -214,7 +218,7 @@ class ServoSupervision:
         return None
 
     def _all_normal(self, health: Health) -> bool:
-        """Whether every servo is driven and none needs anything, which is nearly always so."""
+        """Return whether every servo is driven and in order, which is nearly always so."""
         return (
             self.all_driven
             and all_set(health.torque_on)
@@ -226,7 +230,7 @@ class ServoSupervision:
         )
 
     def _act_on(self, i: int, health: Health, time_s: float, port: TorquePort) -> tuple[bool, bool]:
-        """Handle one servo; return whether anything was done, and whether it holds now."""
+        """Handle one servo; return whether anything was done, and whether torque is on now."""
         state = self.states[i]
         if state == ServoState.DRIVEN:
             return self._check_driven(i, health, time_s, port), False
@@ -306,7 +310,7 @@ class ServoSupervision:
         self._until_s[i] = time_s + _COOL_DOWN_S
 
     def _count_failure(self, i: int, time_s: float, port: TorquePort) -> None:
-        """One more time out of three within ten minutes; then it stays limp."""
+        """Count a failure; at the fourth within ten minutes the servo is failed, limp for good."""
         past = self._reboots[i]
         if len(past) == _REBOOTS and time_s - past[0] < _REBOOT_WINDOW_S:
             self.states[i] = ServoState.FAILED

@@ -1,4 +1,4 @@
-"""Orders of a person to single servos: switching and jogging; what is refused, what is done."""
+"""Orders of a person to single servos, switching and jogging: refused, or carried out."""
 
 import math
 from collections.abc import Sequence
@@ -36,13 +36,14 @@ _NOT_ARMED: Final = "jogging is not armed: say `jog arm` first"
 
 
 class Jog:
-    """Takes the place of what is wanted of some joints; what comes out passes limiter and rules.
+    """Replaces the targets of jogged joints; its goals still pass limiter and rules.
 
-    is_armed: jogging is meant. is_active: `guide` has something to say. Arrays are (n_joints,).
+    is_armed: whether jogging is allowed now. is_active: whether `guide` has to be called. Arrays
+    are (n_joints,).
     """
 
     def __init__(self, joints: Sequence[Joint], period_s: float) -> None:
-        """period_s: of a tick, which is the longest step that a joint makes."""
+        """Set the longest step of each joint: its jogging speed times `period_s`, of a tick."""
         speeds_deg_s = np.array([joint.max_speed_deg_s for joint in joints])
         self._step_deg = np.minimum(speeds_deg_s, JOG_DEG_S) * period_s
         self._small_step_deg = np.minimum(speeds_deg_s, _BEYOND_DEG_S) * period_s
@@ -63,48 +64,48 @@ class Jog:
 
     @property
     def jogged(self) -> list[int]:
-        """Which joints are jogged, by index; those on their way back are not."""
+        """The indices of the jogged joints, without those on their way back to their targets."""
         return [int(index) for index in np.flatnonzero(np.isfinite(self._goals_deg))]
 
     def arm(self, time_s: float) -> None:
-        """Jogging is meant from now on, for a while; what is jogged already goes on."""
+        """Allow jogging for 3 s from now on; joints that are jogged already go on."""
         self.is_armed = self.is_active = True
         self._until_s = time_s + JOG_LASTS_S
 
     def move(self, index: int, position_deg: float, time_s: float) -> None:
-        """Jog one joint to a position; only while armed."""
+        """Jog one joint to a position in degrees; only to be called while armed."""
         self._goals_deg[index] = position_deg
         self._returns[index] = False
         self._until_s = time_s + JOG_LASTS_S
 
     def end(self) -> None:
-        """All go back to what is wanted of them, as slowly as they came."""
+        """End jogging: all jogged joints go back to their targets, at jogging speed."""
         self._returns |= np.isfinite(self._goals_deg)
         self._goals_deg[:] = np.nan
         self.is_armed = False
         self.is_active = bool(self._returns.any())
 
     def return_slowly(self, index: int) -> None:
-        """One joint goes from wherever it stands to what is wanted of it, slowly."""
+        """Move one joint slowly from its present position to its target."""
         self._goals_deg[index] = np.nan
         self._returns[index] = self.is_active = True
 
     def drop(self, index: int) -> None:
-        """End the jogging of one joint."""
+        """End the jogging of one joint at once, without a slow return."""
         self._goals_deg[index] = np.nan
         self._returns[index] = False
 
     def clear(self) -> None:
-        """End all jogging: the face stops or is let go; the next move starts from where it is."""
+        """End all jogging at once, with no return to targets: the face stops or goes limp."""
         if self.is_active:
             self._goals_deg[:] = np.nan
             self._returns[:] = False
             self.is_armed = self.is_active = False
 
     def guide(self, wanted_deg: Array, sent_deg: Array, scale: Array, time_s: float) -> Array:
-        """Return the joints' next goals while a person jogs some.
+        """Return the joints' next goals while a person jogs some; jogging ends 3 s after an order.
 
-        Call it in every tick in which it is active.
+        To be called in every tick in which `is_active`.
 
         Parameters
         ----------
@@ -137,10 +138,10 @@ class Jog:
         return guided_deg
 
     def reached(self, sent_deg: Array) -> tuple[Array, Array]:
-        """Return the range of each joint, with where a person leads it.
+        """Return the range of each joint, widened to where a person jogs it.
 
-        The range of a joint that stands beyond its limits and is not jogged shrinks, so that it
-        comes back whatever its target.
+        The range of a joint that is beyond its limits and is not jogged shrinks, so that it comes
+        back whatever its target.
 
         Parameters
         ----------
@@ -159,7 +160,7 @@ class Jog:
 
 
 class SingleServos:
-    """Notes the orders; the ticks carry them out, through gate, limiter and supervision."""
+    """A person's orders to single servos; noted here, and carried out by the ticks."""
 
     def __init__(self, joints: Sequence[Joint], servos: ServoGroup, jog: Jog) -> None:
         self._joints = tuple(joints)
@@ -168,7 +169,7 @@ class SingleServos:
         self._jog = jog
 
     def refusal(self, order: Order, state: FaceState, *, plugged: bool) -> str:
-        """Why this order is refused now, in one line; empty: it is not."""
+        """Return why this order is refused now, in one line; empty: it is accepted."""
         if isinstance(order, (ServoOrder, JogTo, JogPulse)) and order.name not in self._index:
             return f"{order.name[:40]!r}: no such servo; there are: {', '.join(self._index)}"
         if self._servos.gate.dry_run:
@@ -188,7 +189,7 @@ class SingleServos:
                 return ""
 
     def note(self, order: Order, time_s: float) -> None:
-        """Obey an order that is not refused; speaks to a servo only to restart it: PortError."""
+        """Store an accepted order for the ticks. Only a restart sends packets: PortError."""
         match order:
             case ServoOrder():
                 self._switch(self._index[order.name], order.switch, time_s)

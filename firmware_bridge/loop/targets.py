@@ -1,4 +1,4 @@
-"""Targets on their way to the bridge: the channels, and what the bridge makes of what came."""
+"""Targets on their way to the bridge: the channels, and the motion that is read from them."""
 
 import math
 import select
@@ -18,7 +18,7 @@ from firmware_bridge.gate.ramp import StaleLevel, StaleRule
 
 @dataclass(frozen=True, slots=True)
 class ServoTargets:
-    """Joint angles wanted at monotonic display time `time_s`.
+    """Target joint angles for the monotonic display time `time_s`.
 
     positions_deg: (n_servos,), in the order of the face's servo names, 0 = the joint's neutral.
     """
@@ -28,13 +28,13 @@ class ServoTargets:
 
 
 class TargetChannel(Protocol):
-    """Carries targets one way. It never blocks; the newest targets win."""
+    """Carries targets in one direction. It never blocks; the newest targets win."""
 
     def publish(self, targets: ServoTargets) -> None:
-        """Hand over one target record."""
+        """Send one target record to the reader."""
 
     def drain(self) -> list[ServoTargets]:
-        """All records published since the last call that still matter, oldest first."""
+        """Return the records published since the last call that still matter, oldest first."""
 
 
 #: Longest step beyond the newest target along its slope. At the mouth's usual 5 Hz and below it is
@@ -48,7 +48,7 @@ SAME_MOMENT_S = 0.001
 class MemoryTargetChannel:
     """A `TargetChannel` inside one process and one thread: replay, tests, a face on this computer.
 
-    Holds `capacity` records; publishing into a full channel drops the oldest.
+    Contains at most `capacity` records; publishing into a full channel drops the oldest.
     """
 
     def __init__(self, capacity: int = 32) -> None:
@@ -57,17 +57,17 @@ class MemoryTargetChannel:
 
     @property
     def n_dropped(self) -> int:
-        """Records that were overwritten before anyone drained them."""
+        """The number of records that were overwritten before they were drained."""
         return self._n_dropped
 
     def publish(self, targets: ServoTargets) -> None:
-        """Hand over one target record."""
+        """Append one target record; drop the oldest if the channel is full."""
         if len(self._records) == self._records.maxlen:
             self._n_dropped += 1
         self._records.append(targets)
 
     def drain(self) -> list[ServoTargets]:
-        """All records published since the last call that were not dropped, oldest first."""
+        """Return the records published since the last call and not dropped, oldest first."""
         records = list(self._records)
         self._records.clear()
         return records
@@ -76,13 +76,13 @@ class MemoryTargetChannel:
 class TargetTrack:
     """The newest targets in order of display time, read as one continuous motion.
 
-    A record says what holds from its time on: it replaces every kept one at or after that time, so
-    a speech side that revises, or starts again, is never mixed with its earlier records.
-    Records with the wrong number of joints, or anything not finite, are left out and counted.
+    A record is valid from its time on: it replaces every kept one at or after that time, so a
+    speech side that revises, or starts again, is never mixed with its earlier records. Records with
+    the wrong number of joints, or anything not finite, are left out and counted.
     """
 
     def __init__(self, n_servos: int, n_kept: int = 256) -> None:
-        """Keep `n_kept` records: 2.5 s at 100 Hz, more than any target is dated ahead."""
+        """Set the number of records kept: 256 are 2.5 s at 100 Hz, more than targets come ahead."""
         self._shape = (n_servos,)
         self._n_kept = n_kept
         self._times_s: list[float] = []
@@ -91,11 +91,11 @@ class TargetTrack:
 
     @property
     def n_rejected(self) -> int:
-        """Records left out because they were invalid."""
+        """The number of records left out because they were invalid."""
         return self._n_rejected
 
     def push(self, records: Iterable[ServoTargets]) -> None:
-        """Take records in the order they were published."""
+        """Insert records in the order they were published; leave out invalid ones."""
         for record in records:
             positions_deg, time_s = record.positions_deg, record.time_s
             is_valid = (
@@ -145,7 +145,7 @@ class TargetTrack:
         return self._on_line(n_due - 2, time_s - max(0.0, age_s - MAX_EXTRAPOLATION_S)), age_s
 
     def _on_line(self, left: int, time_s: float) -> Array:
-        """Follow the straight line through targets `left` and `left + 1`, at `time_s`."""
+        """Return the positions at `time_s` on the line through targets `left` and `left + 1`."""
         start_s, end_s = self._times_s[left], self._times_s[left + 1]
         start_deg, end_deg = self._positions_deg[left], self._positions_deg[left + 1]
         return start_deg + (end_deg - start_deg) * ((time_s - start_s) / (end_s - start_s))
@@ -161,10 +161,10 @@ _LONGEST_RECORD: Final = 16_384
 
 
 def channel_pair() -> tuple[socket.socket, socket.socket]:
-    """(writer, reader), both inheritable by name only.
+    """Return the sockets (writer, reader) of a new channel; child processes do not inherit them.
 
     SOCK_SEQPACKET rather than SOCK_DGRAM: the kernel lets only ten datagrams wait
-    (net.unix.max_dgram_qlen), and a reader could not tell that the writer has died.
+    (net.unix.max_dgram_qlen), and a reader could not detect that the writer has died.
     """
     writer, reader = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     writer.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
@@ -184,7 +184,7 @@ class SocketTargetChannel:
         self.closed = False
 
     def publish(self, targets: ServoTargets) -> None:
-        """Hand over one record; dropped and counted when the reader is far behind or gone."""
+        """Send one record; it is dropped and counted when the reader is far behind or gone."""
         self._sequence += 1
         values = np.ascontiguousarray(targets.positions_deg, dtype="<f8").tobytes()
         try:
@@ -193,7 +193,10 @@ class SocketTargetChannel:
             self.n_dropped += 1
 
     def drain(self) -> list[ServoTargets]:
-        """All that has come, oldest first, the newest thousand at most; counts the gaps."""
+        """Return the received records, oldest first, a thousand at most; count missing ones.
+
+        Sets `closed` when the writer is gone.
+        """
         records: list[ServoTargets] = []
         for _ in range(_MOST_AT_ONCE):
             if not self._ready.poll(0):  # half as dear as an error that says there is nothing
@@ -223,7 +226,7 @@ _FRESH = StaleLevel.FRESH
 class FollowedTargets:
     """Targets in, one wanted angle a joint out; arrays are (n_joints,).
 
-    held_deg: the newest that were followed. was_spoken_to: any, since the start.
+    held_deg: the newest targets followed. was_spoken_to: whether any was followed since the start.
     """
 
     def __init__(self, channel: TargetChannel, n_joints: int, stale: StaleRule) -> None:
@@ -238,11 +241,11 @@ class FollowedTargets:
 
     @property
     def n_rejected(self) -> int:
-        """Targets that could not be used."""
+        """The number of targets left out because they were invalid."""
         return self._track.n_rejected
 
     def begin(self, present_deg: Array, time_s: float) -> None:
-        """Hold the joints where they stand, until a target comes.
+        """Hold the joints at these positions until a target comes.
 
         Parameters
         ----------
@@ -256,7 +259,7 @@ class FollowedTargets:
         self.was_spoken_to = False
 
     def take(self, time_s: float) -> bool:
-        """Take what came; whether there is a fresh target that may be followed."""
+        """Read the channel; return whether there is a fresh target that may be followed."""
         self._track.push(self._channel.drain())
         target_deg, age_s = self._track.at(time_s)
         if target_deg is None or self._stale.level(age_s) is not _FRESH:
@@ -265,25 +268,25 @@ class FollowedTargets:
         return True
 
     def follow(self) -> None:
-        """Go back from a held position to the fresh targets."""
+        """Make the fresh target found by `take` the one that is held."""
         assert self._fresh_deg is not None
         self._heard_s = max(self._heard_s, self._fresh_s)
         self.held_deg = self._fresh_deg
         self.was_spoken_to = True
 
     def silence_s(self, time_s: float) -> float:
-        """Return the age of the newest target that was followed, in s."""
+        """Return the age in s of the newest target followed; before the first, time since start."""
         return max(0.0, time_s - self._heard_s)
 
     def wanted(self, silence_s: float, level: StaleLevel) -> Array:
-        """Return the targets after a silence, which shrink towards neutral.
+        """Return the held targets; after a silence they shrink towards neutral.
 
         Parameters
         ----------
         silence_s : float
-            Seconds.
+            Seconds since the newest target.
         level : StaleLevel
-            Of the silence by now.
+            What to do after a silence of this length.
 
         Returns
         -------

@@ -23,11 +23,10 @@ LET_GO_WITH_IT: Final = "let go: a port of the face is gone"
 class TorqueGate:
     """Asks three questions before a servo gets torque, in this order.
 
-    Is it forbidden for the whole face: a dry run, or a stop by a person, which holds until a person
+    Is it forbidden for the whole face: a dry run, or a stop by a person, which lasts until a person
     starts again? Was this servo switched off by a person, or given up? Does the servo itself, read
-    now, agree with the YAML?
-    (The last is `ServoBus.obstacle`, and every bus asks it again in `enable_torque`.)
-    Start, the end of a silence, replug and restart all come through `enable`.
+    now, agree with the YAML? (The last is `ServoBus.obstacle`, and every bus asks it again in
+    `enable_torque`.) Start, the end of a silence, replug and restart all come through `enable`.
     """
 
     def __init__(
@@ -39,11 +38,11 @@ class TorqueGate:
         given_up: Mapping[int, str] | None = None,
         switched_off: Collection[int] = (),
     ) -> None:
-        """given_up: reason by index, of servos that an earlier process of this face gave up.
+        """Make an open gate. dry_run: no servo ever gets torque.
 
-        switched_off: by index, those that a person switched off there.
-
-        closed_because: why no servo may hold; empty: the gate is open.
+        given_up: reason by index, of servos that an earlier process of this face gave up.
+        switched_off: indices of those that a person switched off there. Attribute closed_because:
+        why no servo may hold; empty: the gate is open.
         """
         self._bus = bus
         self._n_servos = len(joints)
@@ -54,35 +53,38 @@ class TorqueGate:
 
     @property
     def given_up(self) -> Mapping[int, str]:
-        """Servos that stay limp for good, with the reason."""
+        """Servos that stay limp for good: reason by index."""
         return self._given_up
 
     @property
     def switched_off(self) -> Collection[int]:
-        """Servos that a person switched off, by index."""
+        """The indices of the servos that a person switched off."""
         return self._switched_off
 
     @property
     def forbidden(self) -> str:
-        """Why no servo may hold torque; empty: nothing forbids it for the whole face."""
+        """Why no servo may have torque; empty: nothing forbids it for the whole face."""
         return "dry run: servos are only read" if self.dry_run else self.closed_because
 
     def refusal(self, index: int) -> str:
-        """Why this servo must not hold torque, whatever it says itself; empty: it may."""
+        """Return why this servo must not have torque, without reading it; empty: it may."""
         if why := self.forbidden:
             return why
         return SWITCHED_OFF if index in self._switched_off else self._given_up.get(index, "")
 
     def obstacle(self, index: int) -> str:
-        """Why this servo would get no torque now; empty: it would."""
+        """Return why this servo would get no torque now, read from it too; empty: it would."""
         return self.refusal(index) or self._bus.obstacle(index)
 
     def enable(self, index: int) -> str:
-        """Let one servo hold the place where it stands; why not, empty: it confirmed."""
+        """Switch a servo's torque on at its position; return why not, "" if it confirmed."""
         return self.refusal(index) or self._bus.enable_torque(index)
 
     def keep(self, index: int) -> bool:
-        """Let a servo that holds go on holding: the one thing that a stop does not forbid."""
+        """Hold a servo whose torque is on, even after a stop; return whether its torque is on.
+
+        False in a dry run, and for a servo that a person switched off.
+        """
         may_keep = not self.dry_run and index not in self._switched_off
         return may_keep and self._bus.keep_torque(index)
 
@@ -92,34 +94,34 @@ class TorqueGate:
         return self._bus.capabilities
 
     def disable(self, index: int) -> bool:
-        """Let one servo go limp; whether it was, as `ServoBus.disable_torque` has it."""
+        """Switch one servo's torque off; return whether it confirmed, or cannot confirm."""
         return self._bus.disable_torque(index)
 
     def disable_all(self) -> NDArray[np.bool_]:
-        """Switch the torque of all servos off; in a dry run nothing is written.
+        """Switch the torque of all servos off; in a dry run write nothing.
 
         Returns
         -------
         NDArray[np.bool_]
-            (n_servos,): which servos confirmed.
+            (n_servos,): True for servos that confirmed or cannot; all False in a dry run.
         """
         return np.zeros(self._n_servos, dtype=np.bool_) if self.dry_run else self._bus.disable_all()
 
     def reboot(self, index: int) -> None:
-        """Restart one servo, which comes back limp, unless the whole face is forbidden."""
+        """Restart one servo, which leaves its torque off; do nothing while `forbidden`."""
         if not self.forbidden:
             self._bus.reboot(index)
 
     def close(self, because: str) -> None:
-        """A person stopped the face: no servo gets torque until a person opens again."""
+        """Refuse all torque from now on, since a person stopped the face. because: the reason."""
         self.closed_because = because
 
     def open(self) -> None:
-        """A person starts the face. Servos that were given up stay so."""
+        """Allow torque again, since a person starts the face; not to servos that were given up."""
         self.closed_because = ""
 
     def switch_off(self, index: int) -> None:
-        """A person switches one servo off: it gets no torque until a person switches it on."""
+        """Refuse one servo torque from now on, until a person switches it on again."""
         self._switched_off.add(index)
 
     def switch_on(self, index: int) -> None:
@@ -128,7 +130,7 @@ class TorqueGate:
         self._given_up.pop(index, None)
 
     def give_up(self, index: int, because: str) -> None:
-        """Leave one servo limp for good."""
+        """Leave one servo limp for good. because: the reason."""
         self._given_up[index] = because
 
 
@@ -138,9 +140,9 @@ _LONGEST_S: Final = 2.0
 
 
 class TorqueOff:
-    """Who has confirmed that it is limp, or was let go and cannot confirm.
+    """Which servos have confirmed torque off, or were sent it and cannot confirm.
 
-    Methods that speak to the servos may raise PortError.
+    Methods that send packets may raise PortError.
     """
 
     def __init__(self, joints: Sequence[Joint], gate: TorqueGate) -> None:
@@ -152,11 +154,11 @@ class TorqueOff:
 
     @property
     def let_go(self) -> list[int]:
-        """The servos that confirmed, by index."""
+        """The indices of the servos that confirmed torque off, or cannot confirm."""
         return [int(index) for index in np.flatnonzero(self._confirmed)]
 
     def forget(self) -> None:
-        """Nothing is known any more: the port is gone, or torque may have come on."""
+        """Count no servo as confirmed any more: the port is lost, or torque may have come on."""
         self._confirmed[:] = False
         self._since_s = None
 
@@ -166,7 +168,7 @@ class TorqueOff:
         self._confirmed = self._gate.disable_all()
 
     def go_on(self, time_s: float) -> None:
-        """Ask one of those that have not confirmed; call it in every tick."""
+        """Send torque off to one servo that has not confirmed; to be called in every tick."""
         if self._since_s is None:
             self._since_s = time_s
         if self._confirmed.all() or self._gate.dry_run:
@@ -177,13 +179,13 @@ class TorqueOff:
         self._confirmed[index] = self._gate.disable(index)
 
     def over(self, time_s: float) -> bool:
-        """Whether all have confirmed, or those that are left do not answer."""
+        """Return whether all servos have confirmed, or two seconds of trying are over."""
         if self._confirmed.all() or self._gate.dry_run:
             return True
         return self._since_s is not None and time_s - self._since_s > _LONGEST_S
 
     def report(self, *, at_rest: bool, plugged: bool) -> StopReport:
-        """Return the report of what is known by now."""
+        """Return the report of the servos that confirmed torque off, and of those that did not."""
         names = [joint.name for joint in self._joints]
         why = "does not answer" if plugged else PORT_GONE
         can = {name: self._gate.capabilities.of(n) for n, name in enumerate(names)}

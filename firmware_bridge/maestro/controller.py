@@ -1,4 +1,4 @@
-"""A Maestro on its command port: pulses out in one write, and what it says that it sends."""
+"""A Maestro on its command port: pulses out in one write, and the pulses and errors it reports."""
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -39,25 +39,25 @@ _HIGH_BITS: Final = np.uint16(LARGEST & ~0x7F)
 
 
 class Maestro:
-    """Speaks to one Maestro; every method raises PortError."""
+    """The commands of one Maestro; every method raises PortError."""
 
     def __init__(self, transport: Transport, settings: MaestroSettings) -> None:
-        """transport: open."""
+        """Use an open transport, with the device number and CRC of the settings; send nothing."""
         self.transport = transport
         self._device, self.has_crc = settings.device, settings.crc
         #: Bits of `protocol.ERRORS` that it has told so far.
         self.errors = 0
 
     def tell(self, *commands: tuple[int, Sequence[int]]) -> None:
-        """Send several commands in one write."""
+        """Send several commands in one write; read no answer."""
         self.transport.write(b"".join(self.packet(*each) for each in commands))
 
     def packet(self, code: int, data: Sequence[int] = ()) -> bytes:
-        """Return one command with this Maestro's number and CRC."""
+        """Return one command as bytes, with this Maestro's number and CRC."""
         return command(code, data, device=self._device, crc=self.has_crc)
 
     def position_us(self, channel: int) -> float:
-        """The pulse that a channel sends, 0: none; NaN: no answer. Notes errors on the way."""
+        """Read the pulse that a channel sends, us; 0: none; NaN: no answer. Stores its errors."""
         answer = self._ask(4, (GET_POSITION, (channel,)), (GET_ERRORS, ()))
         if answer is None:
             return float("nan")
@@ -65,12 +65,12 @@ class Maestro:
         return int.from_bytes(answer[:2], "little") / QUARTERS
 
     def read_errors(self) -> int | None:
-        """Bits of `protocol.ERRORS`, which are cleared; None: no answer."""
+        """Read and clear the bits of `protocol.ERRORS`; None: no answer."""
         answer = self._ask(2, (GET_ERRORS, ()))
         return None if answer is None else int.from_bytes(answer, "little")
 
     def check(self, port: str) -> None:
-        """Raise PortError with the remedy unless a Maestro answers."""
+        """Raise PortError with the remedy unless a Maestro answers, with the CRC as set."""
         if all(self.read_errors() is None for _ in range(_TRIES)):
             raise PortError(no_answer(port, crc=self.has_crc))
         # Where only we use a CRC, it was one byte too many in what was just asked.
@@ -88,7 +88,7 @@ class Maestro:
 
 
 def no_answer(port: str, *, crc: bool) -> str:
-    """Why a port may be silent, and what to do."""
+    """Return why the Maestro at a port may be silent, and the remedy."""
     setting_advice = (
         "true, and the Maestro may have it off" if crc else "false, and the Maestro may use it"
     )
@@ -100,10 +100,13 @@ def no_answer(port: str, *, crc: bool) -> str:
 
 
 class PulseCommands:
-    """The targets of a face's servos as one block of bytes, made anew in place for every tick."""
+    """The targets of a face's servos as one block of bytes, overwritten in place in every tick."""
 
     def __init__(self, maestro: Maestro, channels: Sequence[int], *, together: bool) -> None:
-        """together: one command for each row of channels that follow one another."""
+        """Lay out the block of commands for these channels.
+
+        together: one command for each row of consecutive channels, otherwise one for each channel.
+        """
         ends = [0, *_row_ends(channels), len(channels)] if together else range(len(channels) + 1)
         order = sorted(range(len(channels)), key=lambda n: channels[n])
         block, places, self._crcs = bytearray(), [], []
@@ -125,7 +128,7 @@ class PulseCommands:
         ]
 
     def of(self, pulses_us: Array) -> bytes:
-        """Return the command that sends pulses.
+        """Return the bytes of the commands that set these pulses.
 
         Parameters
         ----------
@@ -135,7 +138,7 @@ class PulseCommands:
         Returns
         -------
         bytes
-            Set Multiple Targets for rows of channels, else one Set Target each.
+            Set Multiple Targets for rows of channels, otherwise one Set Target each.
         """
         quarters = (pulses_us * QUARTERS + 0.5).astype(np.uint16)
         # Seven bits a byte: what is above the lowest seven moves up by one.
@@ -148,16 +151,16 @@ class PulseCommands:
 
 
 def _row_ends(channels: Sequence[int]) -> list[int]:
-    """Return where sorted channels do not follow one another."""
+    """Return the indices in the sorted channels at which a row of consecutive ones ends."""
     rows = enumerate(pairwise(sorted(channels)), start=1)
     return [n for n, (before, after) in rows if after != before + 1]
 
 
 class MaestroController:
-    """See `PulseController`."""
+    """The `PulseController` of a Maestro."""
 
     def __init__(self, wiring: Wiring, open_transport: Callable[[], Transport]) -> None:
-        """Raises ServoError for a channel that the model has not."""
+        """Make a closed controller. Raises ServoError for a channel that the model lacks."""
         check_channels(wiring)
         self._settings: MaestroSettings = wiring.settings
         self._channels = [each.address for each in wiring.servos]
@@ -168,7 +171,7 @@ class MaestroController:
         self._seen = 0
 
     def open(self) -> None:
-        """Nothing is set before the first pulses."""
+        """Open the port; send nothing but requests. Raises PortError unless a Maestro answers."""
         self.close()
         self._commands = None
         maestro = self._maestro = Maestro(self._open_transport(), self._settings)
@@ -198,7 +201,7 @@ class MaestroController:
         Returns
         -------
         bool
-            True.
+            True, always: a Maestro that restarts is a new USB device, and its port is lost.
         """
         maestro = self._reached()
         if self._commands is None:
@@ -212,11 +215,11 @@ class MaestroController:
         return True  # one that starts anew is another device on USB: its port is lost
 
     def sending(self, index: int) -> float:
-        """Return the pulse that the Maestro reports for a channel, in us."""
+        """Read the pulse that the Maestro sends to a servo, us; 0: none; NaN: no answer."""
         return self._reached().position_us(self._channels[index])
 
     def remarks(self) -> Sequence[str]:
-        """The errors that it has reported."""
+        """Return the errors that the Maestro has reported, as sentences for a log."""
         bits = self._seen | (0 if self._maestro is None else self._maestro.errors)
         return [f"the Maestro tells of a {words}" for words in describe_errors(bits)]
 
@@ -227,7 +230,7 @@ class MaestroController:
 
 
 def check_channels(wiring: Wiring) -> None:
-    """Raise ServoError for channels that the model has not."""
+    """Raise ServoError for channels that the model does not have."""
     settings: MaestroSettings = wiring.settings
     beyond = [each.name for each in wiring.joints if each.servo_id >= settings.n_channels]
     if beyond:

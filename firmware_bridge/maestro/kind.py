@@ -1,4 +1,4 @@
-"""Hobby servos on a Pololu Maestro, as one kind of bus."""
+"""The kind of bus `maestro`: hobby servos on a Pololu Maestro."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -41,7 +41,7 @@ _SET_TIMEOUT: Final = (
 
 
 class MaestroKind(BusKind):
-    """See `BusKind`."""
+    """The kind of bus `maestro`; `BusKind` describes the methods."""
 
     name = "maestro"
     settings = MaestroSettings
@@ -51,12 +51,12 @@ class MaestroKind(BusKind):
     simulator_module = "firmware_bridge.maestro.simulator"
 
     def capabilities(self, settings: "BusSettings") -> BusCapabilities:
-        """Pulses go out, and nothing comes back."""
+        """Return capabilities without any reading; a watchdog if serial_timeout_s is set."""
         timeout_s = getattr(settings, "serial_timeout_s", 0.0)
         return replace(CAPABILITIES, watchdog=timeout_s > 0.0, in_memory=settings.port is None)
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":  # noqa: ARG002 - a servo that is missing cannot be told from one that is there
-        """Open the bus at its command port; without one in memory."""
+        """Return the bus at its command port; without a port, one that is simulated in memory."""
         from firmware_bridge.maestro.controller import MaestroController
         from firmware_bridge.pulse_bus import KeptPulses, PulseBus
 
@@ -72,17 +72,17 @@ class MaestroKind(BusKind):
         return PulseBus(wiring.servos, controller, clock, can, kept, may_jump=may_jump)
 
     def allow_first_start(self, wiring: Wiring) -> None:
-        """Kept where the pulses sent last are."""
+        """Write the neutral pulses to the file of kept pulses, for servos without one."""
         from firmware_bridge.pulse_bus import KeptPulses
 
         KeptPulses(wiring.kept).allow_neutral(wiring.servos)
 
     def is_at(self, port: str) -> bool:
-        """Whether the port's USB numbers are a Maestro's."""
+        """Return whether the USB vendor and product at a port are a Maestro's."""
         return usb_product(port) in _USB_PRODUCTS
 
     def port_release(self, port: str, wiring: Wiring | None) -> Callable[[], PortRelease]:
-        """Pulses off on all channels."""
+        """Return a function that opens the port to switch the pulses of all channels off."""
         from firmware_bridge.maestro.release import MaestroRelease
 
         opener = _opener(port)
@@ -90,7 +90,7 @@ class MaestroKind(BusKind):
         return lambda: MaestroRelease(opener(), port, settings, knows=wiring is not None)
 
     def examine(self, wiring: Wiring) -> Iterator[Finding]:
-        """Examine the controller and its pulses; servos do not answer."""
+        """Yield findings about the controller and its pulses, since hobby servos do not answer."""
         from firmware_bridge.maestro.controller import Maestro, check_channels
         from firmware_bridge.maestro.protocol import TIMEOUT_ERROR, describe_errors
 

@@ -1,8 +1,8 @@
 """Commands of the Maestro as bytes: https://www.pololu.com/docs/0J40/5.e .
 
 A command byte has its top bit set, data bytes have not. Targets, speeds and positions are counted
-in quarters of a microsecond. Whatever the Maestro takes for an error turns its servos off, unless
-Pololu's Control Center says otherwise ("on startup or error").
+in quarters of a microsecond. Any error that the Maestro detects turns its servos off, unless
+Pololu's Control Center is set otherwise ("on startup or error").
 """
 
 from collections.abc import Sequence
@@ -61,7 +61,10 @@ _CRC: Final = tuple(_crc_of(byte) for byte in range(256))
 
 
 def crc7(message: bytes | bytearray) -> int:
-    """https://www.pololu.com/docs/0J40/5.d : x^7 + x^3 + 1, lowest bit first."""
+    """Return the CRC-7 of a message, x^7 + x^3 + 1, lowest bit first.
+
+    https://www.pololu.com/docs/0J40/5.d
+    """
     crc = 0
     for byte in message:
         crc = _CRC[crc ^ byte]
@@ -76,10 +79,10 @@ def command(code: int, data: Sequence[int] = (), *, device: int | None = None, c
 
 
 def split(value: int) -> tuple[int, int]:
-    """14 bits as two data bytes, the low one first."""
+    """Return 14 bits as two data bytes, the low one first."""
     return value & 0x7F, value >> 7 & 0x7F
 
 
 def describe_errors(bits: int) -> list[str]:
-    """Return the bits of GET_ERRORS in words."""
+    """Return the errors set in the bits of GET_ERRORS, in words."""
     return [words for n, words in enumerate(ERRORS) if bits >> n & 1]

@@ -1,4 +1,4 @@
-"""Pulses off at a Maestro that another process drove before."""
+"""Switch pulses off at a Maestro that another process drove before."""
 
 import math
 from collections.abc import Sequence
@@ -14,20 +14,25 @@ _REPEATS: Final = 3
 
 
 class MaestroRelease:
-    """See `PortRelease`. That no pulse is sent says nothing of the servo: none confirms."""
+    """A `PortRelease` that switches a Maestro's pulses off; no servo confirms that it is limp."""
 
     confirms: Final = False
 
     def __init__(
         self, transport: Transport, port: str, settings: MaestroSettings, *, knows: bool
     ) -> None:
-        """transport: open. knows: whether the settings are those of the face that was there."""
+        """transport: an open port. knows: whether `settings` come from the YAML of a face."""
         self._maestro = Maestro(transport, settings)
         self._port, self._knows = port, knows
         self._n_channels = settings.n_channels if knows else min(N_CHANNELS.values())
 
     def tell_all(self, addresses: Sequence[int]) -> None:
-        """No pulses on any channel; read back, since a Maestro may ignore a command."""
+        """Switch the pulses off on all channels, and read back that `addresses` send none.
+
+        Without addresses channel 0 is read. A Maestro may ignore a command: pulses off is repeated
+        up to three times. Raises PortError when channels still send afterwards, or no Maestro
+        answers.
+        """
         self._tell(range(self._n_channels))
         left = [each for each in addresses or (0,) if self._maestro.position_us(each) != 0.0]
         for _ in range(_REPEATS):
@@ -40,13 +45,15 @@ class MaestroRelease:
             raise PortError(f"{self._port}: the Maestro goes on with its pulses on channels {left}")
 
     def ask(self, address: int) -> str:
-        """Why no servo is taken to have let go: none can say so."""
+        """Return why a channel's servo never counts as limp: a hobby servo reports nothing."""
         return f"channel {address} cannot say whether its servo holds"
 
     def find(self, addresses: Sequence[int]) -> Sequence[int]:
-        """Return all channels that exist.
+        """Switch all pulses off; return `addresses`, else all channels of the Maestro.
 
-        Addressing one too many sends servos home: pulses off again.
+        The number of channels of an unknown model is found by querying ever higher channels. A
+        query for a missing channel sends servos to their home positions: pulses are then switched
+        off again.
         """
         self.tell_all(addresses)
         if self._knows:

@@ -1,4 +1,4 @@
-"""What a face YAML says of a Maestro and its servos."""
+"""The `bus:` section of a face YAML for hobby servos at a Pololu Maestro."""
 
 from typing import Annotated, Any, Literal
 
@@ -9,12 +9,13 @@ from firmware_bridge.maestro.protocol import N_CHANNELS
 
 
 class MaestroSettings(BusSettings):
-    """`bus:` of a face whose servos hang on a Maestro, on its USB command port.
+    """The `bus:` section of a face whose servos hang on a Maestro, driven by its USB command port.
 
-    Without `port:` it is simulated in memory.
-    crc: as the Maestro is set. device: its number where several share a port; None: it is alone.
-    serial_timeout_s: as the Maestro is set: without a command for so long it stops its pulses; 0:
-    never, as they come, but firmware/pico_maestro has .5 s.
+    Without `port:` the servos are simulated in memory.
+    crc: whether the Maestro is set to require a CRC. device: the Maestro's number where several
+    share a port; None: it is alone. serial_timeout_s: after so many seconds without a command the
+    Maestro stops its pulses, as set in the Maestro; 0: never (factory setting), but
+    firmware/pico_maestro has .5 s.
     """
 
     kind: str = "maestro"
@@ -32,10 +33,10 @@ class MaestroSettings(BusSettings):
 
     @property
     def board(self) -> str:
-        """Its number, where it has one."""
+        """The Maestro's device number as text, such as `device 12`; empty without a number."""
         return "" if self.device is None else f"device {self.device}"
 
     @property
     def n_channels(self) -> int:
-        """How many servos it has room for."""
+        """The number of servo channels that the model has."""
         return N_CHANNELS[self.model]

@@ -1,6 +1,6 @@
-"""A simulated Maestro, to the byte, and the shafts of its servos; in memory or behind a terminal.
+"""Simulate a Maestro, to the byte, and its servos' shafts; in memory or behind a pseudo-terminal.
 
-What goes out on the wires to the servos is logged by the simulator alone: tests judge by that.
+Tests check the pulses that the simulator logs, not what the Maestro reports.
 """
 
 from collections import deque
@@ -52,7 +52,7 @@ _FOREVER: Final = float("inf")
 
 
 class PulseFault(TimedFault):
-    """Its kinds; unplug lasts for lasts_s."""
+    """One fault of a simulated Maestro, of a `kind`; an `unplug` lasts for `lasts_s`."""
 
     kind: Literal["brown-out", "deaf", "truncate", "corrupt", "unplug"]
 
@@ -62,14 +62,15 @@ FAULTS: Final = get_args(PulseFault.model_fields["kind"].annotation)
 
 
 def read_faults(text: str | None) -> Sequence[PulseFault]:
-    """Faults of a script. Raises ValueError for whatever is not allowed in it."""
+    """Parse the faults in a YAML script; None: no faults. Raises ValueError for a bad script."""
     return parse_faults(text, PulseFault)
 
 
 class Shaft:
-    """Where a hobby servo stands, as the pulse that would hold it there, in us.
+    """The position of a hobby servo's shaft, as the pulse in us that would hold it there.
 
-    It runs to its pulse at constant speed. Without pulses a digital one holds, another sags.
+    It moves towards its pulse at constant speed. Without pulses it sags by `sags_us_s`; 0, as with
+    a digital servo: it holds.
     """
 
     def __init__(
@@ -79,7 +80,7 @@ class Shaft:
         self._speed_us_s, self._sags_us_s = speed_us_s, sags_us_s
 
     def move(self, pulse_us: float, seconds: float) -> None:
-        """Move for some seconds at one pulse; 0: none."""
+        """Move towards a pulse for some seconds; sag instead when the pulse is 0 (none)."""
         if pulse_us:
             reach_us = self._speed_us_s * seconds
             self.place_us += min(max(pulse_us - self.place_us, -reach_us), reach_us)
@@ -89,7 +90,7 @@ class Shaft:
 
 @dataclass(frozen=True, slots=True)
 class Pulse:
-    """What goes to one servo from a time on, us, 0: nothing; and where its shaft stood then."""
+    """A change of one channel's pulse, in us (0: none), and its shaft's position then, in us."""
 
     time_s: float
     channel: int
@@ -98,7 +99,7 @@ class Pulse:
 
 
 class _Channel:
-    """One output: where it is sent, at what speed, and what it sends. Quarters of us."""
+    """One output: its target, its speed limit, and the pulse that it sends; in quarters of a us."""
 
     def __init__(self) -> None:
         self.target = self.speed = self.acceleration = 0
@@ -106,13 +107,17 @@ class _Channel:
         self.shaft = Shaft()
 
     def set_target(self, target: int, shortest: float, longest: float) -> None:
-        """A channel that is off goes to its first target at once, whatever its speed."""
+        """Set the target within shortest..longest; 0: off.
+
+        A channel that was off, or has no speed limit, jumps to its target. All values are in
+        quarters of a us.
+        """
         self.target = round(min(max(target, shortest), longest)) if target else 0
         if not (target and self.position and self.speed):
             self.position = self.target
 
     def move(self, seconds: float) -> None:
-        """Move the channel on by some time."""
+        """Move the pulse towards its target, and the shaft towards the pulse, by some seconds."""
         if self.position != self.target:
             reach = self.speed * seconds / SPEED_UNIT_S if self.speed else float("inf")
             self.position += min(max(self.target - self.position, -reach), reach)
@@ -120,9 +125,10 @@ class _Channel:
 
 
 class SimulatedMaestro:
-    """A `SimulatedDevice`. deaf: in the serial mode as it comes, in which it takes no commands.
+    """A simulated Maestro: a `SimulatedDevice` that obeys commands and logs its pulses.
 
-    channels and `pulses`, the log, are what tests look at.
+    deaf: in the factory's serial mode, in which it ignores commands. Tests read `channels`, and the
+    log `pulses`.
     """
 
     def __init__(
@@ -134,7 +140,7 @@ class SimulatedMaestro:
         range_us: tuple[float, float] = (_SHORTEST_US, _LONGEST_US),
         on_pulse: Callable[[Pulse], None] | None = None,
     ) -> None:
-        """on_pulse: gets every change of a pulse, besides `pulses`."""
+        """on_pulse: called with every change of a pulse, which `pulses` logs as well."""
         self._crc, self._device = settings.crc, settings.device
         self._is_micro = settings.model == WITHOUT_SET_TARGETS
         self._timeout_s = settings.serial_timeout_s or _FOREVER
@@ -152,16 +158,16 @@ class SimulatedMaestro:
 
     @property
     def plugged(self) -> bool:
-        """Whether its port is there."""
+        """Whether the Maestro's port exists: False while it is unplugged or restarts."""
         return self._now_s >= self._back_s
 
     @property
     def next_delivery_s(self) -> float:
-        """The time of the next bytes to the computer; infinity: none."""
+        """The time in s at which the next answer reaches the computer; infinity: none is due."""
         return self._answers[0][0] if self._answers else _FOREVER
 
     def advance(self, now_s: float) -> None:
-        """Let time pass, in steps of a pulse at most."""
+        """Simulate channels, shafts, serial timeout and faults up to `now_s`, in steps of 20 ms."""
         while self._now_s < now_s:
             step_s = min(0.02, now_s - self._now_s)
             self._now_s += step_s
@@ -180,7 +186,7 @@ class SimulatedMaestro:
             self._happen(fault)
 
     def receive(self, data: bytes, now_s: float, _baud_rate: int) -> None:
-        """Take commands apart, byte by byte."""
+        """Parse bytes and obey each whole command; ignore all bytes while deaf or unplugged."""
         self.advance(now_s)
         if self.deaf or not self.plugged:
             return
@@ -202,14 +208,14 @@ class SimulatedMaestro:
                 self._obey(message, now_s)
 
     def deliver(self, now_s: float) -> bytes:
-        """Return the bytes that it has answered by `now_s`."""
+        """Return and remove the answers that have reached the computer by `now_s`; b"": none."""
         answers = b""
         while self._answers and self._answers[0][0] <= now_s:
             answers += self._answers.popleft()[1]
         return answers
 
     def brown_out(self) -> None:
-        """Its supply fails for a moment: it starts anew, without pulses; USB finds it again."""
+        """Simulate a short failure of the supply: all channels off, the USB port gone for .5 s."""
         self.unplug(_RESTART_S)
         self.errors = 0
         for number, channel in enumerate(self.channels):
@@ -218,7 +224,7 @@ class SimulatedMaestro:
             self._log(number)
 
     def unplug(self, seconds: float) -> None:
-        """Its plug is out for so long; pulses go on, as its servo supply does."""
+        """Remove the USB port for some seconds; pulses continue: the servo supply stays on."""
         self._back_s = self._now_s + seconds
         self._answers.clear()
         self._message.clear()
@@ -293,7 +299,7 @@ class SimulatedMaestro:
         self._go_home()
 
     def _go_home(self) -> None:
-        """Channels come set to Off on startup or error."""
+        """Switch off every channel that sends pulses, as the factory setting does at an error."""
         for number, channel in enumerate(self.channels):
             if channel.position:
                 channel.target, channel.position = 0, 0.0
@@ -314,7 +320,10 @@ def maestro_for(
     *,
     deaf: bool = False,
 ) -> SimulatedMaestro:
-    """A Maestro set up as a face's YAML says. Raises ServoError for channels that it has not."""
+    """Return a simulated Maestro for a face's wiring.
+
+    Raises ServoError for channels that it lacks.
+    """
     check_channels(wiring)
     shortest = min((each.min_us for each in wiring.servos), default=_SHORTEST_US)
     longest = max((each.max_us for each in wiring.servos), default=_LONGEST_US)
@@ -329,7 +338,7 @@ def watched_servos(
     faults: Sequence[PulseFault] = (),
     on_pulse: Callable[[Pulse], None] | None = None,
 ) -> WatchedServos:
-    """The servos of a face in memory, and what can be seen of them."""
+    """Return a face's servos simulated in memory: bus, clock, Maestro, and the shafts' angles."""
     maestro, clock = maestro_for(wiring, faults, on_pulse), ManualClock()
     controller = MaestroController(wiring, lambda: MemoryTransport(maestro, clock, BAUD_RATE))
     can, scale = MAESTRO.capabilities(wiring.settings), PulseScale(wiring.servos)
@@ -346,7 +355,7 @@ def watched_servos(
 
 
 def simulated_wire(wiring: Wiring) -> tuple[ServoBus, ManualClock]:
-    """The servos of a face in memory, and the clock that moves them."""
+    """Return the bus of a face's servos, simulated in memory, and the clock that moves them."""
     watched = watched_servos(wiring)
     return watched.bus, watched.clock
 
@@ -354,12 +363,12 @@ def simulated_wire(wiring: Wiring) -> tuple[ServoBus, ManualClock]:
 def serve(
     wiring: Wiring | None, link: Path | None, *, faults: str | None, log: Path | None, **_of: Any
 ) -> PtyHost:
-    """A Maestro behind a terminal that any program can open: a face's, or the smallest.
+    """Return a host that serves a simulated Maestro at a pseudo-terminal: a face's, else a Micro 6.
 
-    link: a path that leads to it. faults: the text of a script. log: a file that gets every change
-    of a pulse as a line of JSON, with the time since it was plugged in.
-    Raises ServoError for what no Maestro can have, ValueError, and PortError where no terminal can
-    be made.
+    link: path of a symbolic link to the terminal. faults: the YAML text of a script. log: a file
+    that gets every change of a pulse as a line of JSON: seconds since the start, channel, pulse and
+    shaft in us. Raises ServoError for channels that the model lacks and for a log that cannot be
+    written, ValueError for an invalid script, and PortError where no terminal or link can be made.
     """
     script = read_faults(faults)
     write = pulse_log(log)

@@ -1,4 +1,4 @@
-"""A PCA9685 as what makes the pulses of a face: `PulseController`."""
+"""A PCA9685 on I2C as the `PulseController` of a face's hobby servos."""
 
 import contextlib
 from collections.abc import Callable, Sequence
@@ -33,7 +33,7 @@ NO_GUARD: Final = (
 
 
 class Pca9685:
-    """One chip. Whatever else hangs on the bus is not spoken to; see `PulseController`."""
+    """One PCA9685 as a `PulseController`; no other chip on the I2C bus is addressed."""
 
     def __init__(
         self,
@@ -43,7 +43,7 @@ class Pca9685:
         clock: Clock,
         guard: OeGuard | None = None,
     ) -> None:
-        """channels: of each servo. guard: of the OE pin; None: nothing holds it."""
+        """channels: the channel of each servo. guard: holds the OE pin; None: nothing holds it."""
         self._open_chip, self._timing, self._clock = open_chip, timing, clock
         self._channels, self._guard = tuple(channels), guard
         self._messages = PulseMessages(channels)
@@ -51,7 +51,11 @@ class Pca9685:
         self._is_set_up = False
 
     def open(self) -> None:
-        """Find the chip; only reads. Raises PortError where another chip has its address."""
+        """Open the bus, check that a PCA9685 answers, and start the guard of the OE pin.
+
+        Raises PortError where no PCA9685 answers, or the guard cannot start. Only reads from the
+        chip.
+        """
         self._give_back()
         self._chip = chip = self._open_chip()
         self._is_set_up = False
@@ -64,16 +68,16 @@ class Pca9685:
             raise
 
     def close(self) -> None:
-        """Give the bus back; pulses go on as they are, unless there is a guard."""
+        """Close the bus and the guard; without a guard the chip continues to send its pulses."""
         self._give_back()
         if self._guard is not None:
             self._guard.close()
 
     def send(self, pulses_us: Array) -> bool:
-        """Write all channels of the face in one transfer; all of the board off by one byte.
+        """Send every servo its pulse in one I2C transfer; all 0: switch the whole board off.
 
-        The same transfer reads whether the chip is still set up: a supply that broke down leaves it
-        as at power-up.
+        The transfer also reads whether the chip is still set up: after a failure of its supply the
+        chip is as at power-up.
 
         Parameters
         ----------
@@ -83,7 +87,7 @@ class Pca9685:
         Returns
         -------
         bool
-            False: the chip has lost its setup, and no pulse is made.
+            False: the chip has lost its setup, or the guard has lapsed; no pulse is made.
         """
         counts, guard = self._timing.counts(pulses_us), self._guard
         if not any_set(counts):
@@ -103,7 +107,10 @@ class Pca9685:
         return True
 
     def sending(self, index: int) -> float:
-        """What the registers of its channel make; none while the chip is set up otherwise."""
+        """Return the pulse in us that a servo's channel makes, read from its registers.
+
+        0: none, also while the chip is not set up to run.
+        """
         chip = self._opened
         if self._guard is not None:
             self._beat(self._guard, passes=self._guard.passes)
@@ -113,7 +120,7 @@ class Pca9685:
         return counts * self._timing.count_us
 
     def remarks(self) -> Sequence[str]:
-        """Remarks for the person who starts the face."""
+        """Return remarks for the log: a warning where no guard holds the OE pin, else none."""
         return [] if self._guard is not None else [NO_GUARD]
 
     @property
@@ -134,7 +141,11 @@ class Pca9685:
         self._opened.write([ALL_OFF])
 
     def _beat(self, guard: OeGuard, *, passes: bool) -> None:
-        """Raises ServoError, with all pulses off, where nothing would end them any more."""
+        """Send the guard a heartbeat that lets pulses through or blocks them.
+
+        Raises ServoError, after switching all pulses off, when the guard is dead or hangs: nothing
+        would end the pulses with this program any more.
+        """
         try:
             guard.beat(passes=passes)
         except ServoError:
@@ -142,9 +153,9 @@ class Pca9685:
             raise
 
     def _set_up(self) -> bool:
-        """Prescaler and modes, unless they are so already: then pulses of before go on.
+        """Write prescaler and modes unless the chip has them; return whether it has them now.
 
-        False: its supply broke down meanwhile.
+        Pulses of a chip that is set up already continue. False: its supply failed meanwhile.
 
         The prescaler can be written only asleep (7.3.5), where no pulse is made: all channels go
         off first, so that none is cut short or comes back by the restart.
@@ -172,7 +183,7 @@ class Pca9685:
 
 
 def check_identity(chip: I2cChip) -> None:
-    """Raise PortError unless it answers as a PCA9685 does."""
+    """Raise PortError unless the chip's identity registers and prescaler are those of a PCA9685."""
     found = b"".join(
         chip.read(register) for register in range(Register.SUBADR1, Register.ALLCALLADR + 1)
     )
@@ -185,7 +196,7 @@ def check_identity(chip: I2cChip) -> None:
 
 
 def clock_remark(clock_hz: float) -> str:
-    """Return a remark on a clock that was not measured; empty: it was."""
+    """Return a warning that `clock_hz` is the data sheet's value; empty: the clock was measured."""
     if clock_hz != NOMINAL_CLOCK_HZ:
         return ""
     return "clock_hz is that of the data sheet; boards differ by some per cent, pulses with them"

@@ -1,4 +1,4 @@
-"""What is wrong between the computer, a PCA9685 and its supply, and what to do."""
+"""Checks for `lipservo doctor` of a PCA9685's bus, chip, pulses, rate and OE pin, with remedies."""
 
 from collections.abc import Callable, Iterator
 
@@ -14,7 +14,11 @@ from firmware_bridge.pca9685.settings import Pca9685Settings
 def examine(
     wiring: Wiring, opener: Callable[[], I2cChip], slowness: str | None
 ) -> Iterator[Finding]:
-    """Findings in the order in which they are mended; only reads."""
+    """Yield findings on bus, chip, channels, timing, rate and OE pin; only reads.
+
+    opener: opens the chip; findings end at its PortError. slowness: why the bus is too slow for the
+    face; None: it is not.
+    """
     settings: Pca9685Settings = wiring.settings
     try:
         chip = opener()

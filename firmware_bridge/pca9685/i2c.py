@@ -1,4 +1,4 @@
-"""An I2C bus of the computer, shared with others: one address on it is ours alone.
+"""Access to one chip on an I2C bus that other programs share: only the chip's address is locked.
 
 `smbus2` is imported only where a bus of the computer is opened. A pseudo-terminal in its place
 carries the same messages to a simulated chip, field for field as Linux has them (`struct i2c_msg`).
@@ -45,38 +45,44 @@ _GONE: Final = {
 
 
 class Transfers(Protocol):
-    """One way to a bus. Methods raise OSError."""
+    """A connection to an I2C bus that runs transfers. Its methods raise OSError."""
 
     def transfer(self, messages: Sequence[Message]) -> bytes:
-        """Messages with one STOP after the last; what was read, one after the other."""
+        """Run messages as one transfer with one STOP at its end; return all bytes read, joined."""
 
     def close(self) -> None:
         """Close the bus."""
 
 
 class I2cChip:
-    """One chip, by its address. Methods raise PortGone."""
+    """One chip on an I2C bus, found by its address. Methods raise PortGone."""
 
     def __init__(self, transfers: Transfers, address: int, name: str) -> None:
         self._transfers, self._address, self.name = transfers, address, name
 
     def write(self, messages: Sequence[bytes | bytearray]) -> None:
-        """Write messages that take effect together; each begins with its register."""
+        """Write messages in one transfer, so that they take effect together.
+
+        Each message begins with the number of its first register.
+        """
         self._transfer([(self._address, 0, message) for message in messages])
 
     def exchange(self, messages: Sequence[bytes | bytearray], register: int) -> bytes:
-        """The same, and what is in one register then, in one transfer."""
+        """Write messages, then read one register, in one transfer; return the register's byte.
+
+        Each message begins with the number of its first register.
+        """
         address = self._address
         written: list[Message] = [(address, 0, message) for message in messages]
         return self._transfer([*written, (address, 0, bytes((register,))), (address, READ, 1)])
 
     def read(self, register: int, n_bytes: int = 1) -> bytes:
-        """Read bytes from one register on."""
+        """Return `n_bytes` bytes, read from `register` on."""
         address = self._address
         return self._transfer([(address, 0, bytes([register])), (address, READ, n_bytes)])
 
     def close(self) -> None:
-        """Close the bus."""
+        """Close the bus; errors are ignored."""
         with contextlib.suppress(OSError):
             self._transfers.close()
 
@@ -94,18 +100,18 @@ class I2cChip:
 
 
 class DeviceTransfers:
-    """By smbus2."""
+    """Transfers on an I2C bus of the computer, by smbus2."""
 
     def __init__(self, bus: Any, message: Any) -> None:
-        """bus: an open `SMBus`; message: `i2c_msg`."""
+        """bus: an open `smbus2.SMBus`. message: the class `smbus2.i2c_msg`."""
         self._bus, self._message = bus, message
 
     def fileno(self) -> int:
-        """File descriptor of the bus; -1: it is closed."""
+        """Return the file descriptor of the bus; -1: it is closed."""
         return -1 if self._bus.fd is None else self._bus.fd
 
     def transfer(self, messages: Sequence[Message]) -> bytes:
-        """See `Transfers`."""
+        """Run messages as one transfer; return all bytes read, joined. Raises OSError."""
         make = self._message
         made = [
             make.read(address, data) if isinstance(data, int) else make.write(address, data)
@@ -115,12 +121,15 @@ class DeviceTransfers:
         return b"".join(bytes(each) for each in made if each.flags & READ)
 
     def close(self) -> None:
-        """See `Transfers`."""
+        """Close the bus."""
         self._bus.close()
 
 
 def _open_device(path: str) -> DeviceTransfers:
-    """Raises OSError, and PortError where something is missing."""
+    """Open the I2C bus at `path` by smbus2.
+
+    Raises OSError, and PortError without smbus2 or with an adapter that cannot do plain I2C.
+    """
     try:
         from smbus2 import SMBus, i2c_msg
     except ImportError as error:
@@ -138,7 +147,7 @@ def _open_device(path: str) -> DeviceTransfers:
 
 
 class _TerminalTransfers:
-    """To a simulated chip."""
+    """Transfers to a simulated chip, as frames of bytes over a pseudo-terminal."""
 
     def __init__(self, path: str) -> None:
         self._fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
@@ -182,15 +191,16 @@ class _TerminalTransfers:
 
 
 def is_terminal(path: str) -> bool:
-    """Whether a simulator is at the other end."""
+    """Return whether `path` leads to a pseudo-terminal, at whose other end a simulator is."""
     return Path(path).resolve().parent == _TERMINALS
 
 
 def open_chip(path: str, address: int) -> I2cChip:
-    """The chip at an address of the bus at `path`, for us alone; nothing is sent.
+    """Open the chip at an address of the I2C bus at `path`, locked for this process.
 
-    Others on this bus, ours too, go on: the lock is on the address. Raises PortError that says
-    what to do.
+    Nothing is sent. The lock is on the address: programs that use other addresses of the bus are
+    not affected. Raises PortError, with the remedy, when the bus cannot be opened or the address is
+    in use.
     """
     name = f"{path}, address {address:#04x}"
     is_alone = is_terminal(path)
@@ -209,9 +219,10 @@ def open_chip(path: str, address: int) -> I2cChip:
 
 
 def _claim(fd: int, address: int, *, alone: bool) -> None:
-    """A lock on one byte of the file is that of the address; the other says who has it open.
+    """Lock an I2C address for this process, as one byte of the bus's file, without waiting.
 
-    alone: a terminal carries one conversation. Raises OSError where another process has it.
+    alone: lock the whole file as well, since a terminal carries one conversation; else share it.
+    Raises OSError where another process has the lock.
     """
     fcntl.flock(fd, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)
     lock = _OFD_LOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, address, 1, 0)

@@ -1,4 +1,4 @@
-"""Hobby servos at a PCA9685, as one kind of bus."""
+"""The kind of servo bus `pca9685`: hobby servos at a PCA9685."""
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -30,7 +30,7 @@ _SHARE: Final = 0.6
 
 
 class Pca9685Kind(BusKind):
-    """See `BusKind`."""
+    """The kind of servo bus `pca9685`: what lipservo can do with hobby servos at a PCA9685."""
 
     name = "pca9685"
     settings = Pca9685Settings
@@ -40,7 +40,7 @@ class Pca9685Kind(BusKind):
     simulator_module = "firmware_bridge.pca9685.simulator"
 
     def capabilities(self, settings: "BusSettings") -> BusCapabilities:
-        """The capabilities: pulses go on until they are switched off; nothing is reported."""
+        """Return what the servos can do: they hold while pulses continue, and report nothing."""
         assert isinstance(settings, Pca9685Settings)
         return BusCapabilities(
             hold=True,
@@ -53,7 +53,7 @@ class Pca9685Kind(BusKind):
         )
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":  # noqa: ARG002 - no servo can be asked whether it is there
-        """Open the bus by smbus2; without a port in memory."""
+        """Return the bus of the servos: over I2C, or simulated in memory when no port is set."""
         from firmware_bridge.pca9685.i2c import is_terminal
         from firmware_bridge.pca9685.oe_guard import OeGuard
         from firmware_bridge.pulse_bus import KeptPulses, PulseBus
@@ -70,7 +70,10 @@ class Pca9685Kind(BusKind):
         return PulseBus(wiring.servos, controller, clock, can, kept, may_jump=may_jump)
 
     def slowness(self, wiring: Wiring, rate_hz: float) -> str | None:
-        """By the bytes of a tick, at the rate that the device tree says of the bus."""
+        """Return why the I2C bus is too slow for `rate_hz`, and the remedy; None: it is not.
+
+        Computed from the bytes of a tick and the bus clock that the device tree states.
+        """
         bits_s = _bits_s(wiring.settings.port or "")
         needed_s = (4 * len(wiring.servos) + 8) * _BYTE_BITS / bits_s
         if needed_s <= _SHARE / rate_hz:
@@ -82,26 +85,29 @@ class Pca9685Kind(BusKind):
         )
 
     def allow_first_start(self, wiring: Wiring) -> None:
-        """Kept where the pulses sent last are."""
+        """Let servos that had no pulse yet jump to neutral, by writing neutral as kept pulses."""
         from firmware_bridge.pulse_bus import KeptPulses
 
         KeptPulses(wiring.kept).allow_neutral(wiring.servos)
 
     def port_release(self, port: str, wiring: Wiring | None) -> Callable[[], PortRelease]:
-        """All sixteen outputs of the board go off."""
+        """Return a function that opens the face's board to switch its outputs off.
+
+        Raises PortError without `wiring`, which has the board's address.
+        """
         if wiring is None:
             raise PortError(f"{port}: which address? Give --config, the face's YAML")
         return lambda: BoardRelease(opener_of(wiring)())
 
     def examine(self, wiring: Wiring) -> Iterator[Finding]:
-        """Examine bus, chip, and the range of its pulses."""
+        """Yield findings on the I2C bus, the chip, its pulses and its OE pin; only reads."""
         from firmware_bridge.pca9685.doctor import examine
 
         yield from examine(wiring, opener_of(wiring), self.slowness(wiring, wiring.rate_hz))
 
 
 class BoardRelease:
-    """See `PortRelease`: a chip confirms that its pulses are off, no servo that it is."""
+    """A `PortRelease` that switches off all outputs of a PCA9685; no servo confirms being limp."""
 
     confirms = False
 
@@ -116,17 +122,17 @@ class BoardRelease:
             raise
 
     def tell_all(self, addresses: Sequence[int]) -> None:  # noqa: ARG002 - one byte is for all
-        """Switch all pulses off."""
+        """Switch the pulses of all channels off, whatever `addresses` says."""
         from firmware_bridge.pca9685.registers import ALL_OFF
 
         self._chip.write([ALL_OFF])
 
     def ask(self, address: int) -> str:
-        """Why no servo is taken to have let go: none can say so."""
+        """Return why a channel's servo never counts as limp: a hobby servo reports nothing."""
         return f"channel {address} cannot say whether its servo holds"
 
     def find(self, addresses: Sequence[int]) -> Sequence[int]:
-        """Pulses off; which servos are connected is unknown."""
+        """Switch all pulses off; return `addresses`, else all channels: none can be detected."""
         self.tell_all(addresses)
         return addresses or range(N_CHANNELS)
 
@@ -136,7 +142,7 @@ class BoardRelease:
 
 
 def opener_of(wiring: Wiring) -> Callable[[], "I2cChip"]:
-    """Return the function that opens the chip of a face."""
+    """Return a function that opens the PCA9685 of a face; that function raises PortError."""
     from firmware_bridge.pca9685.i2c import open_chip
 
     return partial(open_chip, wiring.settings.port, wiring.settings.address)
@@ -148,7 +154,10 @@ def controller_of(
     clock: "Clock",
     guard: "OeGuard | None" = None,
 ) -> "Pca9685":
-    """The chip of a face. Raises ServoError for pulses that do not fit its frequency."""
+    """Return the controller of a face's PCA9685, unopened.
+
+    Raises ServoError for pulses that are too long for its frequency.
+    """
     from firmware_bridge.pca9685.controller import Pca9685
 
     if why := check_pulses(wiring.settings, max(each.max_us for each in wiring.servos)):
@@ -159,7 +168,7 @@ def controller_of(
 
 
 def _has_guard(settings: Pca9685Settings) -> bool:
-    """Whether a guard holds the OE pin; that of a simulated board only where it has one, too."""
+    """Return whether a guard holds the OE pin; for a simulated board only if its pin is a FIFO."""
     from firmware_bridge.pca9685.i2c import is_terminal
     from firmware_bridge.pca9685.oe_guard import is_stand_in
 
@@ -169,7 +178,7 @@ def _has_guard(settings: Pca9685Settings) -> bool:
 
 
 def _bits_s(port: str) -> int:
-    """Return the clock of an I2C bus in bits/s, by the device tree."""
+    """Return an I2C bus's clock in bits/s from the device tree; 100,000 where it has none."""
     number = Path(port).name.removeprefix("i2c-")
     try:
         cells = Path(f"/sys/class/i2c-adapter/i2c-{number}/of_node/clock-frequency").read_bytes()

@@ -1,10 +1,10 @@
-"""Holds the OE pin of a PCA9685 low only as long as a bridge lives: a process of its own.
+"""The guard of a PCA9685's OE pin: a process that holds it low only as long as a bridge lives.
 
 OE is active low: while it is high the board makes no pulse, whatever its registers say. The guard
 lowers it for half a second at each heartbeat, and lets it go high when none comes: when the bridge
 has died, hangs, or has stopped all servos. It ends with the bridge only where the registers are off
-as well; else it holds the pin high until the next guard of the pin sends it away. A pull-up at the
-pin makes the guard's own death, and that of the computer, the same.
+as well; else it holds the pin high until the next guard of the pin ends it. With a pull-up at the
+pin, the pin goes high as well when the guard or the computer dies.
 
 Run as `python -m firmware_bridge.pca9685.oe_guard CHIP LINE DESCRIPTOR` by `OeGuard`.
 """
@@ -48,7 +48,7 @@ _IGNORED: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 
 def is_stand_in(chip: str) -> bool:
-    """Whether a simulator is at the other end of the pin: a FIFO in place of the GPIO chip."""
+    """Return whether `chip` is a FIFO, which leads to a simulator in place of a GPIO chip."""
     try:
         return stat.S_ISFIFO(os.stat(chip).st_mode)
     except OSError:
@@ -56,10 +56,10 @@ def is_stand_in(chip: str) -> bool:
 
 
 class OeGuard:
-    """The guard as the bridge sees it; `beat` never waits."""
+    """The bridge's handle of the guard process of an OE pin; `beat` never waits."""
 
     def __init__(self, chip: str, line: int, clock: Clock) -> None:
-        """chip, line: the pin, as /dev/gpiochip0 and 17."""
+        """chip, line: the GPIO chip and line of the OE pin, such as /dev/gpiochip0 and 17."""
         self._chip, self._line, self._clock = chip, line, clock
         self._process: subprocess.Popen[bytes] | None = None
         self._link: socket.socket | None = None
@@ -67,16 +67,19 @@ class OeGuard:
 
     @property
     def passes(self) -> bool:
-        """Whether the last heartbeat let pulses through."""
+        """Whether the last heartbeat lets pulses through."""
         return self._sent == _PASS
 
     @property
     def has_lapsed(self) -> bool:
-        """Whether pulses that were let through may have ended since: the last beat was long ago."""
+        """Whether the last heartbeat let pulses through so long ago that they may have ended."""
         return self.passes and self._clock.now() - self._sent_s > _LAPSED_S
 
     def start(self) -> None:
-        """Have the pin held high, unless a guard of ours does. Raises PortError: why it cannot."""
+        """Start the guard process, which drives the pin high, unless it already runs.
+
+        Raises PortError with the reason when the guard cannot hold the pin.
+        """
         if self._process is not None and self._process.poll() is None:
             return
         self.close()
@@ -106,7 +109,7 @@ class OeGuard:
         self._heard_s = self._sent_s
 
     def beat(self, *, passes: bool) -> None:
-        """Let pulses through for half a second, or end them now; call it in every tick.
+        """Send a heartbeat, in every tick: let pulses through for half a second, or end them now.
 
         Raises ServoError once the guard is dead or hangs: nothing would end the pulses then.
         """
@@ -131,7 +134,11 @@ class OeGuard:
             self._fail("has died")
 
     def close(self) -> None:
-        """Pulses end; the guard ends where the last heartbeat ended them before."""
+        """Close the link to the guard, which ends the pulses.
+
+        The guard process ends only if the last heartbeat had ended the pulses already; else it
+        holds the pin high.
+        """
         if self._link is not None:
             self._link.close()
             self._link = None
@@ -151,17 +158,20 @@ class OeGuard:
 
 
 class Pin(Protocol):
-    """One output of the computer."""
+    """One digital output of the computer."""
 
     def set(self, *, high: bool) -> None:
         """Drive the pin high or low."""
 
 
 class _GpioPin:
-    """By libgpiod; the kernel takes it back when this process ends, whatever ends it."""
+    """A GPIO line, driven by libgpiod; the kernel frees it however this process ends."""
 
     def __init__(self, chip: str, line: int) -> None:
-        """Raises OSError, and ImportError."""
+        """Request the line as an output, driven high.
+
+        Raises OSError, and ImportError without gpiod.
+        """
         import gpiod
         from gpiod.line import Direction, Value
 
@@ -174,7 +184,7 @@ class _GpioPin:
 
 
 class _StandIn:
-    """A FIFO that a simulated board reads: closed, as by the end of this process, it is high."""
+    """A FIFO in place of a pin, read by a simulated board; once closed, the pin counts as high."""
 
     def __init__(self, path: str) -> None:
         self._fd = os.open(path, os.O_WRONLY | os.O_NONBLOCK)
@@ -185,13 +195,16 @@ class _StandIn:
 
 
 def open_pin(chip: str, line: int) -> Pin:
-    """Open the pin, driven high. Raises PortError that says what to do."""
+    """Open the OE pin, or the FIFO in its place, driven high. Raises PortError with the remedy."""
     with _in_words():
         return _StandIn(chip) if is_stand_in(chip) else _GpioPin(chip, line)
 
 
 def user_of(chip: str, line: int) -> str:
-    """Who holds the pin just now; empty: it is free. Changes nothing. Raises PortError."""
+    """Return the name of the GPIO line's present user; empty: it is free. Raises PortError.
+
+    Changes nothing; a FIFO in place of a GPIO chip counts as free.
+    """
     if is_stand_in(chip):
         return ""
     with _in_words():
@@ -204,7 +217,7 @@ def user_of(chip: str, line: int) -> str:
 
 @contextlib.contextmanager
 def _in_words() -> Iterator[None]:
-    """What goes wrong with a pin, as PortError that says what to do."""
+    """Turn errors inside the `with` block into a PortError that gives the remedy."""
     try:
         yield
     except ImportError as error:
@@ -222,7 +235,11 @@ def _in_words() -> Iterator[None]:
 
 
 def guard(link: socket.socket, pin: Pin) -> bool:
-    """Until the bridge is gone; whether it had ended its pulses itself."""
+    """Drive the pin by the bridge's heartbeats until the bridge is gone.
+
+    Low for `HOLD_S` after a heartbeat that lets pulses through, else high. Return whether the last
+    heartbeat had ended the pulses.
+    """
     waits, wanted, is_high, until_s = select.poll(), _BLOCK, True, 0.0
     waits.register(link, select.POLLIN)
     while True:
@@ -244,7 +261,10 @@ def guard(link: socket.socket, pin: Pin) -> bool:
 
 
 def _lock(chip: str, line: int) -> int:
-    """The pin is ours alone; a guard that outlived its bridge goes. Raises PortError."""
+    """Lock the pin for this process, ending a guard that outlived its bridge; return the lock's fd.
+
+    Raises PortError when the lock cannot be made, or another guard keeps it for 2 s.
+    """
     name = f"oe-{os.path.realpath(chip).replace('/', '_')}-{line}.lock"
     try:
         fd = os.open(runtime_folder() / name, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -266,7 +286,7 @@ def _lock(chip: str, line: int) -> int:
 
 
 def main() -> None:
-    """Guard one pin for the bridge at the other end of an inherited socket."""
+    """Run the guard process: argv has GPIO chip, line, and an inherited socket to the bridge."""
     chip, line, link = sys.argv[1], int(sys.argv[2]), socket.socket(fileno=int(sys.argv[3]))
     for number in _IGNORED:
         signal.signal(number, signal.SIG_IGN)

@@ -72,7 +72,7 @@ ALL_OFF: Final = bytes([Register.ALL_LED_OFF_H, FULL])
 
 
 def channel_register(channel: int) -> int:
-    """LEDn_ON_L of a channel. Raises ValueError where there is none."""
+    """Return the address of LEDn_ON_L of a channel. Raises ValueError outside 0..15."""
     if not 0 <= channel < N_CHANNELS:
         raise ValueError(f"channel {channel} is outside 0..{N_CHANNELS - 1}")
     return Register.LED0_ON_L + _BYTES * channel
@@ -80,9 +80,9 @@ def channel_register(channel: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """How long a count lasts: clock and prescaler of one chip.
+    """The length of a count, which is the unit of pulses: clock and prescaler of one chip.
 
-    clock_hz: as measured at this chip. prescale: as the register has it.
+    clock_hz: as measured at this chip. prescale: the value of the PRE_SCALE register.
     """
 
     clock_hz: float
@@ -90,7 +90,10 @@ class Timing:
 
     @classmethod
     def at(cls, clock_hz: float, frequency_hz: float) -> "Timing":
-        """The nearest to a frequency (7.3.5). Raises ValueError where the prescaler has none."""
+        """Return the timing nearest to a pulse frequency (7.3.5).
+
+        Raises ValueError where no value of the prescaler gives it.
+        """
         prescale = int(clock_hz / (CYCLE * frequency_hz) + 0.5) - 1
         if not 3 <= prescale <= 255:
             raise ValueError(
@@ -101,21 +104,21 @@ class Timing:
 
     @property
     def count_us(self) -> float:
-        """The step in which pulses can be had."""
+        """The length of one count in us: the step in which pulses can be set."""
         return (self.prescale + 1) / self.clock_hz * 1e6
 
     @property
     def period_us(self) -> float:
-        """Microseconds from pulse to pulse."""
+        """The time in us from the start of one pulse to the start of the next."""
         return CYCLE * self.count_us
 
     @property
     def frequency_hz(self) -> float:
-        """Pulses a second; the prescaler does not hit every frequency."""
+        """The frequency of the pulses in Hz, as the whole-numbered prescaler makes it."""
         return 1e6 / self.period_us
 
     def counts(self, pulses_us: Array) -> NDArray[np.int64]:
-        """Return the nearest number of counts to each pulse.
+        """Return each pulse width as the nearest whole number of counts.
 
         Parameters
         ----------
@@ -130,19 +133,19 @@ class Timing:
         return (pulses_us / self.count_us + 0.5).astype(np.int64)
 
     def resolution_deg(self, us_per_deg: float) -> float:
-        """The least angle by which a servo can be moved."""
+        """Return the smallest step of a servo in degrees, which is that of one count."""
         return self.count_us / abs(us_per_deg)
 
 
 class PulseMessages:
-    """The bytes of a tick: all four of each channel, neighbouring channels in one message.
+    """The I2C messages of a tick: four bytes a channel, neighbouring channels in one message.
 
-    Every channel begins at a time of its own, a sixteenth of the cycle after the one before, so
-    that servos do not all draw their current at once; a pulse may go on into the next cycle.
+    Every channel's pulse begins a sixteenth of the cycle after that of the channel before, so that
+    servos do not all draw their current at once; a pulse may continue into the next cycle.
     """
 
     def __init__(self, channels: Sequence[int]) -> None:
-        """channels: of each servo, every one once, in the order of the pulses."""
+        """channels: the channel of each servo, in the order of the pulses; none twice."""
         self._runs = []
         self._places = [(0, bytearray(), 0)] * len(channels)
         order = sorted(range(len(channels)), key=lambda index: channels[index])
@@ -177,7 +180,7 @@ class PulseMessages:
 
 
 def counts_of(registers: bytes) -> int:
-    """How long the pulse is that the four bytes of a channel make, in counts; 0: none."""
+    """Return the pulse width that a channel's four register bytes make, in counts; 0: no pulse."""
     on = registers[0] | (registers[1] & 0x0F) << 8
     off = registers[2] | (registers[3] & 0x0F) << 8
     if registers[3] & FULL:

@@ -1,4 +1,4 @@
-"""What a face YAML says of a PCA9685 and its servos."""
+"""The `bus:` and `servos:` sections of a face YAML for hobby servos at a PCA9685."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Self
@@ -21,9 +21,9 @@ def _check_address(value: int) -> int:
 
 
 class Pca9685Settings(BusSettings):
-    """`bus:` of a face whose servos hang on a PCA9685.
+    """The `bus:` section of a face whose servos hang on a PCA9685.
 
-    port: the bus's file in Linux; default that of `i2c_bus`; without either the servos are
+    port: the bus's file in Linux; default: that of `i2c_bus`; without either the servos are
     simulated in memory. clock_hz: as measured at this board. oe_gpio: the line of `gpio_chip` that
     leads to the board's OE pin; None: none does.
     """
@@ -38,12 +38,12 @@ class Pca9685Settings(BusSettings):
 
     @property
     def board(self) -> str:
-        """Its address on the I2C bus."""
+        """The chip's address on the I2C bus as text, such as `0x40`."""
         return f"{self.address:#04x}"
 
     @property
     def timing(self) -> Timing:
-        """The timing of its pulses."""
+        """The chip's clock and prescaler for `frequency_hz`."""
         return Timing.at(self.clock_hz, self.frequency_hz)
 
     @model_validator(mode="before")
@@ -56,7 +56,7 @@ class Pca9685Settings(BusSettings):
 
 
 class Pca9685Servo(PulseServo):
-    """A hobby servo at one of the sixteen channels."""
+    """The settings of a hobby servo at one of the sixteen channels of a PCA9685."""
 
     @model_validator(mode="after")
     def _the_chip_can_do_it(self) -> Self:
@@ -66,7 +66,7 @@ class Pca9685Servo(PulseServo):
 
 
 def check_pulses(settings: Pca9685Settings, longest_us: float) -> str:
-    """Why pulses of this length cannot be made so often; empty: they can."""
+    """Return why pulses of `longest_us` do not fit into the chip's period; empty: they fit."""
     room_us = settings.timing.period_us - _PAUSE_US
     if min(longest_us, LONGEST_US) <= room_us:
         return ""

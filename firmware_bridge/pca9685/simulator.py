@@ -1,4 +1,4 @@
-"""A simulated PCA9685 with hobby servos: takes messages to the byte, and logs every pulse.
+"""Simulate a PCA9685 with hobby servos: obeys I2C messages to the byte, and logs every pulse.
 
 Modelled by the data sheet: addresses, auto-increment and its roll-overs, sleep and restart, the
 prescaler, power-up values, registers that count from the next cycle on, the OE pin. Not modelled:
@@ -48,7 +48,7 @@ _SHORTEST_US, _LONGEST_US = 400.0, 2600.0
 
 
 class ChipFault(TimedFault):
-    """Its kinds.
+    """One fault of a simulated PCA9685, of a `kind`, as a fault script lists it.
 
     nack: no chip acknowledges; stuck: a line is held low; unplug: the computer has no such bus: for
     lasts_s. cut: of the next transfer two bytes arrive; brown-out: as after power-up.
@@ -57,14 +57,14 @@ class ChipFault(TimedFault):
     kind: Literal["nack", "stuck", "cut", "brown-out", "unplug"]
 
     def is_on(self, now_s: float) -> bool:
-        """Whether it lasts at a time."""
+        """Return whether the fault lasts at the time `now_s`."""
         since_s = now_s - self.at_s
         return (
             since_s >= 0.0 and (since_s % self.every_s if self.every_s else since_s) < self.lasts_s
         )
 
     def n_begun(self, now_s: float) -> int:
-        """Return how often the fault has begun by a time."""
+        """Return how often the fault has begun up to the time `now_s`."""
         since_s = now_s - self.at_s
         return 0 if since_s < 0.0 else 1 + int(since_s / self.every_s if self.every_s else 0.0)
 
@@ -74,13 +74,13 @@ FAULTS: Final = get_args(ChipFault.model_fields["kind"].annotation)
 
 
 def read_faults(text: str | None) -> Sequence[ChipFault]:
-    """Faults of a script. Raises ValueError for whatever is not allowed in it."""
+    """Parse the faults in a YAML script; None: no faults. Raises ValueError for a bad script."""
     return parse_faults(text, ChipFault)
 
 
 @dataclass(frozen=True, slots=True)
 class Pulse:
-    """One pulse of a channel. is_cut: it ended before its time."""
+    """One pulse of a channel. is_cut: it ended early, and `width_us` is its shortened width."""
 
     channel: int
     start_s: float
@@ -90,10 +90,10 @@ class Pulse:
 
 @dataclass(slots=True)
 class HobbyServo:
-    """A shaft that runs to what its last pulse says, at one speed; without pulses it stays.
+    """A hobby servo's shaft, which runs to the angle of its last pulse at constant speed.
 
-    us_per_deg, neutral_us: as in a face's YAML. A digital servo without pulses holds, an analogue
-    one is stiff by its gears alone: neither moves by itself.
+    us_per_deg, neutral_us: as in a face's YAML. Without pulses it stays: a digital servo holds, an
+    analogue one is stiff by its gears alone.
     """
 
     us_per_deg: float
@@ -104,13 +104,13 @@ class HobbyServo:
     _at_s: float = 0.0
 
     def pulse(self, pulse: Pulse) -> None:
-        """Take the order of a pulse."""
+        """Set the goal angle from a pulse; ignore a width outside 400..2600 us."""
         self.advance(pulse.start_s)
         if _SHORTEST_US <= pulse.width_us <= _LONGEST_US:
             self.goal_deg = (pulse.width_us - self.neutral_us) / self.us_per_deg
 
     def advance(self, time_s: float) -> float:
-        """Move on to `now_s`, and return where it stands."""
+        """Move towards the goal until `time_s`, and return the shaft's angle in degrees."""
         reach_deg = max(0.0, time_s - self._at_s) * self.top_speed_deg_s
         self._at_s = max(self._at_s, time_s)
         if self.goal_deg is not None:
@@ -120,7 +120,7 @@ class HobbyServo:
 
 
 class SimulatedPca9685:
-    """The chip, from power-up on. Time is that of its callers, and never goes back.
+    """A simulated PCA9685, from power-up on. Callers pass the time in s, which never goes back.
 
     Faults come from a script, or are set at any time: `nacks`, so many of the next transfers are
     not acknowledged; `cut_after`, so many bytes of the next write arrive; `brown_out`. cuts_pulses:
@@ -139,9 +139,9 @@ class SimulatedPca9685:
         oe_is_high: Callable[[], bool] = lambda: False,
         n_remembered: int = 200_000,
     ) -> None:
-        """servos: by channel. on_pulse: gets every pulse that is over, besides `pulses`.
+        """servos: by channel. on_pulse: called with every ended pulse, which `pulses` logs, too.
 
-        oe_is_high: the OE pin, at which no pulse comes out while it is.
+        oe_is_high: returns whether the OE pin is high, which blocks all pulses.
         """
         self.address, self._clock_hz = address, clock_hz
         self.servos = dict(servos or {})
@@ -160,16 +160,16 @@ class SimulatedPca9685:
 
     @property
     def plugged(self) -> bool:
-        """Whether the computer has the bus."""
+        """Whether the computer has the I2C bus: False during an `unplug` fault."""
         return not self._suffers("unplug")
 
     @property
     def is_reachable(self) -> bool:
-        """Whether a transfer would get through just now."""
+        """Whether no `unplug`, `stuck` or `nack` fault of the script blocks a transfer now."""
         return self.plugged and not self._suffers("stuck") and not self._suffers("nack")
 
     def transfer(self, messages: Sequence[Message], time_s: float) -> tuple[int, bytes]:
-        """Run one transfer; return its error number and the bytes read."""
+        """Run one I2C transfer; return its error number (0: none) and the bytes read."""
         self.advance(time_s)
         if not self.plugged:
             return errno.ENODEV, b""
@@ -200,7 +200,7 @@ class SimulatedPca9685:
         return 0, found
 
     def advance(self, time_s: float) -> None:
-        """Make the pulses of every cycle that has begun by now."""
+        """Simulate faults, the OE pin and the pulses of every cycle that begins by `time_s`."""
         self._now_s = max(self._now_s, time_s)
         self._happen()
         while self._cycle_s is not None and self._cycle_s <= self._now_s:
@@ -223,24 +223,24 @@ class SimulatedPca9685:
             self._n_begun[index] = n_begun
 
     def brown_out(self) -> None:
-        """The supply breaks down: as after power-up, and pulses under way are cut."""
+        """Simulate a failure of the supply: cut the present pulses, and reset all registers."""
         self._cut(range(N_CHANNELS))
         self._reset()
 
     @property
     def count_us(self) -> float:
-        """How long a count lasts."""
+        """The length of one count in us, by the prescaler and the chip's clock."""
         return (self.registers[Register.PRE_SCALE] + 1) / self._clock_hz * 1e6
 
     def places_deg(self, time_s: float) -> dict[int, float]:
-        """Where the shafts stand, by channel."""
+        """Return the angles of the servos' shafts at `time_s` in degrees, by channel."""
         self.advance(time_s)
         for pulse in self._under_way.values():
             self._order(pulse)
         return {channel: servo.advance(time_s) for channel, servo in self.servos.items()}
 
     def log(self) -> list[Pulse]:
-        """Every pulse by now, oldest first; those under way with their full width."""
+        """Return all logged pulses, oldest first; those still under way have their full width."""
         return [*self.pulses, *sorted(self._under_way.values(), key=lambda each: each.start_s)]
 
     def _answers(self, address: int) -> bool:
@@ -331,7 +331,7 @@ class SimulatedPca9685:
             servo.pulse(pulse)
 
     def _cut(self, channels: Sequence[int]) -> None:
-        """Cut the present pulses of these channels."""
+        """End the pulses of these channels that are under way now, and log the shortened ones."""
         for channel in channels:
             pulse = self._under_way.get(channel)
             if pulse is None or pulse.start_s + pulse.width_us * 1e-6 <= self._now_s:
@@ -348,24 +348,24 @@ class SimulatedPca9685:
 
 
 class MemoryTransfers:
-    """`Transfers` to a chip in this process."""
+    """`Transfers` to a simulated PCA9685 in this process."""
 
     def __init__(self, chip: SimulatedPca9685, clock: Clock) -> None:
         self._chip, self._clock = chip, clock
 
     def transfer(self, messages: Sequence[Message]) -> bytes:
-        """See `Transfers`."""
+        """Run messages as one transfer; return all bytes read, joined. Raises OSError."""
         number, found = self._chip.transfer(messages, self._clock.now())
         if number:
             raise OSError(number, "simulated")
         return found
 
     def close(self) -> None:
-        """Do nothing: memory is never open."""
+        """Do nothing: a chip in memory needs no closing."""
 
 
 class TerminalChip:
-    """A chip as `PtyHost` serves it: transfers are frames of bytes there and back."""
+    """A simulated PCA9685 as the device of a `PtyHost`: each transfer is a frame of bytes."""
 
     def __init__(self, chip: SimulatedPca9685) -> None:
         self.chip = chip
@@ -374,20 +374,20 @@ class TerminalChip:
 
     @property
     def plugged(self) -> bool:
-        """Whether there is a terminal."""
+        """Whether the pseudo-terminal exists: False during an `unplug` fault."""
         return self.chip.plugged
 
     @property
     def next_delivery_s(self) -> float:
-        """When an answer is due: at once, or never."""
+        """The time in s at which an answer is due: 0 (at once) if there is one, else infinity."""
         return 0.0 if self._answers else float("inf")
 
     def advance(self, time_s: float) -> None:
-        """Move the servos on to `now_s`."""
+        """Simulate the chip and its servos up to `time_s`."""
         self.chip.advance(time_s)
 
     def receive(self, data: bytes, time_s: float, _baud_rate: int) -> None:
-        """Bytes from a client; half a frame waits for the rest, not for long."""
+        """Run the transfers in the frames of a client; an incomplete frame is kept for .5 s."""
         if time_s - self._received_s > 0.5:
             self._received = b""  # whoever sent half a frame has died of it
         self._received += data
@@ -398,13 +398,13 @@ class TerminalChip:
             self._answers += ANSWER.pack(number, len(found)) + found
 
     def deliver(self, _time_s: float) -> bytes:
-        """Return the answers by `now_s`."""
+        """Return and remove the answers to all transfers so far; b"": there are none."""
         answers, self._answers = self._answers, b""
         return answers
 
 
 def _parse(data: bytes) -> tuple[list[Message], bytes] | None:
-    """The messages of the first whole frame, and what is behind it."""
+    """Return the first frame's messages and the bytes after it; None: no frame is complete."""
     if not data:
         return None
     messages: list[Message] = []
@@ -425,13 +425,13 @@ def _parse(data: bytes) -> tuple[list[Message], bytes] | None:
 
 
 class PinFifo:
-    """A FIFO that a guard of the OE pin drives in place of a GPIO, with the pull-up of the board.
+    """A FIFO that an OE guard drives in place of a GPIO line, with the board's pull-up.
 
-    Its end of the FIFO closed, as by the guard's death, the pin is an input, and high.
+    While the guard's end is closed, as after its death, the pin counts as high.
     """
 
     def __init__(self, path: Path) -> None:
-        """Raises PortError where it can neither be found nor made."""
+        """Make the FIFO if needed, and open it. Raises PortError where that fails."""
         try:
             if not is_stand_in(str(path)):
                 os.mkfifo(path, 0o600)
@@ -441,7 +441,7 @@ class PinFifo:
         self._is_high = True
 
     def is_high(self) -> bool:
-        """Whether the pin is high now."""
+        """Return whether the pin is high, by the last byte in the FIFO; high without a guard."""
         with contextlib.suppress(BlockingIOError):
             self._is_high = os.read(self._fd, 4096)[-1:] != b"0"
         return self._is_high
@@ -453,7 +453,7 @@ def chip_for(
     on_pulse: Callable[[Pulse], None] | None = None,
     oe_is_high: Callable[[], bool] = lambda: False,
 ) -> SimulatedPca9685:
-    """The board of a face with its servos at neutral."""
+    """Return the simulated PCA9685 of a face, with its servos at neutral."""
     servos = {each.channel: HobbyServo(each.us_per_deg, each.neutral_us) for each in wiring.servos}
     settings = wiring.settings
     return SimulatedPca9685(
@@ -471,7 +471,7 @@ def watched_servos(
     faults: Sequence[ChipFault] = (),
     on_pulse: Callable[[Pulse], None] | None = None,
 ) -> WatchedServos:
-    """The servos of a face in memory, at neutral, and what can be seen of them."""
+    """Return a face's servos simulated in memory: bus, clock, chip, and the shafts' angles."""
     chip, clock = chip_for(wiring, faults, on_pulse), ManualClock()
     opener = partial(I2cChip, MemoryTransfers(chip, clock), chip.address, "simulated PCA9685")
     controller, can = controller_of(wiring, opener, clock), PCA9685.capabilities(wiring.settings)
@@ -485,7 +485,7 @@ def watched_servos(
 
 
 def simulated_wire(wiring: Wiring) -> tuple[ServoBus, ManualClock]:
-    """The servos of a face in memory, at neutral, and the clock that moves them."""
+    """Return the bus of a face's servos, simulated in memory, and the clock that moves them."""
     watched = watched_servos(wiring)
     return watched.bus, watched.clock
 
@@ -493,11 +493,12 @@ def simulated_wire(wiring: Wiring) -> tuple[ServoBus, ManualClock]:
 def serve(
     wiring: Wiring | None, link: Path | None, *, faults: str | None, log: Path | None, **_of: Any
 ) -> PtyHost:
-    """The board of a face behind a terminal.
+    """Return a host that serves the simulated PCA9685 of a face at a pseudo-terminal.
 
-    faults: the text of a script. log: a file that gets every pulse as a line of JSON: when it
-    began, in seconds of the simulator, channel, and length in us. Raises ServoError for what no
-    chip can have, ValueError, and PortError where no terminal can be made.
+    link: path of a symbolic link to the terminal. faults: the YAML text of a script. log: a file
+    that gets every pulse as a line of JSON: start in seconds of the simulator, channel, width in
+    us. Raises ServoError without a face or for a log that cannot be written, ValueError for a bad
+    script, and PortError where no terminal, link or FIFO can be made.
     """
     if wiring is None:
         raise ServoError("a simulated PCA9685 needs --config, a face whose servos hang on one")

@@ -1,1 +1,1 @@
-"""Processes of one face: bridge, speech, supervisor, and the sockets between them and people."""
+"""The processes of one face (bridge, speech, supervisor), and the sockets that connect them."""

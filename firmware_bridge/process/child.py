@@ -1,4 +1,4 @@
-"""A process that a supervisor watches: started, hung and killed, ended, started again."""
+"""Child processes of a supervisor: start, detect missing heartbeats, kill, start again."""
 
 import contextlib
 import logging
@@ -18,25 +18,29 @@ _BLIND_S: Final = 0.5
 
 @dataclass(frozen=True, slots=True)
 class HeartbeatTimeouts:
-    """How long a process may give no heartbeat: while it starts, and once it runs."""
+    """How many seconds a process may be without a heartbeat: while it starts, and once it runs."""
 
     start_s: float
     run_s: float
 
 
 class HeartbeatMonitor:
-    """How long a process has been silent while it was watched; times are monotonic seconds."""
+    """Deadlines for the heartbeats of one process; times are monotonic seconds."""
 
     def __init__(self, timeouts: HeartbeatTimeouts) -> None:
         self._timeouts = timeouts
         self._since_s = self._looked_s = 0.0
 
     def begin(self, now_s: float) -> None:
-        """Start counting for a new process."""
+        """Start counting the silence of a new process at `now_s`."""
         self._since_s = self._looked_s = now_s
 
     def look(self, now_s: float, beat_s: float | None) -> float:
-        """When the process has to be taken for hung; before or at `now_s`: now."""
+        """Return when the process counts as hung if it stays silent; up to `now_s`: it hangs.
+
+        beat_s: time of its newest heartbeat; None: none yet. Call it often: after a pause of the
+        caller the silence is counted anew.
+        """
         if now_s - self._looked_s > _BLIND_S:
             self._since_s = now_s
         self._looked_s = now_s
@@ -49,7 +53,7 @@ class HeartbeatMonitor:
 class Child:
     """A process in a group of its own, so that a terminal's Ctrl-C reaches its supervisor only.
 
-    It dies with its supervisor: it asks the kernel for a signal, and looks.
+    It dies with its supervisor: by the kernel's signal, and when it finds its lifeline closed.
     """
 
     def __init__(
@@ -59,7 +63,7 @@ class Child:
         inherited: Mapping[str, int],
         timeouts: HeartbeatTimeouts,
     ) -> None:
-        """`{lifeline}` in a command stands for a descriptor's number; so do inherited's keys."""
+        """command: `{lifeline}` and the keys of `inherited` in it stand for descriptor numbers."""
         self.name = name
         self._command = command
         self._inherited = dict(inherited)
@@ -75,17 +79,17 @@ class Child:
 
     @property
     def has_beaten(self) -> bool:
-        """Whether the newest process has given a heartbeat."""
+        """Whether the process started last has sent a heartbeat."""
         return self._watch is not None and self._watch.beat_s is not None
 
     def filenos(self) -> list[int]:
-        """Descriptors that are readable when it sends something or ends."""
+        """Return the descriptors that become readable when the process sends a message or ends."""
         if self._process is None or self._watch is None:
             return []
         return [self._pidfd] if self._watch.closed else [self._pidfd, self._watch.fileno()]
 
     def start(self, arguments: Sequence[str], now_s: float) -> None:
-        """Run it with these further arguments."""
+        """Start the process, with `arguments` after its command."""
         if self._watch is not None:
             self._watch.close()
         end, self._watch = lifeline_pair()
@@ -105,17 +109,21 @@ class Child:
         self._silence.begin(now_s)
 
     def read(self) -> list[Message]:
-        """Messages since the last call, beats aside; a dead process may have left some."""
+        """Return the messages since the last call, without heartbeats.
+
+        A process that has ended may have left messages.
+        """
         return [] if self._watch is None else self._watch.read()
 
     def hung_at_s(self, now_s: float) -> float:
-        """When it has to be taken for hung if it stays silent; call it often."""
+        """Return the monotonic time at which the process counts as hung if it stays silent."""
         return self._silence.look(now_s, None if self._watch is None else self._watch.beat_s)
 
     def ended(self) -> int | None:
-        """Its exit status, negative for a signal, once; None while it runs or when there is none.
+        """Return the exit status of a process that has ended, once; negative: its signal.
 
-        Call `read` afterwards: it may have left a last message.
+        None: it still runs, or there is none. Call `read` afterwards, for a last message of the
+        process.
         """
         if self._process is None or self._process.poll() is None:
             return None
@@ -125,13 +133,13 @@ class Child:
         return status
 
     def send(self, number: signal.Signals) -> None:
-        """Send a signal to the process, if it runs."""
+        """Send a signal to the process if it runs."""
         if self._process is not None:
             with contextlib.suppress(ProcessLookupError):
                 self._process.send_signal(number)
 
     def end(self, timeout_s: float) -> None:
-        """Ask it to end, wait for it, and kill it when it does not."""
+        """Send SIGTERM, and SIGKILL if the process has not ended within `timeout_s`."""
         if self._process is None:
             return
         self.send(signal.SIGTERM)
@@ -149,20 +157,20 @@ _WELL_S: Final = 10.0
 
 
 class RestartDelay:
-    """How long to wait before a process is started again: twice as long each time it fails."""
+    """The wait in s before a process is started again: doubled by each failure, .2 s to 5 s."""
 
     def __init__(self) -> None:
         self._wait_s = _RESTART_S
 
     def after(self, ran_s: float) -> float:
-        """Return the seconds to wait after a process that ran for `ran_s`."""
+        """Return the seconds to wait before a process is restarted that ran for `ran_s`."""
         wait_s = _RESTART_S if ran_s > _WELL_S else self._wait_s
         self._wait_s = min(2.0 * wait_s, _LONGEST_RESTART_S)
         return wait_s
 
 
 class RestartedChild:
-    """Decides by deadlines only; times are monotonic seconds."""
+    """A child that is killed when it hangs and restarted later; times are monotonic seconds."""
 
     def __init__(self, child: Child) -> None:
         self.child = child
@@ -173,18 +181,18 @@ class RestartedChild:
 
     @property
     def serves(self) -> bool:
-        """Whether it runs, has given a heartbeat, and is not being killed."""
+        """Whether the process runs, has sent a heartbeat, and is not being killed."""
         return self.child.pid is not None and self.child.has_beaten and not self.is_killed
 
     def start(self, arguments: list[str], now_s: float) -> None:
-        """Run it with these further arguments."""
+        """Start the process, with `arguments` after its command, and log it."""
         self.child.start(arguments, now_s)
         self.is_killed = False
         self._started_s = now_s
         _LOG.info("%s runs as process %s", self.child.name, self.child.pid)
 
     def kill_if_hung(self, now_s: float) -> None:
-        """Kill it when it has given no heartbeat for too long."""
+        """Kill the process when its last heartbeat is too old."""
         if now_s >= self.child.hung_at_s(now_s):
             self.kill("hangs: no heartbeat from it")
 
@@ -196,13 +204,13 @@ class RestartedChild:
             self.child.send(signal.SIGKILL)
 
     def note_end(self, status: int, now_s: float) -> None:
-        """Note that it ended with a status, and when it may start again."""
+        """Log that the process ended with a status, and compute when it may start again."""
         how = f"signal {-status}" if status < 0 else f"status {status}"
         _LOG.warning("%s died (%s)", self.child.name, how)
         self.due_s = now_s + self._delay.after(now_s - self._started_s)
 
     def next_s(self, now_s: float) -> float:
-        """Return the next time at which a restart or kill may be due."""
+        """Return the time at which a restart or kill may be due next; infinity: none."""
         if self.child.pid is None:
             return self.due_s
         return float("inf") if self.is_killed else self.child.hung_at_s(now_s)

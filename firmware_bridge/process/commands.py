@@ -1,10 +1,10 @@
-"""What people and programs ask of a running face, as words of the control socket and as a queue.
+"""Stops, settings and orders to a running face: as words of the control socket, and as a queue.
 
-Everybody who may command a face writes into the `CommandQueue`, and the loop of the face takes from
-it. It never grows: one place for each level of stop and one for each setting, so a stop is never
-lost and of several values of a setting the newest counts; orders keep their sequence, and there is
-room for a few. Nothing here locks, since a second signal may break into the loop anywhere; each
-step is one operation on a dictionary or a queue, which CPython does not interrupt.
+Every sender of commands writes into the `CommandQueue`, and the loop of the face takes from it. It
+never grows: one entry for each level of stop and one for each setting, so a stop is never lost and
+of several values of a setting the newest counts; orders keep their sequence, up to a maximum.
+Nothing here locks, since a second signal may break into the loop anywhere; each step is one
+operation on a dictionary or a queue, which CPython does not interrupt.
 
 set NAME VALUE [NAME VALUE ...]     servo NAME off|on|reboot     start
 jog arm | NAME DEG | NAME PULSE us | end
@@ -37,12 +37,12 @@ _NO_DRIVER: Final = "no bridge drives the servos just now; ask again"
 
 
 class CommandError(ValueError):
-    """A command that is refused: one line, what and what is allowed."""
+    """A refused command; the text states in one line what was refused and what is allowed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A number that may change while a face runs: its value, and the limits it must keep."""
+    """A number that may change while a face runs: its value, and the lowest and highest allowed."""
 
     value: float
     low: float
@@ -50,7 +50,7 @@ class Setting:
 
 
 class CommandQueue:
-    """One face's commands. Any thread may write; one loop takes."""
+    """The stops, changed settings and orders for a face: any thread writes, one loop takes them."""
 
     def __init__(
         self,
@@ -58,7 +58,7 @@ class CommandQueue:
         *,
         on_change: Callable[[Mapping[str, float]], None] | None = None,
     ) -> None:
-        """settings: what may be changed, by name.
+        """settings: the settings that may be changed, by name.
 
         on_change: called with names and values at every change; must return at once.
         """
@@ -75,13 +75,13 @@ class CommandQueue:
         return {name: setting.value for name, setting in self._settings.items()}
 
     def stop(self, level: StopLevel, requested_by: str = "", *, ends: bool = False) -> None:
-        """Request a stop."""
+        """Queue a stop; it replaces an earlier one of its level. ends: the process ends with it."""
         before = self._stops.get(level)
         ends = ends or (before is not None and before.ends)
         self._stops[level] = StopRequest(level, requested_by, ends)
 
     def change(self, values: Mapping[str, float]) -> None:
-        """Ask for other values of settings, all of them or none. Raises CommandError."""
+        """Queue new values of settings, by name, all or none. Raises CommandError for a bad one."""
         changed = {name: self._checked(name, value) for name, value in values.items()}
         self._settings.update(changed)
         self._changes.update(values)
@@ -89,11 +89,14 @@ class CommandQueue:
             self._on_change(values)
 
     def attend(self, refusal: Callable[[Order], str]) -> None:
-        """From now on orders are obeyed. refusal: why not this one, in one line; empty: yes."""
+        """Accept orders from now on. refusal: returns why an order is refused; empty: it is not."""
         self._refusal = refusal
 
     def order(self, order: Order) -> None:
-        """Ask something of single servos. Raises CommandError."""
+        """Queue an order.
+
+        Raises CommandError when the queue is full or the driver refuses the order.
+        """
         if len(self._orders) >= _MOST_ORDERS:
             raise CommandError("too many orders at once; ask again")
         if why_not := self._refusal(order):
@@ -101,9 +104,9 @@ class CommandQueue:
         self._orders.append(order)
 
     def take_stop(self) -> StopRequest | None:
-        """The stop that goes furthest of those requested since the last call; None: none.
+        """Return and forget the furthest stop requested since the last call; None: no request.
 
-        The process ends with it if it was to end with any of them.
+        Limp goes further than soft, soft further than freeze. `ends` is True if any request has it.
         """
         if not self._stops:
             return None
@@ -112,19 +115,22 @@ class CommandQueue:
         return replace(requests[0], ends=any(each.ends for each in requests))
 
     def take_changes(self) -> dict[str, float]:
-        """The newest value of each setting that was changed since the last call."""
+        """Return and remove the newest value of each setting changed since the last call."""
         if not self._changes:
             return {}
         return {name: self._changes.pop(name) for name in list(self._changes)}
 
     def take_orders(self) -> list[Order]:
-        """All orders since the last call, oldest first."""
+        """Return and remove all orders since the last call, oldest first."""
         if not self._orders:
             return []
         return [self._orders.popleft() for _ in range(len(self._orders))]
 
     def _checked(self, name: str, value: float) -> Setting:
-        """The setting with another value. Raises CommandError."""
+        """Return a setting with another value.
+
+        Raises CommandError for an unknown name or a bad value.
+        """
         setting = self._settings.get(name)
         if setting is None:
             raise CommandError(f"{name!r}: no such setting; {self._names()}")
@@ -162,9 +168,9 @@ _SAY_JOG: Final = "say: jog arm, jog NAME DEG, or jog end; jog NAME PULSE us for
 def command_answer(
     word: str, commands: CommandQueue, requested_by: Callable[[], str]
 ) -> dict[str, object] | None:
-    """What is answered to `word`, which is in `commands` now; None: it is no command of these.
+    """Execute a command word on `commands` and return its answer; None: the word is no command.
 
-    requested_by: who asks, for a log.
+    requested_by: returns the sender's name for a log. A refused command is answered by {"error"}.
     """
     first, *rest = word.split()
     try:

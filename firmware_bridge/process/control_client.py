@@ -1,4 +1,4 @@
-"""Speaking to running faces: finding them, asking, and stopping them to the confirmed end."""
+"""The client of running faces' control sockets: find faces, send commands, stop them and wait."""
 
 import contextlib
 import errno
@@ -54,7 +54,7 @@ class RunningFace:
 
 
 def running_faces() -> list[RunningFace]:
-    """Every face that can be found and listens, by name; dead sockets of ours are removed."""
+    """Return all faces that listen in the searched folders, by name; remove our dead sockets."""
     found = []
     for folder in searched_folders():
         for path in sorted(folder.glob(f"*{SOCKET_SUFFIX}")):
@@ -65,7 +65,10 @@ def running_faces() -> list[RunningFace]:
 
 
 def face_at(path: Path) -> RunningFace:
-    """The face that listens at `path`. Raises ControlError when none does, or we may not ask."""
+    """Return the face at the socket `path`.
+
+    Raises ControlError if none listens or access is denied.
+    """
     path = path.parent.resolve() / path.name
     try:
         with _connected(path, time.monotonic() + _PATIENCE_S) as client:
@@ -93,12 +96,12 @@ def send_stop(path: Path, level: StopLevel, *, end: bool = False) -> socket.sock
 
     Parameters
     ----------
-    end : whether a daemon ends with it; otherwise it waits, limp, for a start.
+    end : whether a daemon's process ends after the stop; otherwise it waits, limp, for a start.
 
     Returns
     -------
-    The connection, non-blocking, on which the answer comes and, unless FREEZE, the report of the
-    end. Closed by the face without an answer: its process was replaced, send again.
+    The non-blocking connection on which the answer and, unless FREEZE, the report of the end come.
+    If the face closes it without an answer, the face's process was replaced: send the stop again.
 
     Raises
     ------
@@ -119,10 +122,10 @@ def send_stop(path: Path, level: StopLevel, *, end: bool = False) -> socket.sock
 
 
 def start_face(path: Path, patience_s: float = _PATIENCE_S) -> Answer:
-    """Start a stopped face: {"accepted": "start"}, or {"error"}: one line. Raises as `ask`.
+    """Start a stopped face; return {"accepted": "start"}, or {"error": one line}.
 
-    A face that is just coming to the end of a stop is sent the order again until it has, within
-    `patience_s`. Whether it came to be driven is in `status`: `state`, `troubles`.
+    While the face is still stopping the order is sent again, up to `patience_s`. Raises OSError
+    when no face answers. Whether the face is driven then is in `status`: `state`, `troubles`.
     """
     give_up_s = time.monotonic() + patience_s
     while True:
@@ -134,7 +137,7 @@ def start_face(path: Path, patience_s: float = _PATIENCE_S) -> Answer:
 
 
 def change_setting(path: Path, name: str, value: float) -> Answer:
-    """Set what may change while a face runs: {"set", "value"}, or {"error"}: one line.
+    """Change one setting of a running face; return {"set", "value"}, or {"error": one line}.
 
     Raises OSError when no face answers.
     """
@@ -143,7 +146,7 @@ def change_setting(path: Path, name: str, value: float) -> Answer:
 
 
 def change_settings(path: Path, values: Mapping[str, float]) -> Answer:
-    """Set several things, all or none: {"set": {name: value, ...}}, or {"error"}: one line.
+    """Change several settings, all or none; return {"set": {name: value}}, or {"error": line}.
 
     Raises OSError when no face answers.
     """
@@ -162,36 +165,43 @@ def change_settings(path: Path, values: Mapping[str, float]) -> Answer:
 
 
 def switch_servo(path: Path, name: str, switch: ServoSwitch) -> Answer:
-    """Order one servo switched off or on, or rebooted; the answer has "servo", or "error".
+    """Send the order to switch one servo off or on, or reboot it; return {"servo"} or {"error"}.
 
-    What became of it is in `status`: `servos`, `troubles`. Raises OSError when no face answers.
+    The effect is in `status`: `servos`, `troubles`. Raises OSError when no face answers.
     """
     return _ask_of(path, SERVO_WORD, name, switch.value)
 
 
 def arm_jog(path: Path) -> Answer:
-    """Mean to jog, or go on with it: {"jog": "arm"}, or {"error"}. Raises as `ask`."""
+    """Start or prolong jogging; return {"jog": "arm"} or {"error"}.
+
+    Raises OSError when no face answers.
+    """
     return ask(path, f"{JOG_WORD} {ARM_WORD}")
 
 
 def jog_servo(path: Path, name: str, position_deg: float) -> Answer:
-    """Let one joint go there, in joint degrees: {"jog", "position_deg"}, or {"error"}.
+    """Send one joint to an angle in joint degrees; return {"jog", "position_deg"} or {"error"}.
 
-    Jogging ends 3 s after the last jog word of whatever kind. Raises OSError when no face answers.
+    Jogging ends 3 s after the last jog command of any kind. Raises OSError when no face answers.
     """
     return _ask_of(path, JOG_WORD, name, repr(float(position_deg)))
 
 
 def jog_pulse(path: Path, name: str, pulse_us: float) -> Answer:
-    """Let one hobby servo go to a pulse: {"jog", "pulse_us"}, or {"error"}. Raises as `ask`.
+    """Send one hobby servo to a pulse in us; return {"jog", "pulse_us"} or {"error"}.
 
-    Beyond its limits in small steps: that is how they are found.
+    Beyond the servo's limits it goes in small steps, so that a person can find its limits. Raises
+    OSError when no face answers.
     """
     return _ask_of(path, JOG_WORD, name, f"{float(pulse_us)!r} {PULSE_UNIT}")
 
 
 def end_jog(path: Path) -> Answer:
-    """Let all jogged joints go back: {"jog": "end"}, or {"error"}. Raises as `ask`."""
+    """End jogging, so that all joints return; return {"jog": "end"} or {"error"}.
+
+    Raises OSError when no face answers.
+    """
     return ask(path, f"{JOG_WORD} {END_WORD}")
 
 
@@ -202,12 +212,12 @@ def _ask_of(path: Path, word: str, name: str, what: str) -> Answer:
 
 
 def _is_name(text: str) -> bool:
-    """Whether it is one word of a command and no more."""
+    """Return whether a text is one printable word of at most 40 characters."""
     return text.split() == [text] and text.isprintable() and len(text) <= _LONGEST_NAME
 
 
 def watch(path: Path, patience_s: float = _PATIENCE_S) -> int:
-    """A descriptor of the memory where the face at `path` tells what it does, to read only.
+    """Return a read-only descriptor of the shared memory with the state of the face at `path`.
 
     `lipservo.runtime.status.live_board` reads it. Raises OSError when no face answers, ControlError
     when the face cannot be watched.
@@ -237,13 +247,14 @@ def stop_and_wait(
     end: bool = False,
     sent: socket.socket | None = None,
 ) -> tuple[Answer, Answer | None]:
-    """Request a stop and wait for the report of the end: (answer, report).
+    """Request a stop, and wait for its end; return the face's answer and its report of the end.
 
-    end: as `send_stop`. sent: what that returned, where the stop was sent already.
+    end: whether a daemon's process ends with it. sent: the connection from `send_stop`, if the stop
+    was sent already.
 
-    FREEZE has no end: its report is None. So is that of a face that has gone without one, or has
-    not come to its end within `patience_s`. A face whose bridge dies in between is sent it again.
-    Raises TimeoutError when no answer comes within `answer_s`, OSError when no process listens.
+    The report is None for FREEZE, and for a face that has ended without one or did not end within
+    `patience_s`. When the bridge dies in between, the stop is sent again. Raises TimeoutError when
+    no answer comes within `answer_s`, OSError when no process listens.
     """
     began_s = time.monotonic()
     give_up_s = began_s + patience_s
@@ -270,7 +281,10 @@ def stop_and_wait(
 
 
 def _send_and_receive(client: socket.socket, word: str, give_up_s: float) -> Answer | None:
-    """The answer; None when the other end has closed, before or after it could read."""
+    """Send a word and return the answer; None: the face closed the connection.
+
+    Raises TimeoutError.
+    """
     try:
         client.send(word.encode())
     except ConnectionError:
@@ -279,7 +293,7 @@ def _send_and_receive(client: socket.socket, word: str, give_up_s: float) -> Ans
 
 
 def _receive(client: socket.socket, give_up_s: float) -> Answer | None:
-    """The next message; None when the other end has closed. Raises TimeoutError."""
+    """Return the next message of the face; None: it closed the connection. Raises TimeoutError."""
     client.settimeout(max(0.001, give_up_s - time.monotonic()))
     try:
         raw = client.recv(_LONGEST_ANSWER)
@@ -306,7 +320,7 @@ def _connected(path: Path, give_up_s: float) -> Iterator[socket.socket]:
 
 
 def _listens(path: Path) -> bool:
-    """Whether a face does; a dead socket of ours is removed if that costs no waiting."""
+    """Return whether a face listens at `path`; remove a dead socket of ours if it needs no wait."""
     if knock(path) == 0:
         return True
     if is_dead_socket(path):

@@ -1,10 +1,10 @@
-"""How a running face is stopped, started, commanded and queried: a Unix socket of its own.
+"""The Unix socket of a running face, by which it is stopped, started, commanded and queried.
 
 The lowest control: it needs nothing of the speech side and works when that is dead. A stop is acted
-on before anything is answered: `poll` takes all that has come and puts the stops into the command
-queue, the loop acts, and only then `answer` answers, stops first, status last. What waits in the
-listening socket outlives the process that serves it. `firmware_bridge.process.control_client` is
-the other end.
+on before anything is answered: `poll` receives all requests and puts the stops into the command
+queue, the loop acts, and only then `answer` answers, stops first, status last. Requests in the
+listening socket outlive the process that serves it. `firmware_bridge.process.control_client` is the
+client.
 """
 
 import contextlib
@@ -47,22 +47,22 @@ _STOPS: Final = {
 
 @dataclass(eq=False, slots=True)
 class _Client:
-    """A connection; waits_for_end: it requested a stop and is sent the report of the end."""
+    """A connected client; waits_for_end: it requested a stop and is sent the report of the end."""
 
     end: socket.socket
     waits_for_end: bool = False
 
     def send(self, answer: Mapping[str, object]) -> None:
-        """Without waiting: a client that does not read gets nothing."""
+        """Send an answer as JSON without waiting; a client that does not read gets nothing."""
         with contextlib.suppress(OSError):
             self.end.send(json.dumps(answer).encode(), socket.MSG_NOSIGNAL)
 
 
 class ControlSocket:
-    """The face's end. Use it as a context manager; no method waits.
+    """The face's end of its control socket. Use it as a context manager; no method waits.
 
     Stops and orders go into its `CommandQueue`, where others may write as well. In each round of
-    the loop: `poll`, act on what it returned, `answer`.
+    the loop: `poll`, act on the returned stop, `answer`.
     """
 
     def __init__(
@@ -74,12 +74,12 @@ class ControlSocket:
         describe: Describe = dict,
         watched_fd: int | None = None,
     ) -> None:
-        """Use `bind` or `adopt`.
+        """Serve a listening socket; call `bind` or `adopt` instead.
 
         Parameters
         ----------
         about : part of every answer, such as the face's name and port.
-        describe : makes the answer to `status` of what the loop knows and of `about`.
+        describe : makes the answer to `status` from the loop's status and `about`.
         watched_fd : descriptor of shared memory that `watch` hands out, to read only; None: none.
 
         """
@@ -105,10 +105,10 @@ class ControlSocket:
         describe: Describe = dict,
         watched_fd: int | None = None,
     ) -> Self:
-        """Listen at `path`, and remove it in the end. Parameters as those of the class.
+        """Listen at `path`, and remove that file at the exit. Parameters as for the constructor.
 
-        Raises ControlError where a face listens already, where something else lies that is no dead
-        socket of ours, and where no socket can be.
+        Raises ControlError where a face listens already, where a file exists that is no dead socket
+        of ours, and where no socket can be made.
         """
         path = path.parent.resolve() / path.name  # the kernel lists it as it is bound
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -140,25 +140,28 @@ class ControlSocket:
         describe: Describe = dict,
         watched_fd: int | None = None,
     ) -> Self:
-        """Serve a listening socket that another process made; its file is left to that process."""
+        """Serve a listening socket that another process made; its file is not removed at exit."""
         listener = socket.socket(fileno=fd)
         return cls(listener, path, about, commands, describe, watched_fd)
 
     @property
     def path(self) -> Path:
-        """The path of the socket."""
+        """The path of the socket's file."""
         return self._path
 
     def fileno(self) -> int:
-        """The listening socket: readable when a client connects."""
+        """Return the descriptor of the listening socket: readable when a client connects."""
         return self._listener.fileno()
 
     def filenos(self) -> list[int]:
-        """All that may become readable: the listening socket, and the connections."""
+        """Return the descriptors of the listening socket and of all connections."""
         return [self._listener.fileno(), *self._clients]
 
     def poll(self) -> StopRequest | None:
-        """Receive what has come; the furthest stop of the queue, None: none. Answers nothing."""
+        """Receive all requests; return the furthest stop in the queue, None: none.
+
+        Answers nothing.
+        """
         for fd, _ in self._ready.poll(0):
             if fd == self._listener.fileno():
                 self._accept()
@@ -169,7 +172,7 @@ class ControlSocket:
         return self._commands.take_stop()
 
     def answer(self, status: Callable[[], Mapping[str, object]]) -> None:
-        """Answer what `poll` received: stops first, then the rest. status: called when needed."""
+        """Answer what `poll` received, stops first. status: gives the face's status if needed."""
         if not self._unanswered:
             return
         waiting, self._unanswered = self._unanswered, []
@@ -178,20 +181,20 @@ class ControlSocket:
                 self._answer(client, word, status)
 
     def attend(self, refusal: Callable[[Order], str]) -> None:
-        """From now on orders are taken, as by `CommandQueue.attend`."""
+        """Accept orders from now on. refusal: returns why an order is refused; empty: it is not."""
         self._commands.attend(refusal)
 
     def take_orders(self) -> list[Order]:
-        """The orders of the queue since the last call."""
+        """Return and remove the orders queued since the last call, oldest first."""
         return self._commands.take_orders()
 
     def send_away(self) -> None:
-        """Drop every client that waits for no stop: another process serves, and they ask again."""
+        """Drop all clients that await no stop's end; another process serves them at a retry."""
         for client in [each for each in self._clients.values() if not each.waits_for_end]:
             self._drop(client)
 
     def report_end(self, report: Mapping[str, object]) -> None:
-        """Send every client that requested a stop how it ended, and drop all clients."""
+        """Send every client that requested a stop the report of its end, and drop all clients."""
         for client in list(self._clients.values()):
             if client.waits_for_end:
                 client.send({"ended": True, **self._about, **report})
@@ -222,7 +225,7 @@ class ControlSocket:
             self._receive(client)  # most have sent their word with the connection
 
     def _receive(self, client: _Client) -> None:
-        """One word: a stop is in the queue at once, whatever else waits."""
+        """Read one word of a client; queue a stop at once, and keep any word for `answer`."""
         try:
             raw = client.end.recv(LONGEST_WORD + 1)
         except BlockingIOError:
@@ -257,7 +260,7 @@ class ControlSocket:
             client.send({"error": f"{word[:40]!r} is not known here"})
 
     def _status(self, status: Callable[[], Mapping[str, object]]) -> Mapping[str, object]:
-        """A fault in describing the face must not end the loop that drives it."""
+        """Return the answer to `status`; an error in making it is reported in it, not raised."""
         try:
             return self._describe({**status(), **self._about})
         except Exception as error:
@@ -265,7 +268,7 @@ class ControlSocket:
             return {**self._about, "state": "unknown", "error": " ".join(why.split())}
 
     def _hand_out(self, client: _Client) -> None:
-        """Let the client read the memory itself, which it cannot write."""
+        """Send the client a read-only descriptor of the watched memory, or an error without one."""
         if self._watched_fd is None:
             client.send({"error": "this face cannot be watched"})
             return
@@ -285,13 +288,13 @@ class ControlSocket:
 
 
 def peer(end: socket.socket) -> tuple[int, int]:
-    """Process and user at the other end, as the kernel knows them."""
+    """Return the process id and user id of the other end of a Unix socket, from the kernel."""
     raw = end.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
     pid, uid, _ = _CREDENTIALS.unpack(raw)
     return pid, uid
 
 
 def _peer_words(end: socket.socket) -> str:
-    """By number: a name service that takes seconds must not delay a stop."""
+    """Return the client's process and user for a log, by number: name lookups may take seconds."""
     pid, uid = peer(end)
     return f"process {pid} of user {uid}"

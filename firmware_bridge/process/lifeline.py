@@ -1,7 +1,7 @@
-"""Heartbeats of a process, and the few things its supervisor must know even when it dies.
+"""Messages from a child process to its supervisor: heartbeats, and what must outlive the process.
 
-A socket pair, one end each. Nothing here waits: a supervisor that does not read loses beats, which
-say nothing new, and no more than that.
+A socket pair, one end each. Nothing here waits: while the supervisor does not read, heartbeats are
+lost, but no other message.
 """
 
 import contextlib
@@ -31,7 +31,10 @@ _MOST_AT_ONCE: Final = 400
 
 @dataclass(frozen=True, slots=True)
 class Stopped:
-    """A person stopped the face. ends: as `StopRequest`; requested_by: by number, for a log."""
+    """The message that a person stopped the face.
+
+    ends: whether the process ends with the stop. requested_by: process and user, for a log.
+    """
 
     level: StopLevel
     ends: bool = False
@@ -40,19 +43,19 @@ class Stopped:
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """A person ended a freeze: the face is driven again."""
+    """The message that a person ended a freeze: the face is driven again."""
 
 
 @dataclass(frozen=True, slots=True)
 class NotStarted:
-    """The servos could not be armed."""
+    """The message that the servos could not be armed, and why."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """A servo was given up for good."""
+    """The message that the servo at an index in the face was given up for good, and why."""
 
     index: int
     reason: str
@@ -60,7 +63,7 @@ class Failed:
 
 @dataclass(frozen=True, slots=True)
 class Switched:
-    """A person switched one servo off, or on again, which takes back that it was given up."""
+    """The message that a person switched a servo, by index, off, or on again after any failure."""
 
     index: int
     on: bool
@@ -68,29 +71,30 @@ class Switched:
 
 @dataclass(frozen=True, slots=True)
 class Began:
-    """Sound time 0 was at this monotonic time."""
+    """The message that sound time 0 was at the monotonic time `zero_s`."""
 
     zero_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """The servos are driven."""
+    """The message that the servos are driven now."""
 
 
 Message = Stopped | Started | NotStarted | Failed | Switched | Began | Ready
 
 
 class Lifeline:
-    """The child's end; none of it ever waits or raises. closed: the supervisor is gone.
+    """The child's end of its connection to the supervisor; no method waits or raises.
 
-    What must not be lost is sent again at the next beat while the other end has no room for it.
+    While the other end has no room, messages other than heartbeats are kept for the next heartbeat.
+    closed: the supervisor is gone.
     """
 
     def __init__(
         self, end: socket.socket | int, now_s: Callable[[], float] = time.monotonic
     ) -> None:
-        """end: the socket, or the number it was inherited by."""
+        """end: the socket, or the descriptor number of an inherited one."""
         self._end = socket.socket(fileno=end) if isinstance(end, int) else end
         self._end.setblocking(False)
         self._now_s = now_s
@@ -99,7 +103,7 @@ class Lifeline:
         self.closed = False
 
     def beat(self) -> None:
-        """Be alive; call it in every round of the loop that matters."""
+        """Send a heartbeat, every .05 s at most, and unsent messages; call it in every round."""
         now_s = self._now_s()
         if now_s - self._beat_s < _BEAT_S:
             return
@@ -109,7 +113,7 @@ class Lifeline:
         self._send(b"B" + _TIME.pack(now_s))
 
     def stopped(self, level: StopLevel, *, ends: bool = False, requested_by: str = "") -> None:
-        """A person stopped the face: it holds although this process may die the next moment."""
+        """Report that a person stopped the face; the stop then holds even if this process dies."""
         words = f"{level.value}\0{requested_by}".encode("utf-8", "replace")[:_LONGEST_REASON]
         self._say((b"E" if ends else b"S") + words)
 
@@ -118,11 +122,11 @@ class Lifeline:
         self._say(b"G")
 
     def not_started(self, reason: str) -> None:
-        """The servos could not be armed."""
+        """Report that the servos could not be armed, and why."""
         self._say(b"N" + reason.encode("utf-8", "replace")[:_LONGEST_REASON])
 
     def failed(self, index: int, reason: str) -> None:
-        """A servo, by its place in the face, is given up for good."""
+        """Report that a servo, by its index in the face, was given up for good, and why."""
         self._say(b"F" + _INDEX.pack(index) + reason.encode("utf-8", "replace")[:_LONGEST_REASON])
 
     def switched(self, index: int, *, on: bool) -> None:
@@ -130,15 +134,15 @@ class Lifeline:
         self._say(b"W" + _SWITCHED.pack(index, on))
 
     def began(self, zero_s: float) -> None:
-        """Sound time 0 was at monotonic `zero_s`."""
+        """Report that sound time 0 was at the monotonic time `zero_s`."""
         self._say(b"Z" + _TIME.pack(zero_s))
 
     def ready(self) -> None:
-        """The servos are driven now."""
+        """Report that the servos are driven now."""
         self._say(b"R")
 
     def close(self) -> None:
-        """Close this end."""
+        """Close the child's end of the connection."""
         self._end.close()
 
     def _say(self, message: bytes) -> None:
@@ -160,7 +164,7 @@ class Lifeline:
 
 
 class LifelineWatch:
-    """The supervisor's end. beat_s: time of the newest heartbeat; None before the first."""
+    """The supervisor's end of its connection to a child. beat_s: the newest heartbeat, or None."""
 
     def __init__(self, end: socket.socket) -> None:
         self._end = end
@@ -169,11 +173,11 @@ class LifelineWatch:
         self.closed = False
 
     def fileno(self) -> int:
-        """Readable when a message came, and when the other end is closed."""
+        """Return the descriptor: readable when a message came, and when the child has closed."""
         return self._end.fileno()
 
     def read(self) -> list[Message]:
-        """Messages since the last call, in their order, beats aside; never waits."""
+        """Return the messages since the last call, in order, without heartbeats; never waits."""
         messages: list[Message] = []
         for _ in range(_MOST_AT_ONCE):
             try:
@@ -193,24 +197,24 @@ class LifelineWatch:
         return messages
 
     def close(self) -> None:
-        """Close this end."""
+        """Close the supervisor's end of the connection."""
         self._end.close()
 
 
 def lifeline_pair() -> tuple[socket.socket, LifelineWatch]:
-    """(the child's end, to be inherited; the supervisor's)."""
+    """Return a new connection: the child's end, to be inherited, and the supervisor's end."""
     child, supervisor = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     return child, LifelineWatch(supervisor)
 
 
 def inherited_lifeline(fd: int) -> Lifeline:
-    """The lifeline that a supervisor handed over as `fd`."""
+    """Return the child's end of the lifeline whose descriptor `fd` a supervisor handed over."""
     os.set_inheritable(fd, False)
     return Lifeline(fd)
 
 
 def _understood(raw: bytes) -> Message:
-    """Raises ValueError or struct.error for what no lifeline says."""
+    """Parse the bytes of one message. Raises ValueError or struct.error for unknown bytes."""
     kind, rest = raw[:1], raw[1:]
     if kind in (b"S", b"E"):
         level, _, requested_by = rest.decode("utf-8", "replace").partition("\0")

@@ -1,6 +1,6 @@
-"""Log records as lines, written by a thread of their own: a terminal that hangs stops no caller.
+"""Log records as lines, written by a thread of their own: a terminal that hangs blocks no caller.
 
-What is logged again and again, and what is logged too fast, does not fill a disk either.
+Repeated lines, and lines that come too fast, are counted instead of filling a disk.
 """
 
 import contextlib
@@ -53,10 +53,11 @@ def one_line(text: str) -> str:
 
 
 class LogLines(logging.Handler):
-    """Hands records to another handler, each as one line; returns at once. A context manager.
+    """A handler that passes records to another one, each as one line, by a thread; never waits.
 
-    What finds no room is dropped and counted, and the count is written a second later. A line that
-    is repeated is written once, and then every ten seconds with how often it came.
+    Use it as a context manager. A record without room is dropped and counted, and the count is
+    written a second later. A repeated line is written once, and then every ten seconds with its
+    count.
 
     The lock guards a few operations in memory: nothing is formatted or written under it.
     """
@@ -64,7 +65,7 @@ class LogLines(logging.Handler):
     def __init__(
         self, target: logging.Handler, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """target: its `emit` is called in the thread, and may wait as long as it likes."""
+        """target: its `emit` is called in the thread, and may wait for any time."""
         super().__init__()
         self._target = target
         self._clock = clock
@@ -79,12 +80,15 @@ class LogLines(logging.Handler):
         threading.Thread(target=self._write_all, name="log", daemon=True).start()
 
     def handle(self, record: logging.LogRecord) -> bool:
-        """Take a record, without the lock of handlers, which may be held for a whole write."""
+        """Queue a record; return True.
+
+        Takes no lock of the handlers, which may be held for a whole write.
+        """
         self.emit(record)
         return True
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Queue a record; what its arguments hold may change afterwards."""
+        """Queue a record's text as one line; objects in its arguments may change afterwards."""
         try:
             text = record.getMessage()
         except Exception:  # a mistake in a message must not reach who stops a face
@@ -107,7 +111,7 @@ class LogLines(logging.Handler):
             self._is_new.notify()
 
     def close(self, timeout_s: float = 0.0) -> None:
-        """Wait until all is written, and no longer than `timeout_s`."""
+        """Wait until all lines and counts are written, for `timeout_s` at most."""
         give_up_s = time.monotonic() + timeout_s
         with self._is_new:
             self._queue_counts(float("inf"))
@@ -136,7 +140,7 @@ class LogLines(logging.Handler):
                 self._target.emit(record)
 
     def _has_token(self, now_s: float) -> bool:
-        """Whether one more line may be written now; then it counts as written."""
+        """Return whether one more line may be written now by the rate limit, and count it if so."""
         gained = _MOST_PER_S * (now_s - self._tokens_s)
         self._tokens, self._tokens_s = min(_MOST_AT_ONCE, self._tokens + gained), now_s
         if self._tokens < 1.0:
@@ -145,13 +149,13 @@ class LogLines(logging.Handler):
         return True
 
     def _until_counts_s(self) -> float | None:
-        """How long until a count is to be written; None: there is none."""
+        """Return how many seconds remain until a count is to be written; None: there is none."""
         due_s = [until_s for until_s, n, _ in self._same.values() if n]
         due_s += [self._lost_until_s] if self._n_lost else []
         return max(0.0, min(due_s) - self._clock()) if due_s else None
 
     def _queue_counts(self, now_s: float) -> None:
-        """Write how often each suppressed line was repeated, once its time is over."""
+        """Queue the counts of lost and of repeated lines whose counting time is over at `now_s`."""
         if self._n_lost and now_s >= self._lost_until_s:
             text = f"({self._n_lost} lines were lost: too many at once)"
             level = {"levelno": logging.WARNING, "levelname": "WARNING"}
@@ -172,23 +176,26 @@ def _changed(record: logging.LogRecord, **fields: object) -> logging.LogRecord:
 
 
 def write_stderr(text: str) -> None:
-    """Write lines. Not through sys.stderr: its lock, held by one that waits, stops the exit."""
+    """Write a text and a line end to descriptor 2, past the lock of sys.stderr.
+
+    That lock, held by a writer that hangs, would stop the exit.
+    """
     data = f"{text}\n".encode("utf-8", "backslashreplace")
     while data:
         data = data[os.write(_STDERR, data) :]
 
 
 class LogWriter(logging.Handler):
-    """Writes records: to journald with its fields where stderr leads there, otherwise as lines.
+    """A handler that writes records to journald where stderr leads there, otherwise as lines.
 
     Parameters
     ----------
     face, side
-        Whose process logs, and which of its processes that is; empty: of no face, of a single one.
+        Name of the face, and which of its processes logs; empty: no face, its only process.
     start
-        Of each line, as a format of `logging`.
+        Start of each line, as a %-format with a record's attributes.
     write
-        Takes lines for people.
+        Called with the lines for people.
     as_json
         Write one JSON object a line to stderr.
 
@@ -210,12 +217,12 @@ class LogWriter(logging.Handler):
         self._as_json = as_json
 
     def handle(self, record: logging.LogRecord) -> bool:
-        """Write a record without the lock of handlers: one that hangs holds up no other thread."""
+        """Write a record and return True; takes no lock, so that a hung write blocks no thread."""
         self.emit(record)
         return True
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write a record; in vain where the terminal is gone."""
+        """Write a record with its traceback; an OSError, as of a closed terminal, is ignored."""
         message, trace = one_line(record.getMessage()), list[str]()
         if record.exc_info:
             trace = logging.Formatter().formatException(record.exc_info).splitlines()[-_MOST_LINES:]
@@ -237,7 +244,7 @@ class LogWriter(logging.Handler):
 
 
 def _sent_to_journal(fields: Mapping[str, object]) -> bool:
-    """Send an entry; False where stderr does not lead to the journal, or nothing reaches it.
+    """Send an entry to journald; False: stderr does not lead to the journal, or sending failed.
 
     systemd.exec(5) has `$JOURNAL_STREAM`.
     """

@@ -1,4 +1,4 @@
-"""Where the log lines of a process go: to people, to programs or to journald, as the user chose.
+"""Set up where a process logs: as lines for people, as JSON for programs, or to journald.
 
 Modules log by `logging.getLogger(__name__)`. docs/hardware.md, "What it logs", is for users,
 docs/decisions/0045-logging.md says why it is so.
@@ -23,16 +23,17 @@ _NAMED_SIDES: Final = ("bridge", "speech")
 
 
 def set_up(level: int = logging.WARNING) -> None:
-    """Log to stderr, as the environment says; may be called again when it has changed."""
+    """Log to stderr as the environment variables say; call it again when they have changed."""
     _replace_handler(_writer("", ""))
     _show(level)
 
 
 @contextlib.contextmanager
 def face_logs(face: str, side: str = "", *, quiet: bool = False) -> Iterator[None]:
-    """Log the life of a face, by a thread, so that a terminal that stands still stops nothing.
+    """Log by a thread while inside, so that a hung terminal stops nothing; restore logging after.
 
-    side: which of a face's processes this is; empty: there is one. quiet: log errors alone.
+    face: the name of the face. side: which of the face's processes this is; empty: the only one.
+    quiet: log errors alone.
     """
     with LogLines(_writer(face, side)) as lines:
         before = _replace_handler(lines)
@@ -64,7 +65,7 @@ def _print(text: str) -> None:
 
 
 def _replace_handler(*handlers: logging.Handler) -> list[logging.Handler]:
-    """Log to these in place of those of ours that were there; those of others stay."""
+    """Replace our handlers of the root logger by these, and return ours; others' handlers stay."""
     root = logging.getLogger()
     others = [each for each in root.handlers if not isinstance(each, (LogLines, LogWriter))]
     before = [each for each in root.handlers if each not in others]

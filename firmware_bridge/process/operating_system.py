@@ -1,4 +1,4 @@
-"""What Linux and systemd do for the processes of a face: they die together, run on time, report."""
+"""Use of Linux and systemd by a face's processes: parent's death, real-time priority, notices."""
 
 import contextlib
 import ctypes
@@ -19,22 +19,22 @@ _FIFO_PRIORITY: Final = 50
 
 
 def die_with_parent(number: int = signal.SIGTERM) -> None:
-    """Ask the kernel for a signal when the parent dies. Nothing happens where it cannot."""
+    """Have the kernel send this process a signal when its parent dies; nothing where it cannot."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
 
 
 def write_from_background() -> None:
-    """Go on when a terminal lets only its foreground write; a child in a group of its own may not.
+    """Ignore SIGTTOU: with `stty tostop` a write to the terminal would stop a background process.
 
-    See `stty tostop`. Stopped there, a bridge would be taken for one that hangs.
+    A child in a group of its own is in the background; once stopped, a bridge would count as hung.
     """
     signal.signal(signal.SIGTTOU, signal.SIG_IGN)
 
 
 @contextlib.contextmanager
 def on_time() -> Iterator[bool]:
-    """`run_on_time` for a while; gives back the ordinary scheduling."""
+    """Run the block with `run_on_time`, then restore scheduling; yield whether that was granted."""
     granted = run_on_time()
     try:
         yield granted
@@ -44,9 +44,9 @@ def on_time() -> Iterator[bool]:
 
 
 def run_on_time() -> bool:
-    """First-in-first-out scheduling if permitted, and no more collection of garbage there is.
+    """Switch this process to first-in-first-out scheduling; return whether that was permitted.
 
-    Whether the scheduling was granted.
+    Garbage is collected once, and all present objects are exempt from later collections.
     """
     gc.collect()
     gc.freeze()
@@ -62,9 +62,9 @@ _ALIVE_S: Final = 1.0
 
 
 class ServiceNotice:
-    """Says READY=1 once and WATCHDOG=1 every second; nothing when systemd did not start us.
+    """Notices to systemd: READY=1 once, WATCHDOG=1 every second; none unless systemd started us.
 
-    A socket that is no longer there is logged once and otherwise ignored.
+    A failure to send is logged once and otherwise ignored.
     """
 
     def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
@@ -75,20 +75,20 @@ class ServiceNotice:
         self._alive_s = float("-inf")
 
     def ready(self) -> None:
-        """Notify systemd that the servos are driven."""
+        """Notify systemd, once, that the servos are driven."""
         if not self._ready:
             self._ready = True
             self._notify("READY=1")
 
     def alive(self) -> None:
-        """The loop that moves the face is alive; call it often."""
+        """Notify systemd, once a second after `ready`, that the face's loop runs; call it often."""
         now_s = self._now_s()
         if self._ready and now_s - self._alive_s >= _ALIVE_S:
             self._alive_s = now_s
             self._notify("WATCHDOG=1")
 
     def _notify(self, state: str) -> None:
-        """Send one notification; see sd_notify(3)."""
+        """Send one notification to systemd, without waiting; see sd_notify(3)."""
         if not self._address:
             return
         address = self._address

@@ -1,6 +1,6 @@
-"""Who holds a serial port or a face's socket, as Linux tells under /proc.
+"""Find the processes that hold a serial port or a face's socket, from /proc; end hung ones.
 
-Holding a port means that its file is open and locked, as every kind of bus does; a simulator at the
+Holding a port is to have its file open and locked, as every kind of bus does; a simulator at the
 other end does not.
 """
 
@@ -26,18 +26,18 @@ _LOOK_S: Final = 0.01
 
 
 def ports_held_by(pid: int) -> list[str]:
-    """The terminals that a process has locked; empty when we may not look."""
+    """Return the device files under /dev that a process has locked; empty if access is denied."""
     return [to for to, info in _links(pid) if to.startswith("/dev/") and _is_locked(info)]
 
 
 def holders_of(port: str) -> list[int]:
-    """The processes that have locked a port, of those we may look into."""
+    """Return the ids of processes that have locked a port, among those that we may inspect."""
     real = os.path.realpath(port)
     return [pid for pid in _processes() if real in ports_held_by(pid)]
 
 
 def holders_of_socket(path: Path) -> list[int]:
-    """The processes that have the Unix socket at `path` open, of those we may look into."""
+    """Return the ids of processes that have the Unix socket at `path` open, if we may inspect."""
     lines = (_PROC / "net" / "unix").read_text().splitlines()
     rows = [line.split(maxsplit=7) for line in lines]
     inodes = {row[6] for row in rows if len(row) == 8 and row[7] == str(path)}
@@ -46,7 +46,7 @@ def holders_of_socket(path: Path) -> list[int]:
 
 
 def is_ours(pid: int) -> bool:
-    """Whether it is another lipservo that we may end: our own user's, or anybody's for root."""
+    """Return whether a process is another lipservo that we may end: our user's, or any for root."""
     if pid == os.getpid():
         return False
     try:
@@ -58,7 +58,7 @@ def is_ours(pid: int) -> bool:
 
 
 def supervisor_of(pid: int) -> int | None:
-    """The process that would start it again; None: it has no supervisor, whatever its parent is.
+    """Return the id of the supervisor that would restart a bridge process; None: it has none.
 
     Proven by what no shell, terminal or script has: a bridge process is given the listening control
     socket of its face as `--control FD`, and its supervisor has the same socket open.
@@ -77,16 +77,13 @@ def supervisor_of(pid: int) -> int | None:
 
 
 def with_children(pids: Iterable[int]) -> list[int]:
-    """Processes and their children, each once."""
+    """Return the ids of processes and of their children, without duplicates."""
     parents = dict.fromkeys(pids)
     return [*parents, *(each for each in _processes() if _parent(each) in parents)]
 
 
 def end_hung(pids: list[int]) -> list[int]:
-    """End processes that hear nothing any more; those that are still there afterwards.
-
-    By `END_OF_HUNG`, and SIGKILL for what is left.
-    """
+    """End hung processes by `END_OF_HUNG`, then SIGKILL; return the ids of those that still run."""
     for number in (END_OF_HUNG, signal.SIGKILL):
         for pid in pids:
             with contextlib.suppress(OSError):
@@ -106,7 +103,7 @@ def _processes() -> Iterator[int]:
 
 
 def _links(pid: int) -> Iterator[tuple[str, Path]]:
-    """Where every descriptor of a process leads, and the folder that describes it."""
+    """Yield, for every descriptor of a process, the target of its link and its path in fdinfo."""
     folder = _PROC / str(pid)
     try:
         numbers = os.listdir(folder / "fd")
@@ -125,7 +122,10 @@ def _is_locked(fdinfo: Path) -> bool:
 
 
 def _stat(pid: int) -> list[str]:
-    """State, parent and so on; the name in brackets before them may hold anything."""
+    """Return the fields of /proc/PID/stat from the state on; [] without such a process.
+
+    The name before them, in brackets, may contain any character.
+    """
     try:
         return (_PROC / str(pid) / "stat").read_text().rpartition(")")[2].split()
     except OSError:

@@ -1,4 +1,4 @@
-"""Which buses faces have driven at a port, for a process that lets go of them after a crash.
+"""Records of the buses that faces have driven at a port, to switch torque off after a crash.
 
 A file for each board beside the control sockets, written before the port is opened: nothing of one
 kind of servo may be written to another.
@@ -28,7 +28,7 @@ _LONGEST_BYTES: Final = 4096
 
 
 def note_port(settings: BusSettings) -> None:
-    """Remember what is driven at its port; where nothing can be written, nothing is."""
+    """Write the record of a bus and its port to the runtime folder; ignore errors of writing."""
     assert settings.port is not None
     content = {
         "plug": _plug(settings.port),
@@ -44,10 +44,10 @@ def note_port(settings: BusSettings) -> None:
 
 
 def buses_at(port: str) -> list[tuple[BusKind, BusSettings | None]]:
-    """What was driven there since it was plugged in; else what the plug says of itself.
+    """Return the buses driven at a port since it was plugged in, as (kind, settings).
 
-    Several where boards share the port, all of the kind that was driven last. Settings: None: not
-    known. Where nothing says anything, it is the kind of `AT_A_PORT`.
+    Several where boards share the port, all of the kind that was driven last. Without a record: the
+    kind that the plugged-in device itself reports, else that of `AT_A_PORT`; its settings are None.
     """
     found = sorted(_noted(port), key=lambda each: each[0], reverse=True)
     of_kind = {bus.board: bus for _, bus in reversed(found) if bus.kind == found[0][1].kind}
@@ -57,7 +57,7 @@ def buses_at(port: str) -> list[tuple[BusKind, BusSettings | None]]:
 
 
 def _noted(port: str) -> Iterator[tuple[int, BusSettings]]:
-    """What was driven there since it was plugged in, and when that was noted."""
+    """Yield (time noted in ns, settings) of the buses driven at a port since it was plugged in."""
     plug = _plug(port)
     if plug is None:
         return
@@ -74,12 +74,12 @@ def _noted(port: str) -> Iterator[tuple[int, BusSettings]]:
 
 
 def _name(port: str) -> str:
-    """No `@` is in it, so that one port's name never begins another's file."""
+    """Return a port's part of a file name, without `@`, so that no port's name begins another's."""
     return name_in_path(os.path.realpath(port).replace("/", "_"))
 
 
 def _plug(port: str) -> list[int] | None:
-    """What is another after the plug was out; None: the port is gone."""
+    """Return numbers that change when the port is plugged in anew; None: the port is gone."""
     try:
         found = Path(port).stat()
     except OSError:

@@ -1,9 +1,8 @@
-"""Where running faces can be found: one socket a face, in a folder that only its owner fills.
+"""The folders for the control sockets of running faces, one socket a face, and their socket files.
 
-A service has `$RUNTIME_DIRECTORY` from systemd, a person who is logged in `$XDG_RUNTIME_DIR`;
-where there is neither, a folder below the one for temporary files. `$LIPSERVO_RUNTIME` is before
-all of them and the only one that is searched: jobs that run in parallel each have their own.
-Socket files, too: who may make one, whether a face listens there, and room for a new one.
+A service has `$RUNTIME_DIRECTORY` from systemd, a person who is logged in `$XDG_RUNTIME_DIR`; where
+there is neither, a folder below the one for temporary files. `$LIPSERVO_RUNTIME` is before all of
+them and the only one that is searched: jobs that run in parallel each have their own.
 """
 
 import contextlib
@@ -33,13 +32,13 @@ NEEDS_LINUX: Final = "servos and running faces need Linux; `lipservo doctor` say
 
 
 class ControlError(Exception):
-    """A face cannot listen, or cannot be spoken to; one line: what, where, what to do."""
+    """A face cannot listen, or cannot be reached; in one line: what, where, and the remedy."""
 
 
 def runtime_folder() -> Path:
-    """The folder for this process's sockets, made if need be.
+    """Return the folder for this process's sockets, and make it if needed.
 
-    Raises ControlError when it cannot be made, or is not ours alone to write into.
+    Raises ControlError when it cannot be made, or other users may write into it.
     """
     _check_system()
     given = os.environ.get("RUNTIME_DIRECTORY", "").split(":")[0]
@@ -61,26 +60,26 @@ def runtime_folder() -> Path:
 
 
 def name_in_path(face: str) -> str:
-    """A face's name as it is written in the name of its socket."""
+    """Return a face's name as used in file names: safe characters only, at most 40 of them."""
     return re.sub(r"[^\w.-]", "_", face, flags=re.ASCII)[:_LONGEST_FACE_NAME].lstrip(".") or "face"
 
 
 def socket_path(face: str) -> Path:
-    """Where this process listens as the face of that name. Raises ControlError."""
+    """Return the path for this process's socket as the named face. Raises ControlError."""
     return runtime_folder() / f"{name_in_path(face)}-{os.getpid()}{SOCKET_SUFFIX}"
 
 
 def read_socket_name(path: Path) -> tuple[str, int] | None:
-    """The face and the process that `socket_path` made a name of; None for any other name."""
+    """Return (face, process id) from a path made by `socket_path`; None for any other file name."""
     match = re.fullmatch(rf"([^.].*)-(\d+){re.escape(SOCKET_SUFFIX)}", path.name)
     return None if match is None else (match[1], int(match[2]))
 
 
 def searched_folders() -> list[Path]:
-    """The folders in which a running face may be found: the service's, ours, for root everybody's.
+    """Return readable folders where faces may listen: the service's, ours, for root all users'.
 
-    What cannot be looked into is left out, and so is a folder of others that does not belong to the
-    user whose number is in its name: what lies there may be anything.
+    Left out are unreadable folders, and any folder of another user that is not owned by the user
+    whose number is in its name, since its files cannot be trusted.
     """
     _check_system()
     if own := os.environ.get(_OWN_VARIABLE, ""):
@@ -120,13 +119,13 @@ def _is_own(folder: Path) -> bool:
 
 
 def _user_in_name(folder: Path) -> int | None:
-    """1000 of /run/user/1000/lipservo and of /tmp/lipservo-1000; None: of no user."""
+    """Return 1000 for /run/user/1000/lipservo and /tmp/lipservo-1000; None without a number."""
     number = folder.parent.name if folder.name == _NAME else folder.name.rpartition("-")[2]
     return int(number) if number.isascii() and number.isdigit() else None
 
 
 def _belongs_to(folder: Path, uid: int) -> bool:
-    """Whether it is a true folder of that user into which no other user can put anything."""
+    """Return whether it is a real folder of that user, into which no other user may write."""
     try:
         found = folder.lstat()
     except OSError:
@@ -149,7 +148,7 @@ _FOLDER_PATIENCE_S: Final = 1.0
 
 @contextlib.contextmanager
 def held_folder(folder: Path, patience_s: float = _FOLDER_PATIENCE_S) -> Iterator[None]:
-    """No other process makes or removes a socket in the folder meanwhile.
+    """Lock a folder while inside: no other process makes or removes a socket in it.
 
     Raises ControlError where it cannot be opened, or others hold it for longer than `patience_s`.
     """
@@ -175,7 +174,7 @@ def held_folder(folder: Path, patience_s: float = _FOLDER_PATIENCE_S) -> Iterato
 
 
 def knock(path: Path) -> int:
-    """Connect and disconnect again: 0 when a process listens, else the number of the error."""
+    """Connect to a socket and disconnect; return 0 if a process listens, else the error number."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
         probe.setblocking(False)
         try:
@@ -186,7 +185,7 @@ def knock(path: Path) -> int:
 
 
 def is_dead_socket(path: Path) -> bool:
-    """Whether a socket lies there that no process listens on any more, and it is ours to remove."""
+    """Return whether `path` is a socket that no process listens on, and that we may remove."""
     try:
         found = path.lstat()
     except OSError:
@@ -196,7 +195,7 @@ def is_dead_socket(path: Path) -> bool:
 
 
 def make_room(path: Path) -> None:
-    """Remove a dead socket of ours. Raises ControlError where anything else lies."""
+    """Remove a dead socket of ours at `path`, if any. Raises ControlError for any other file."""
     if not os.path.lexists(path):
         return
     if not stat.S_ISSOCK(path.lstat().st_mode):
@@ -207,7 +206,7 @@ def make_room(path: Path) -> None:
 
 
 def inode_of(path: Path) -> tuple[int, int] | None:
-    """Return device and inode of a path; None: no file."""
+    """Return device and inode of the file at a path, links not followed; None: there is no file."""
     try:
         found = path.lstat()
     except OSError:

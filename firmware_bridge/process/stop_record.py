@@ -1,8 +1,8 @@
-"""What a person has stopped, kept on disk for the process that comes after this one.
+"""The file in which a stop by a person is kept for the face's next process.
 
 Nothing waits for the disk: a thread writes the newest state, and until it has, the supervisor's
-memory holds the stop. Only a power cut in between could lose it; so a run that was cut off by one,
-which its record tells by another boot of the computer, starts limp as well.
+memory holds the stop. Only a power cut in between could lose it; so after a run that a power cut
+ended, which its record shows by another boot of the computer, the face starts limp as well.
 """
 
 import contextlib
@@ -29,10 +29,10 @@ _LAST_WRITE_S: Final = 5.0
 
 
 class StopRecord:
-    """The file of one face; every method returns at once.
+    """The stop record of one face, in a file; all methods but `close` return at once.
 
-    stopped: the stop of an earlier process that still holds, None: the face may be driven. why: in
-    one line, for a log.
+    stopped: the stop of an earlier process that still holds, None: the face may be driven. why: its
+    reason in one line, for a log.
     """
 
     def __init__(
@@ -43,11 +43,11 @@ class StopRecord:
         drives_after_power_cut: bool = False,
         on_change: Callable[[StopRequest | None], None] = lambda _stop: None,
     ) -> None:
-        """Read what an earlier process has left, and note that one runs.
+        """Read the record of an earlier process, and record that a process runs now.
 
         Parameters
         ----------
-        path : of the file; None: nothing outlives this process.
+        path : of the file; None: no record is kept.
         started_by_person : whether this very start is a person's, so that no earlier stop holds.
         drives_after_power_cut : whether a run that was cut off is driven again by itself.
         on_change : receives every stop, and None when a person has started the face again.
@@ -69,13 +69,13 @@ class StopRecord:
         self._keep(is_running=True)
 
     def stop(self, request: StopRequest | None) -> None:
-        """A person has stopped the face; None: a person has started it again."""
+        """Record that a person stopped the face; None: a person started it again."""
         self.stopped = request
         self._keep(is_running=True)
         self._on_change(request)
 
     def close(self) -> None:
-        """The process ends by its own end: wait for the last write, but not for ever."""
+        """Record that the process ended by itself, and wait for the write, at most 5 s."""
         self._keep(is_running=False)
         give_up_s = time.monotonic() + _LAST_WRITE_S
         with self._is_due:
@@ -140,7 +140,7 @@ def _boot_id() -> str:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """{} where there is no file; {"error": line} where it says nothing that can be used."""
+    """Return the record's content; {}: no file; {"error": line}: it is unreadable or no record."""
     try:
         with path.open("rb") as file:
             state = json.loads(file.read(_LONGEST_BYTES))
@@ -154,7 +154,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _write(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
+    """Write a file completely or not at all. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     coming = path.with_name(f".{path.name}.{os.getpid()}")
     try:

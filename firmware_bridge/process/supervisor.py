@@ -65,7 +65,7 @@ _RELEASE_AGAIN_S: Final = 5.0
 
 
 class _Phase(Enum):
-    """State of the bridge; the value is reported while the bridge cannot answer itself."""
+    """The state of the bridge; clients get its value as text while no bridge can answer."""
 
     RUNNING = "the bridge starts"
     RELEASING = "the bridge is down, torque is being switched off"
@@ -75,10 +75,10 @@ class _Phase(Enum):
 
 @dataclass(frozen=True, slots=True)
 class SupervisedServos:
-    """The servos of a face, as far as they matter when no bridge drives them.
+    """The servos of a face, as far as they matter while no bridge drives them.
 
-    can: by name, what each can report. make_release: torque off by force, given how long silent
-    servos are polled again, seconds.
+    can: the capabilities of each servo, by name. make_release: a function that returns a
+    `FaceRelease`, given for how many seconds silent servos are polled again.
     """
 
     can: Mapping[str, BusCapabilities]
@@ -86,7 +86,7 @@ class SupervisedServos:
 
 
 class Supervisor:
-    """Runs bridge and speech, restarts what dies or hangs, and keeps what a person has stopped."""
+    """Runs bridge and speech, restarts one that dies or hangs, and holds stops and switches."""
 
     def __init__(
         self,
@@ -98,12 +98,12 @@ class Supervisor:
         notice: ServiceNotice,
         record: StopRecord | None = None,
     ) -> None:
-        """Nothing is started yet.
+        """Take control socket and record; `run` or `step` starts the processes.
 
         Parameters
         ----------
         control : served here while no bridge serves it.
-        record : keeps what must outlive this process, and may hold a stop from before it.
+        record : keeps stops beyond this process, and may hold one from before it.
 
         """
         self._bridge, self._speech = RestartedChild(bridge), RestartedChild(speech)
@@ -138,7 +138,7 @@ class Supervisor:
         self.exit_status = int(ExitStatus.ENDED_WELL)
 
     def run(self, signals: SignalCounter) -> StopReport:
-        """Until the face is stopped, or cannot go on. The children are gone afterwards."""
+        """Run until the face is stopped or cannot continue, end all children, return the report."""
         try:
             while (report := self.step(time.monotonic(), signals.count, signals.last)) is None:
                 now_s = time.monotonic()
@@ -152,9 +152,9 @@ class Supervisor:
         return report
 
     def step(self, now_s: float, n_signals: int = 0, signal_name: str = "") -> StopReport | None:
-        """Do all that is due at monotonic `now_s`; the report once the face has ended.
+        """Do all that is due at monotonic `now_s`; return the report, None: the face has not ended.
 
-        n_signals: how often the process was signalled to end so far.
+        n_signals: how many signals to end have come. signal_name: name of the last one.
         """
         self._now_s = now_s
         bridge_status, speech_status = self._bridge.child.ended(), self._speech.child.ended()
@@ -192,7 +192,7 @@ class Supervisor:
 
     @property
     def _is_kept(self) -> bool:
-        """Whether the face is stopped and can be started; also while it is let go once more."""
+        """Whether the face is stopped and can be started, also while torque off is repeated."""
         return self._stop_report is not None and not self._ends
 
     @property
@@ -201,7 +201,7 @@ class Supervisor:
 
     @property
     def _is_ending(self) -> bool:
-        """Whether all servos are to be limp: a person has stopped the face."""
+        """Whether all servos are to be limp: a stop other than a freeze was requested."""
         return self._level in (StopLevel.SOFT, StopLevel.LIMP)
 
     def _filenos(self) -> list[int]:
@@ -236,7 +236,7 @@ class Supervisor:
                 self._zero_s = message.zero_s
 
     def _hold_stop(self, request: StopRequest) -> None:
-        """From now on, whatever dies; freezing gives way to an end, an end to limp alone."""
+        """Hold a stop whatever process dies: soft replaces freeze, and limp replaces any stop."""
         self._ends = self._ends or request.ends
         if not (self._is_ending and request.level is not StopLevel.LIMP):
             self._stop = request
@@ -245,7 +245,7 @@ class Supervisor:
             self._speech.child.send(signal.SIGTERM)
 
     def _hold_switched(self, index: int, *, on: bool) -> None:
-        """What a person switched off stays so, whatever dies, until a person switches it on."""
+        """Remember a servo that a person switched off, for restarted bridges, until it is on."""
         if on:
             self._switched_off.discard(index)
             self._failed.pop(index, None)
@@ -253,7 +253,10 @@ class Supervisor:
             self._switched_off.add(index)
 
     def _handle_signals(self, n_signals: int, name: str, now_s: float) -> None:
-        """The first: to rest and limp. The second: limp at once. The third waits for no port."""
+        """Obey a new signal: a soft stop at the first, limp at the second; then the process ends.
+
+        From the third on no lost port is waited for.
+        """
         if n_signals == self._n_signals:
             return
         self._n_signals = n_signals
@@ -297,7 +300,7 @@ class Supervisor:
         _LOG.info("stop requested: %s, by %s; no bridge runs", request.level.value, by)
 
     def _stopped_again(self) -> None:
-        """A limp face is stopped: what its servos confirmed is still so, or it ends."""
+        """Handle a stop of a face that is limp: end the face, or repeat torque off."""
         report = self._stop_report
         assert report is not None
         if self._ends:
@@ -308,7 +311,7 @@ class Supervisor:
             self._release_again_s = 0.0
 
     def _refusal(self, order: Order) -> str:
-        """Why an order is refused while no bridge serves, in one line; empty: it is obeyed."""
+        """Return in a line why an order is refused while no bridge serves; empty: it is obeyed."""
         match order:
             case StartFace() if self._is_kept:
                 return ""
@@ -323,7 +326,7 @@ class Supervisor:
         return f"{self._phase.value}: ask again once the face is driven"
 
     def _obey_start(self, order: StartFace, now_s: float, *, is_stopped_now: bool) -> None:
-        """Start the face through the ordinary start of a bridge, with all its checks."""
+        """Start the face by the bridge's ordinary start, unless a stop came in the same round."""
         if is_stopped_now or not self._is_kept:
             why_not = "not obeyed, a stop came with it"
             _LOG.info("start requested by %s: %s", order.requested_by, why_not)
@@ -367,7 +370,7 @@ class Supervisor:
             self._start_bridge(now_s)
 
     def _watch_stopped(self, now_s: float) -> None:
-        """A limp face: it ends at a signal; servos that have not confirmed are let go again."""
+        """End a stopped face at a signal, or repeat torque off for servos that did not confirm."""
         if self._ends:
             self._stopped_again()
         elif now_s >= self._release_again_s:
@@ -402,7 +405,7 @@ class Supervisor:
             self._begin_release(now_s)
 
     def _may_restart(self) -> bool:
-        """Whether to restart.
+        """Return whether the bridge may be restarted after its last exit status.
 
         A bridge that failed at its first start has reported why, and stays down.
         """
@@ -422,7 +425,7 @@ class Supervisor:
         self._phase = _Phase.WAITING
 
     def _release_on(self, now_s: float) -> None:
-        """One step of switching torque off by force; then on, or to the end."""
+        """Do one step of switching torque off by force; if that is over, restart or conclude."""
         assert self._release is not None
         if now_s >= self._release.next_s and self._release.step():
             self._released(self._release)
@@ -436,7 +439,7 @@ class Supervisor:
                 self._conclude(self._report_of(self._release), status)
 
     def _give_up_s(self) -> float:
-        """Return for how many seconds a lost port is waited for."""
+        """Return the monotonic time until which a lost port is waited for; infinity: for ever."""
         if not self._ran_well:
             return self._release_s + _START_TIMEOUT_S
         if not self._is_ending:
@@ -462,7 +465,7 @@ class Supervisor:
         return let_go_report(let_go, release.unconfirmed, confirms=confirms)
 
     def _conclude(self, report: StopReport, status: int) -> None:
-        """The servos have had their last word: a face that a person stopped waits, others end."""
+        """Wait for a start after a person's stop, or else end the face; torque-off is over."""
         if self._ends or not self._is_ending:
             self._finish(report, status)
             return
@@ -481,7 +484,10 @@ class Supervisor:
         self.report, self.exit_status = report, int(status)
 
     def _tell_service(self, now_s: float) -> None:
-        """Alive: the bridge's loop is, or its recovery gets on, or waits for a lost port."""
+        """Notify systemd's watchdog while the face is driven, stopped, or recovering.
+
+        A recovery counts for 60 s, but without limit while it waits for a lost port.
+        """
         if self._bridge.serves or self._port_error or self._phase is _Phase.STOPPED:
             self._well_s = now_s
         if now_s - self._well_s < _RECOVERY_S:

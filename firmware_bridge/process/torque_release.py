@@ -1,4 +1,4 @@
-"""Torque off where no bridge runs any more: open the port and let every joint go limp."""
+"""Switch torque off where no bridge runs any more: open the port and make every servo limp."""
 
 import threading
 import time
@@ -14,11 +14,11 @@ _RETRY_S: Final = 0.05
 
 
 class TorqueRelease:
-    """Torque off by force, one small step a call, so that a loop can go on meanwhile.
+    """Torque off by force at one port, one small step a call, so that the caller's loop continues.
 
-    confirmed: the servos that were read limp, by address; released: those that were sent the order
-    and cannot say it; unconfirmed: why the others were not; port_error: why the port cannot be
-    opened just now, empty once it is.
+    confirmed: addresses of servos that were read limp; released: of those that were sent the order
+    and cannot confirm it; unconfirmed: why each other servo was not, by address; port_error: why
+    the port cannot be opened now, empty: it can.
     """
 
     def __init__(
@@ -52,11 +52,14 @@ class TorqueRelease:
 
     @property
     def is_open(self) -> bool:
-        """Whether torque off has been sent."""
+        """Whether the port is open, and torque off has been sent."""
         return self._port is not None
 
     def step(self) -> bool:
-        """Open the port, or tell all, or ask one; whether it is over. Never raises BusError."""
+        """Open the port and send torque off, or poll one servo; return whether it is over.
+
+        Never raises BusError: the port is then opened again later.
+        """
         if self.done:
             return True
         try:
@@ -115,21 +118,20 @@ class TorqueRelease:
 
 
 class FaceRelease:
-    """Torque off by force at every port of a face, by the names of its servos.
+    """Torque off by force at every port of a face; servos are named as in the face.
 
-    let_go, unconfirmed: as a `TorqueRelease` has them, by name; port_error: of the ports that
-    cannot be opened just now. Of several ports each has a thread, so that none waits for another.
+    Of several ports each has a thread, so that none waits for another.
     """
 
     def __init__(self, ports: Sequence[tuple[TorqueRelease, Mapping[int, str]]]) -> None:
-        """Of each port: how its servos are let go, and their names by address."""
+        """ports: for each port, its release, and the names of its servos by address."""
         self._ports = tuple(ports)
         self._is_over = threading.Event()
         self._threads: list[threading.Thread] = []
         self._look_s = 0.0
 
     def step(self) -> bool:
-        """Go on; whether it is over at every port. Never raises BusError."""
+        """Do the next step at every port; return whether all are over. Never raises BusError."""
         if len(self._ports) == 1:
             return self._ports[0][0].step()
         if not self._threads:
@@ -144,17 +146,17 @@ class FaceRelease:
 
     @property
     def next_s(self) -> float:
-        """When there is something to do, or to look at."""
+        """The monotonic time of the next `step`."""
         return self._ports[0][0].next_s if len(self._ports) == 1 else self._look_s
 
     @property
     def port_error(self) -> str:
-        """Why ports cannot be opened just now; empty: all were."""
+        """Why ports cannot be opened now, joined in one text; empty: all are open or done."""
         return "; ".join(each.port_error for each, _ in self._ports if each.port_error)
 
     @property
     def let_go(self) -> list[str]:
-        """The servos that were read limp, and those that were sent the order and cannot confirm."""
+        """The names of servos that were read limp, or were sent torque off but cannot confirm."""
         return [
             names.get(address, f"address {address}")
             for each, names in self._ports
@@ -163,7 +165,7 @@ class FaceRelease:
 
     @property
     def unconfirmed(self) -> dict[str, str]:
-        """Why the others were not."""
+        """The reasons why servos were not confirmed limp, by their names."""
         return {
             names.get(address, f"address {address}"): each.port_error or why
             for each, names in self._ports
@@ -171,7 +173,7 @@ class FaceRelease:
         }
 
     def close(self) -> None:
-        """Give the ports back; a port that hangs keeps its thread, and no other waits for it."""
+        """Close the ports; a port that hangs keeps its thread, and no other port waits for it."""
         self._is_over.set()
         for thread in self._threads:
             thread.join(_RETRY_S)
@@ -191,10 +193,10 @@ def release_port(
     *,
     timeout_s: float = 0.0,
 ) -> TorqueRelease:
-    """Torque off at a port: the order is broadcast, and every servo that is found is polled.
+    """Broadcast torque off at a port, poll every servo found there, and return the release.
 
-    addresses: must be found. Waits up to `timeout_s` for the port. Raises PortError when it cannot
-    be opened.
+    addresses: servos that must be found. Waits up to `timeout_s` for the port. Raises PortError
+    when it cannot be opened.
     """
     release = TorqueRelease(open_port, addresses, searches=True)
     give_up_s = time.monotonic() + timeout_s

@@ -1,1 +1,1 @@
-"""What servos with registers on a shared serial line have in common, whatever their protocol."""
+"""Code for all servos that have registers and share a serial line, whatever their protocol."""

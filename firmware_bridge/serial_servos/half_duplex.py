@@ -1,4 +1,4 @@
-"""A half-duplex line to servos: who may speak when, how long an answer is waited for, echoes."""
+"""A half-duplex serial line to servos: transactions, learnt waiting times, late answers, echoes."""
 
 from collections.abc import Callable, Iterable
 from typing import Final, Protocol, TypeVar
@@ -21,7 +21,7 @@ _MARGIN_S: Final = 0.001
 
 
 class LearntLatency:
-    """Follows the largest recent delays: up by half a step at once, down slowly."""
+    """The waiting time for replies, learnt from their delays: quick to rise, slow to fall."""
 
     def __init__(self) -> None:
         self._high_s = _UNKNOWN_S
@@ -30,11 +30,11 @@ class LearntLatency:
 
     @property
     def rest_slack_s(self) -> float:
-        """The same for the rest of a reply of which part has come."""
+        """How many seconds to wait for the rest of a reply of which a part has come."""
         return min(max(self._high_s + _MARGIN_S, _LEAST_REST_S), _MOST_S)
 
     def learn(self, delay_s: float) -> None:
-        """Learn from a reply that came `delay_s` after its computed time."""
+        """Adapt the waiting times to a reply that came `delay_s` after its computed time."""
         share = _RISE if delay_s > self._high_s else _FALL
         self._high_s += share * (min(delay_s, _MOST_S) - self._high_s)
         self.slack_s = min(max(self._high_s + _MARGIN_S, _LEAST_S), _MOST_S)
@@ -48,11 +48,11 @@ ANYBODY: Final = -1
 
 
 class PendingAnswers:
-    """Whose answer of how many bytes may still come, and until when.
+    """Answers that may still come late: from which servo, of how many bytes, and until when.
 
-    A status packet says who answers and how many bytes it holds, not which question it answers. So
-    a question whose answer would look like a pending one must be sent in another length.
-    any: whether there may be something; `expire` makes it exact.
+    A status packet contains its servo and its length, but not the request that it answers. So a
+    request whose answer would be like a pending one must be sent in another length.
+    any: whether answers may be pending; `expire` makes it exact.
     """
 
     def __init__(self) -> None:
@@ -63,11 +63,11 @@ class PendingAnswers:
 
     @property
     def until_s(self) -> float:
-        """When the last of them can no longer come; minus infinity when none is pending."""
+        """When the last pending answer can no longer come; minus infinity: none is pending."""
         return max(self._until_s.values(), default=float("-inf"))
 
     def note(self, servo_id: int, size: int, request: bytes, now_s: float) -> None:
-        """We waited in vain for `size` bytes in answer to `request`; b"" = to several requests."""
+        """Note that `size` bytes in answer to `request` are overdue; b"": to several requests."""
         key = (servo_id, size)
         if self._requests.setdefault(key, request) != request:
             self._requests[key] = b""
@@ -76,7 +76,7 @@ class PendingAnswers:
         self.any = True
 
     def note_arrived(self, servo_id: int, size: int) -> None:
-        """An answer of `size` bytes arrived too late for its question."""
+        """Note that an answer of `size` bytes arrived late, so that one fewer is pending."""
         key = (servo_id, size)
         if key in self._n:
             self._n[key] -= 1
@@ -84,20 +84,17 @@ class PendingAnswers:
                 self._forget(key)
 
     def expire(self, now_s: float) -> bool:
-        """Forget what can no longer come; whether anything is left."""
+        """Forget answers that can no longer come; return whether any is still pending."""
         for key in [each for each, until_s in self._until_s.items() if until_s <= now_s]:
             self._forget(key)
         return self.any
 
     def looks_like(self, servo_id: int, size: int, request: bytes) -> bool:
-        """Whether an answer to `request` could be taken for one to some other request.
-
-        For requests that always have the same answer: pings, and writes of the same bytes.
-        """
+        """Return whether an answer to `request` looks like a pending one to another request."""
         return self._requests.get((servo_id, size), request) != request
 
     def free_size(self, ids: Iterable[int], size: int, step: int = 1) -> int:
-        """The least of size, size + step, ... that no pending answer of `ids` has."""
+        """Return the least of size, size + step, ... that no pending answer of `ids` has."""
         allowed_ids = {*ids, ANYBODY}
         taken = {pending for servo_id, pending in self._until_s if servo_id in allowed_ids}
         while size in taken:
@@ -114,25 +111,25 @@ _Taken_co = TypeVar("_Taken_co", covariant=True)
 
 
 class Take(Protocol[_Taken_co]):
-    """Makes something of a stream; None while it wants more."""
+    """A parser of the bytes of a reply; None: more bytes are needed."""
 
     def __call__(self, stream: bytes, *, last: bool) -> _Taken_co | None:
-        """Take what can be taken; last: no more will come."""
+        """Return the answer in `stream`, None: there is no whole one. last: no more bytes come."""
 
 
 class HalfDuplex:
-    """What the lines of all protocols do alike; each adds its own questions and answers.
+    """A half-duplex serial line; subclasses add the requests and answers of their protocol.
 
-    Not thread-safe: one owner. Every method raises PortError when the port fails; a servo that
-    does not answer is no error but a missing status. Nothing is sent before the computed end of the
-    last transaction.
-    echoes: the adapter gives back what is sent, which is found out by itself and swallowed.
-    extra_wait_s: how long beyond its time an answer is waited for; for commands outside the loop.
-    heard_noise: bytes came last time, but not the expected answer.
+    Not thread-safe: one owner. Every method raises PortError when the port fails; a servo that does
+    not answer is no error but a missing status. Nothing is sent before the computed end of the last
+    transaction.
+    echoes: the adapter returns the sent bytes, which is detected, and the echo removed.
+    extra_wait_s: further seconds to wait for an answer; for commands outside the loop.
+    heard_noise: in the last transaction bytes came, but not the expected answer.
     """
 
     def __init__(self, transport: Transport, return_delay_s: float, extra_wait_s: float) -> None:
-        """return_delay_s: the slowest servo's; it lengthens deadlines, not the wire."""
+        """return_delay_s: of the slowest servo; it lengthens deadlines, not the time per byte."""
         self.transport = transport
         self.return_delay_s = return_delay_s
         self.byte_s = BITS_PER_BYTE / transport.baud_rate
@@ -148,7 +145,7 @@ class HalfDuplex:
 
     @property
     def baud_rate(self) -> int:
-        """Bits a second on the wire."""
+        """Bits per second on the wire."""
         return self.transport.baud_rate
 
     @baud_rate.setter
@@ -157,11 +154,11 @@ class HalfDuplex:
         self.byte_s = BITS_PER_BYTE / baud_rate
 
     def tell(self, request: bytes) -> None:
-        """Send a request without an answer."""
+        """Send a request that has no answer."""
         self._send(request)
 
     def _send(self, request: bytes) -> float:
-        """When the last byte will be on the wire; our own bytes queue up and need no waiting."""
+        """Send bytes once the line is quiet; return when their last will be on the wire, in s."""
         now_s = self._clock.now()
         if now_s < self._quiet_s:
             self._clock.sleep_until(self._quiet_s)
@@ -181,7 +178,7 @@ class HalfDuplex:
         n_answers: int = 1,
         extra_wait_s: float = 0.0,
     ) -> _Answer | None:
-        """Send, then read until `take` is content or the time of the reply is over."""
+        """Send a request, and read until `take` returns an answer; None: none came in time."""
         transport, clock = self.transport, self._clock
         if self.extra_wait_s > extra_wait_s:
             extra_wait_s = self.extra_wait_s
@@ -219,9 +216,10 @@ class HalfDuplex:
             heard += more
 
     def _without_echo(self, heard: bytes, request: bytes) -> bytes:
-        """What came after our own bytes, if the adapter gives those back.
+        """Return the bytes after an echo of `request`, all bytes if there is none.
 
-        What came before them cannot answer this request, since the line carries one at a time.
+        Sets `echoes`. Bytes before the echo cannot answer this request, since the line carries one
+        at a time.
         """
         at = heard.find(request)
         if at < 0:

@@ -1,4 +1,4 @@
-"""Servos in their places in the face: degrees to pulses, and whether the right ones answer."""
+"""Servos as mounted in a face: joint degrees to position registers, and identity checks."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,27 +19,27 @@ _DOCTOR: Final = "`lipservo doctor` shows every difference between the servos an
 
 
 class PositionServo(Protocol):
-    """What a servo model must tell to be mounted.
+    """The properties of a servo model that are needed to mount it.
 
-    center_pulse, pulses_per_deg: of the position registers. current_unit_ma: of the register of
-    the current; None: the model does not measure it.
+    center_pulse, pulses_per_deg: of the position registers. current_unit_ma: of the register of the
+    current; None: the model does not measure it.
     """
 
     @property
     def name(self) -> str:
-        """Its name in the YAML."""
+        """The model's name in the YAML."""
 
     @property
     def center_pulse(self) -> int:
-        """Where the servo angle is 0."""
+        """The position register's value where the servo angle is 0."""
 
     @property
     def pulses_per_deg(self) -> float:
-        """Steps of the position registers a degree."""
+        """Steps of the position registers per degree."""
 
     @property
     def current_unit_ma(self) -> float | None:
-        """Milliamperes a step of the current register; None: it is not measured."""
+        """Milliamperes per step of the current register; None: the current is not measured."""
 
 
 Model = TypeVar("Model", bound=PositionServo, covariant=True)
@@ -50,7 +50,7 @@ Identity = TypeVar("Identity")
 class MountedServo(Generic[Model]):
     """One servo and the joint it drives. servo angle = sign x (joint angle + zero_offset_deg).
 
-    max_current_ma: it never pulls harder; None: as hard as it can.
+    max_current_ma: the limit of its current; None: none.
     Raises ValueError for a current limit on a model that does not measure current.
     """
 
@@ -69,25 +69,28 @@ class MountedServo(Generic[Model]):
 
     @property
     def current_cap(self) -> int | None:
-        """The most that the register of the current may be, in its unit; None: no cap."""
+        """The highest value for the current register, in its unit; None: no limit."""
         unit_ma = self.model.current_unit_ma
         if self.max_current_ma is None or unit_ma is None:
             return None
         return max(1, int(self.max_current_ma / unit_ma))
 
     def pulse(self, joint_deg: float) -> int:
-        """The position register's value for a joint angle."""
+        """Return the position register's value for a joint angle in degrees."""
         servo_deg = self.sign * (joint_deg + self.zero_offset_deg)
         return round(self.model.center_pulse + servo_deg * self.model.pulses_per_deg)
 
     def pulse_range(self) -> tuple[int, int]:
-        """The joint's soft limits in pulses, the smaller first."""
+        """Return the joint's soft limits as position register values, the smaller first."""
         ends = self.pulse(self.joint.min_deg), self.pulse(self.joint.max_deg)
         return min(ends), max(ends)
 
 
 class Mounting:
-    """All servos of a face at once. Arrays are (n_servos,)."""
+    """Conversion between joint degrees and positions of all servos of a face.
+
+    Arrays are (n_servos,).
+    """
 
     def __init__(self, servos: Sequence[MountedServo[PositionServo]]) -> None:
         self._scale = np.array([servo.sign * servo.model.pulses_per_deg for servo in servos])
@@ -128,7 +131,7 @@ class Mounting:
         return joint_deg
 
     def obstacle(self, index: int, place: int, low: float, high: float) -> str:
-        """Why one servo cannot hold at `place`; empty: it is within low .. high, in pulses."""
+        """Return why a servo cannot hold at `place`; empty: it is within low..high, in pulses."""
         if low <= place <= high:
             return ""
         here_deg, *ends_deg = (
@@ -149,11 +152,11 @@ def checked_identities(
     *,
     strict: bool,
 ) -> list[Identity | None]:
-    """What servos reported of themselves, if the face can be driven; None: one that is silent.
+    """Return `found`, the identities that servos reported (None: silent), if they can be driven.
 
-    Not strict: servos that do not answer are left for later, unless all or a critical one.
-    Raises ServoError with every mismatch in one text, and where all are silent with the kind of
-    bus that answers in place of `kind`; transport: None: that is not looked for.
+    Not strict: servos that do not answer are allowed, unless all are silent or a critical one is.
+    Raises ServoError with every mismatch in one text, and where all are silent with the kind of bus
+    that answers in place of `kind`; transport: None: that is not looked for.
     """
     silent = [servo for servo, each in zip(servos, found, strict=True) if each is None]
     if len(silent) == len(servos) and transport is not None:

@@ -1,6 +1,6 @@
-"""Servos of one chain found, compared with what they should hold, and set up one after another.
+"""Find the servos of one chain, compare them with their settings, and set them up one by one.
 
-`ChainSetup` is the order of all that; what a protocol does its own way are functions in it.
+`ChainSetup` is the sequence of these steps; its fields are the functions of a protocol.
 """
 
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
@@ -26,7 +26,7 @@ Found = Mapping[int, Sequence[tuple[int, Any]]]
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One register that does not hold what it should."""
+    """A register that must be changed: its name, the value found, and the value wanted."""
 
     name: str
     found: int
@@ -38,7 +38,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What one servo, found at an id and a rate, lacks to be the joint's."""
+    """The registers to change in one servo, found at an id and a baud rate, to fit its joint."""
 
     servo: MountedServo[Any]
     servo_id: int
@@ -56,38 +56,39 @@ def differences(found: Mapping[str, int], wanted: Mapping[str, int]) -> list[Dif
 
 
 def chain_is_complete(servos: Sequence[MountedServo[Any]], found: Found) -> bool:
-    """Whether every servo answers at its own id, so that none needs to be unplugged."""
+    """Return whether every servo answers at its own id, so that none needs to be unplugged."""
     return all(servo.joint.servo_id in found for servo in servos)
 
 
 @dataclass(frozen=True, slots=True)
 class ChainSetup:
-    """How the servos of one protocol are found and set up. Lines are of the protocol's own class.
+    """The steps to find and set up servos of one protocol. Lines are of the protocol's own class.
 
     The only place that writes EEPROM: torque off, only differences, all of it read back.
 
     Attributes
     ----------
     make_line
-        A line at an open port, with `extra_wait_s`.
+        Makes a line at an open port, with `extra_wait_s`.
     mounted_servos
-        Every servo of a face in its place.
+        Returns the servos of a face as mounted in its joints.
     rates, factory_rate, slowest_rate
-        Worth trying, the likely ones first; of a new servo; tried only while no servo answers.
+        Baud rates to try, likely ones first; that of a new servo; one tried only while no servo
+        answers.
     rate_of
-        Baud rate by the code that register `baud_rate` holds.
+        Returns the baud rates by the code in register `baud_rate`.
     answers
-        Everybody at the rate of the line, {id: model number}.
+        Returns all servos that answer at the rate of the line, {id: model number}.
     shares_id
-        Whether several servos seem to answer to an id.
+        Returns whether several servos seem to answer to an id.
     model_name
-        Of a model number, for people.
+        Returns the name of a model number.
     lacking
-        What the servo that answers at an id lacks to be the joint's at a baud rate.
+        Returns the registers to change in the servo at an id, to fit its joint at a baud rate.
     unlock, lock
-        Before and after registers are written: torque off, and what else it takes.
+        Called before and after registers are written: torque off, and the protocol's own steps.
     write, read
-        One register of the servo of a model at an id. Both raise ServoError.
+        Write or return one register of the servo of a model at an id. Both raise ServoError.
 
     """
 
@@ -108,7 +109,10 @@ class ChainSetup:
 
     @contextmanager
     def unhurried_line(self, port: str, baud_rate: int) -> Iterator[Any]:
-        """An open port that is waited for longer than a loop could. Raises PortError."""
+        """Open a port and yield a line with longer waits than a loop allows; close it.
+
+        Raises PortError.
+        """
         transport = open_port(port, baud_rate)
         try:
             yield self.make_line(transport, extra_wait_s=UNHURRIED_S)
@@ -116,19 +120,25 @@ class ChainSetup:
             transport.close()
 
     def servos_by_joint(self, wiring: Wiring) -> dict[str, MountedServo[Any]]:
-        """Every servo of a face in its place, by the name of its joint."""
+        """Return all servos of a face as mounted, by the names of their joints."""
         return {servo.joint.name: servo for servo in self.mounted_servos(wiring)}
 
     def scan(
         self, line: Any, rates: Iterable[int] | None = None
     ) -> Iterator[tuple[int, Mapping[int, Any]]]:
-        """Every rate in turn with the servos found at it. Stop when content."""
+        """Yield each baud rate with the servos that answer at it, {id: model number}.
+
+        rates: None: all. The line stays at the rate yielded last: a caller may stop there.
+        """
         for rate in dict.fromkeys(self.rates if rates is None else rates):
             line.baud_rate = rate
             yield rate, self.answers(line)
 
     def find_servos(self, line: Any, ids: Sequence[int], baud_rate: int) -> Found:
-        """Who answers at the face's rate and the factory's; at others while one of `ids` lacks."""
+        """Return the servos that answer at the face's and the factory's rate.
+
+        Other rates are tried while one of `ids` is missing.
+        """
         found: dict[int, list[tuple[int, Any]]] = {}
         rates = list(dict.fromkeys([baud_rate, self.factory_rate, *self.rates]))
         while rates and not (found and rates[0] == self.slowest_rate):
@@ -142,7 +152,11 @@ class ChainSetup:
     def plan_chain(
         self, line: Any, servos: Sequence[MountedServo[Any]], found: Found, baud_rate: int
     ) -> list[Plan]:
-        """A plan for every servo in its place. Raises ServoError, a line for each that is not."""
+        """Return a plan for every servo at its own id.
+
+        Raises ServoError with a line for each servo of another model, or with an id that several
+        have.
+        """
         lines = []
         for servo in servos:
             servo_id, name = servo.joint.servo_id, servo.joint.name
@@ -164,7 +178,10 @@ class ChainSetup:
         ]
 
     def plan_alone(self, line: Any, servo: MountedServo[Any], found: Found, baud_rate: int) -> Plan:
-        """A plan for the one servo there is, at any id. Raises ServoError unless it is one."""
+        """Return a plan for the one servo that answers, at any id.
+
+        Raises ServoError for none, for several, and for another model.
+        """
         name, own_id = servo.joint.name, servo.joint.servo_id
         answers = [(servo_id, *each) for servo_id, all_of_it in found.items() for each in all_of_it]
         if not answers:
@@ -235,9 +252,9 @@ class ChainSetup:
 
 
 def _limits_in_order(changes: Sequence[Difference]) -> list[Difference]:
-    """The same, the lower limit before the upper one where the range moves down.
+    """Return the changes with both position limits last, in an order that servos accept.
 
-    Upwards the upper limit makes way, downwards the lower one.
+    The limit that makes room comes first: servos refuse a lower limit above the upper one.
     """
     by_name = {change.name: change for change in changes}
     low, high = by_name.get(_LOW), by_name.get(_HIGH)

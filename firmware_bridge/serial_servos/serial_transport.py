@@ -1,4 +1,4 @@
-"""A serial port: pyserial opens it, for us alone; reads sleep in the kernel, nothing polls."""
+"""A serial port, opened by pyserial for this process alone; reads sleep in the kernel."""
 
 import contextlib
 import errno
@@ -22,7 +22,7 @@ class SerialTransport:
     """A `Transport` over a tty: USB adapter or pseudo-terminal. Use `open_port` to make one."""
 
     def __init__(self, handle: serial.Serial, clock: Clock) -> None:
-        """handle: open, and used for nothing but its settings and its end from now on."""
+        """handle: an open port, from now on used only to change settings and to close."""
         self._handle = handle
         self._fd: int = handle.fileno()
         self._port = handle.port
@@ -38,7 +38,7 @@ class SerialTransport:
 
     @property
     def baud_rate(self) -> int:
-        """Bits a second on the wire."""
+        """Bits per second on the wire."""
         return self._baud_rate
 
     @baud_rate.setter
@@ -52,7 +52,7 @@ class SerialTransport:
         self._baud_rate = baud_rate
 
     def write(self, data: bytes) -> None:
-        """Hand all of it to the kernel; waits only while its buffer is full."""
+        """Write all bytes to the kernel; wait only while its buffer is full."""
         try:
             written = os.write(self._fd, data)
             while written < len(data):
@@ -64,10 +64,10 @@ class SerialTransport:
             raise self._gone(error) from error
 
     def read(self, deadline_s: float) -> bytes:
-        """Sleep in the kernel until bytes come or time is up.
+        """Return the bytes that come until `deadline_s`, sleeping in the kernel; b"": none came.
 
         The kernel counts whole milliseconds, rounded up; the last part of one is slept through, so
-        that a silent servo costs no more than was meant.
+        that a silent servo costs no more time than intended.
         """
         try:
             left_ms = (deadline_s - self._clock.now()) * 1e3
@@ -85,7 +85,7 @@ class SerialTransport:
         return data
 
     def discard_input(self) -> bytes:
-        """Return and remove the bytes that have arrived."""
+        """Return and remove the bytes that have arrived, without waiting; b"": none."""
         try:
             return os.read(self._fd, _CHUNK)
         except BlockingIOError:
@@ -94,7 +94,7 @@ class SerialTransport:
             raise self._gone(error) from error
 
     def close(self) -> None:
-        """Close the port, which lets others open it again."""
+        """Unlock and close the port, so that others can open it again."""
         if self._fd >= 0:
             self._fd = -1
             release(self._handle.fileno())
@@ -106,7 +106,7 @@ class SerialTransport:
 
 
 def open_port(port: str, baud_rate: int, clock: Clock | None = None) -> SerialTransport:
-    """Open a port for us alone. Raises PortError that says what to do."""
+    """Open a serial port for this process alone. Raises PortError with the remedy."""
     try:
         handle = serial.Serial(port, baud_rate, timeout=0, exclusive=True)
     except ValueError as error:
@@ -125,22 +125,22 @@ def open_port(port: str, baud_rate: int, clock: Clock | None = None) -> SerialTr
 
 
 def claim(fd: int) -> None:
-    """Lock the port of `fd` for this process. Raises OSError when another holds the lock.
+    """Lock the port of `fd` for this process. Raises OSError when another process holds the lock.
 
-    The lock keeps out those who ask for it, root too; the flag of the terminal everybody but root.
+    The lock keeps out programs that try to lock, also root's; the terminal's flag all but root.
     """
     fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     fcntl.ioctl(fd, termios.TIOCEXCL)
 
 
 def release(fd: int) -> None:
-    """Undo `claim`; a port that is gone needs none of it."""
+    """Clear the exclusive flag that `claim` sets; a port that is gone is ignored."""
     with contextlib.suppress(OSError):
         fcntl.ioctl(fd, termios.TIOCNXCL)
 
 
 def latency_timer_ms(port: str) -> int | None:
-    """How long the adapter holds bytes back; None where the driver does not tell (not FTDI)."""
+    """Return how long the adapter holds bytes back, in ms; None: its driver has no such timer."""
     name = Path(port).resolve().name
     try:
         return int(Path(f"/sys/bus/usb-serial/devices/{name}/latency_timer").read_text())
@@ -149,7 +149,7 @@ def latency_timer_ms(port: str) -> int | None:
 
 
 def adapter_serial(port: str, sysfs: Path = Path("/sys")) -> str | None:
-    """Serial number of the USB adapter behind a port; None where it has none, or is none."""
+    """Return the serial number of the USB adapter behind a port; None: there is none."""
     device = (sysfs / "class/tty" / Path(port).resolve().name / "device").resolve()
     for folder in (device, *device.parents):
         with contextlib.suppress(OSError):
@@ -158,7 +158,7 @@ def adapter_serial(port: str, sysfs: Path = Path("/sys")) -> str | None:
 
 
 class SameAdapter:
-    """Opens one port again and again, and never another adapter that has come in its place.
+    """Opens one port repeatedly, but never another adapter that has taken its name.
 
     A face whose adapter was unplugged must not take the servos that appear at its old port.
     """
@@ -169,7 +169,10 @@ class SameAdapter:
         self._serial: str | None = None
 
     def __call__(self) -> SerialTransport:
-        """The port, open. Raises PortError."""
+        """Return the port, opened.
+
+        Raises PortError, also for an adapter of another serial number.
+        """
         found = adapter_serial(self._port)
         if self._serial is not None and found != self._serial:
             raise PortError(
@@ -182,7 +185,7 @@ class SameAdapter:
 
 
 def _ask_for_low_latency(handle: serial.Serial, port: str) -> None:
-    """Ask FTDI chips not to collect bytes for 16 ms, as they do by default.
+    """Set FTDI adapters not to collect bytes for 16 ms, which is their default.
 
     Best effort: other adapters need nothing, and without permission the udev rule does it.
     https://github.com/ROBOTIS-GIT/DynamixelSDK/issues/302
@@ -199,7 +202,7 @@ def _no_such_rate(port: str, baud_rate: int) -> str:
 
 
 def explain(port: str, error: OSError) -> str:
-    """Why a port cannot be opened, and what to do."""
+    """Return the message why a port cannot be opened, with the remedy."""
     if error.errno is None:  # pyserial found no settings to change
         return f"{port}: is not a serial port"
     if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):

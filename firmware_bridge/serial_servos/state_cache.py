@@ -1,4 +1,4 @@
-"""What the servos of one chain have reported so far, servo by servo."""
+"""The latest reports of the servos of one chain, servo by servo."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final, Protocol, TypeVar
@@ -12,15 +12,15 @@ _Kind = TypeVar("_Kind", bound=np.generic)
 
 
 class ServoIdentity(Protocol):
-    """What a servo reported of itself. eeprom: register values by name."""
+    """What a servo reported about itself: its EEPROM registers and its return delay."""
 
     @property
     def eeprom(self) -> Mapping[str, int]:
-        """With `min_position_limit` and `max_position_limit`."""
+        """EEPROM register values by name, with `min_position_limit` and `max_position_limit`."""
 
     @property
     def return_delay_s(self) -> float:
-        """Seconds that the servo waits before it answers."""
+        """How many seconds the servo waits before it answers."""
 
 
 #: Until a servo has been asked: as if freshly switched on in a warm room, 25 degC under 70.
@@ -30,11 +30,11 @@ ROOM_DEGC: Final = 45.0
 class ServoStateCache:
     """The last report of every servo. Every array is (n_servos,), in the face's order.
 
-    pulses, goals: position registers, NaN = never heard; effort: share of the stall torque;
+    pulses, goals: position registers, NaN = never received; effort: share of the stall torque;
     low, high: the servo's own limits in pulses; heard_s: when it answered last;
-    enabled: torque was switched on by us and not confirmed off since. What `health` and feedback
-    hand out they hand out without a copy, in every tick: these arrays are replaced, by `set_one`
-    for one, and never written into.
+    enabled: torque was switched on by us and not confirmed off since. `health` and feedback return
+    these arrays without a copy, in every tick: so arrays are replaced, by `set_one` for one servo,
+    and never written into.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class ServoStateCache:
         hottest_degc: Sequence[float],
         return_delay_s: float,
     ) -> None:
-        """Of servos whose EEPROM has not been read yet; hottest_degc: of their models."""
+        """Start without reports; the arguments hold until each servo's EEPROM has been read."""
         n = len(ids)
         self.ids = tuple(ids)
         self.index = {servo_id: k for k, servo_id in enumerate(ids)}
@@ -69,7 +69,7 @@ class ServoStateCache:
         self.unanswered = read_only(np.zeros(n, dtype=np.int64))
 
     def set_one(self, name: str, index: int, value: float) -> None:
-        """Replace the array of this name where a servo's value in it has changed."""
+        """Set one servo's value in the array `name`: replace the array if the value has changed."""
         array = getattr(self, name)
         if array.item(index) != value:
             array = array.copy()
@@ -79,7 +79,7 @@ class ServoStateCache:
     def take_identity(
         self, index: int, found: ServoIdentity, hottest_degc: float, now_s: float
     ) -> None:
-        """A servo's own limits and return delay, as its EEPROM says now."""
+        """Store a servo's limits and return delay from its EEPROM; it answered at `now_s`."""
         self.low[index] = found.eeprom["min_position_limit"]
         self.high[index] = found.eeprom["max_position_limit"]
         self.hottest[index] = hottest_degc
@@ -87,7 +87,7 @@ class ServoStateCache:
         self.heard_s[index] = now_s
 
     def ages(self, answered: Sequence[int], now_s: float) -> Array:
-        """Return how old each servo's part of a reading is.
+        """Return the age of each servo's last answer.
 
         Parameters
         ----------
@@ -99,14 +99,14 @@ class ServoStateCache:
         Returns
         -------
         Array
-            (n_servos,) seconds; 0 for those ids.
+            (n_servos,) seconds; 0 for the ids in `answered`.
         """
         ages = np.maximum(now_s - self.heard_s, 1e-9)
         ages[[self.index[each] for each in answered]] = 0.0
         return ages
 
     def count_silent(self, ages_s: Array) -> None:
-        """Count servos that did not answer a request to all.
+        """Add 1 to the count of unanswered requests of every servo whose age is above 0.
 
         Parameters
         ----------
@@ -145,7 +145,7 @@ class ServoStateCache:
 
 
 def read_only(array: NDArray[_Kind]) -> NDArray[_Kind]:
-    """Return the same array, made read-only.
+    """Return `array` itself, made read-only in place.
 
     Parameters
     ----------

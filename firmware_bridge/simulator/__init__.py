@@ -1,1 +1,1 @@
-"""Servos without hardware. Ships as product and is the default bus."""
+"""Simulated servos, so that a face runs without hardware; they are the default bus."""

@@ -1,4 +1,4 @@
-"""Servos in memory, moved by a clock."""
+"""A bus of servos simulated in memory, which a clock moves."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ XL330_TOP_SPEED_DEG_S = 618.0
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """The servos at one write: the goals they held after it, and where they stood. (n_servos,)."""
+    """The goals and positions of all servos just after one write, (n_servos,) degrees."""
 
     time_s: float
     goals_deg: Array
@@ -29,13 +29,13 @@ class Motion:
 
 
 class SimulatedBus:
-    """Servos that run to their goals at constant top speed; nothing but the clock moves them.
+    """A `ServoBus` in memory, whose servos run to their goals at constant top speed.
 
     As the real ones do, they keep their old goal when a new one is outside their range (and show
-    the error until the next goal they take), take goals while limp, stay where they are when
-    torque goes off, and run to the last goal they were given when it comes on.
+    the error until the next goal they take), take goals while limp, stay where they are when torque
+    goes off, and run to the last goal they were given when it comes on.
 
-    With fewer capabilities they move the same, and say less: a bus of hobby servos, for one.
+    With fewer capabilities they move likewise, and report less: as a bus of hobby servos, for one.
 
     Not simulated: acceleration, load, gravity, backlash, encoder steps, current, temperature,
     supply voltage, time on the wire, lost or damaged packets, a servo falling out.
@@ -51,9 +51,9 @@ class SimulatedBus:
         n_remembered: int = 20_000,
         capabilities: BusCapabilities = IN_MEMORY,
     ) -> None:
-        """Limp servos at `start_deg`, (n_servos,), or in neutral.
+        """Start with limp servos at `start_deg`, (n_servos,) degrees; None: in neutral.
 
-        capabilities: what they cannot measure they report as NaN.
+        capabilities: values that the servos cannot measure by these are reported as NaN.
 
         The newest `n_remembered` writes stay in `history`: by default more than ten minutes at
         30 Hz, and 7 MB with ten servos.
@@ -82,11 +82,11 @@ class SimulatedBus:
 
     @property
     def history(self) -> tuple[Motion, ...]:
-        """The servos at each write, oldest first."""
+        """The goals and positions at each write, oldest first, the newest `n_remembered`."""
         return tuple(self._history)
 
     def write_positions(self, positions_deg: Array) -> None:
-        """Set every goal that is inside its servo's range; NaN is not.
+        """Set every goal that is inside its servo's range; other servos keep theirs, also for NaN.
 
         Parameters
         ----------
@@ -109,7 +109,7 @@ class SimulatedBus:
         self._history.append(Motion(self._moved_until_s, self._goals_deg, self._positions_deg))
 
     def widen(self, joints: NDArray[np.bool_]) -> None:
-        """Widen the range of hobby servos; others keep theirs.
+        """Widen the range of hobby servos that are True to their pulses' reach; reset all others.
 
         Parameters
         ----------
@@ -119,7 +119,7 @@ class SimulatedBus:
         self._min_deg, self._max_deg = np.where(joints, self._reach_deg, self._narrow_deg)
 
     def read(self) -> Readings:
-        """Every servo, at the clock's present time."""
+        """Return the readings of all servos at the clock's present time."""
         self._move()
         return Readings(
             time_s=self._moved_until_s,
@@ -131,17 +131,17 @@ class SimulatedBus:
         )
 
     def feedback(self) -> Feedback:
-        """Every servo, at the clock's present time; no effort is simulated."""
+        """Return the positions of all servos at the clock's present time; effort is 0 or NaN."""
         self._move()
         now_s, places_deg, errors = self._moved_until_s, self._places_deg, self._errors
         return Feedback(now_s, places_deg, self._effort, errors, self._nothing)
 
     def remarks(self) -> Sequence[str]:
-        """No remarks: nothing is unusual here."""
+        """Return no remarks: simulated servos have nothing unusual."""
         return ()
 
     def look_after(self) -> Health:
-        """These servos are always well."""
+        """Return the health of all servos, which are always well."""
         n_servos = len(self._goals_deg)
         return Health(
             silent_s=self._nothing,
@@ -157,7 +157,7 @@ class SimulatedBus:
         )
 
     def obstacle(self, index: int) -> str:
-        """A place that is not known, or outside the servo's own range."""
+        """Return why a servo may not get torque: its position is unknown or out of range; or ""."""
         self._move()
         place_deg = self._positions_deg[index]
         if np.isnan(place_deg):
@@ -170,7 +170,7 @@ class SimulatedBus:
         )
 
     def enable_torque(self, index: int) -> str:
-        """Hold the place where it stands, unless something is in the way."""
+        """Switch a servo's torque on, to hold its position; return "", or why it may not."""
         obstacle = self.obstacle(index)
         if not obstacle:
             self._goals_deg = self._goals_deg.copy()
@@ -179,14 +179,14 @@ class SimulatedBus:
         return obstacle
 
     def keep_torque(self, index: int) -> bool:
-        """A servo that holds goes on holding where it stands."""
+        """Keep a servo's torque on at its present position; return whether it was and stays on."""
         self._move()
         if not self._torque_on[index]:
             return False
         return not self.enable_torque(index)
 
     def disable_torque(self, index: int) -> bool:
-        """Let one servo go limp."""
+        """Switch one servo's torque off; return True."""
         self._move()
         self._set_torque_of(index, on=False)
         return True
@@ -212,7 +212,7 @@ class SimulatedBus:
 
     @property
     def _places_deg(self) -> Array:
-        """Places as reported: NaN for servos that report none."""
+        """The positions as reported, in degrees: NaN for servos that report none."""
         return np.where(self._has_place, self._positions_deg, np.nan)
 
     def _set_torque_of(self, index: int, *, on: bool) -> None:
@@ -220,7 +220,7 @@ class SimulatedBus:
         self._torque_on[index] = on
 
     def push_by_hand(self, positions_deg: Array) -> None:
-        """Put limp joints somewhere, as a person would; held ones do not give.
+        """Move limp joints to these positions, as by hand; joints with torque on stay.
 
         Parameters
         ----------
@@ -239,9 +239,10 @@ class SimulatedBus:
         self._is_open = False
 
     def _move(self) -> None:
-        """Bring the servos to the present: they are looked at only now, so the motion is exact.
+        """Compute the positions at the clock's present time from the goals set before it.
 
-        Arrays are replaced, never written, since readings and history hold on to them.
+        Arrays are replaced, never written, since readings and history share them. Raises PortError
+        outside the `with` block.
         """
         if not self._is_open:
             raise PortError("the bus is used outside its `with` block")

@@ -1,4 +1,4 @@
-"""A chain of simulated servos on one half-duplex wire: bytes in, bytes out, each at its time."""
+"""A chain of simulated Dynamixels on one half-duplex wire: bytes in and out, each at its time."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, NamedTuple
@@ -23,7 +23,7 @@ from firmware_bridge.simulator.wire import Wire, WireCounts, WireRules
 
 
 class SpanWanted(NamedTuple):
-    """`size` bytes from `address` on, of one servo."""
+    """The `size` bytes from `address` on that a group read requests from one servo."""
 
     servo_id: int
     address: int
@@ -31,7 +31,7 @@ class SpanWanted(NamedTuple):
 
 
 def sync_read(parameters: bytes) -> list[SpanWanted]:
-    """The same span of each id; an id named twice is answered once, at its first place."""
+    """Parse a sync read: one span for all ids; an id named twice counts once, as named first."""
     if len(parameters) < 5:
         return []
     address = parameters[0] | parameters[1] << 8
@@ -40,7 +40,7 @@ def sync_read(parameters: bytes) -> list[SpanWanted]:
 
 
 def bulk_read(parameters: bytes) -> list[SpanWanted]:
-    """A span of its own for each id; an id named twice is answered once, as it was named first."""
+    """Parse a bulk read: a span for each id; of an id named twice the first span counts."""
     wanted: dict[int, SpanWanted] = {}
     for at in range(0, len(parameters) - 4, 5):
         servo_id, low, high, size_low, size_high = parameters[at : at + 5]
@@ -50,7 +50,7 @@ def bulk_read(parameters: bytes) -> list[SpanWanted]:
 
 
 def sync_write(parameters: bytes) -> dict[int, bytes]:
-    """Parameters of a plain write, by id. Of an id named twice the last block counts."""
+    """Parse a sync write into plain writes' parameters by id; an id's last block counts."""
     if len(parameters) < 5:
         return {}
     head = parameters[:2]
@@ -62,7 +62,7 @@ def sync_write(parameters: bytes) -> dict[int, bytes]:
 
 
 def bulk_write(parameters: bytes) -> dict[int, bytes]:
-    """Parameters of a plain write, by id. A block cut short is left out."""
+    """Parse a bulk write into parameters of a plain write by id; a block cut short is left out."""
     blocks: dict[int, bytes] = {}
     at = 0
     while at + 5 <= len(parameters):
@@ -92,10 +92,11 @@ _GROUP_WRITES: Final = {
 
 
 class SimulatedChain:
-    """Servos on one wire. The caller says what time it is; the same calls give the same bytes.
+    """Simulated Dynamixels on one wire, as a `SimulatedDevice`; callers pass the time.
 
-    Not simulated: voltage on the data line, adapters that echo (but for the fault `echo`), bytes of
-    one packet arriving apart, secondary ids, protocol 1; and what `SimulatedServo` refuses.
+    Equal calls give equal bytes. Not simulated: voltage on the data line, adapters that echo (but
+    for the fault `echo`), bytes of one packet arriving apart, secondary ids, protocol 1; and what
+    `SimulatedServo` refuses.
     """
 
     def __init__(
@@ -109,7 +110,7 @@ class SimulatedChain:
         seed: int = 0,
         baud_rate: int | None = None,
     ) -> None:
-        """Servos fresh from the factory; a baud rate given means set up: return delay 0, too."""
+        """Make servos with factory settings; a `baud_rate` sets them to it, with return delay 0."""
         self.motors = Motors(models, environment or Environment())
         self.servos = [
             SimulatedServo(model, servo_id, index, self.motors)
@@ -130,7 +131,7 @@ class SimulatedChain:
         self._cut_off = False
 
     def turn(self, index: int, by_deg: float) -> None:
-        """What a person's fingers do to a limp servo; one that is held, or not there, gives not."""
+        """Turn a limp servo's shaft by some degrees, as by hand; with torque on it stays."""
         if 0 <= index < len(self.servos) and not self.motors.torque_on[index]:
             self.motors.position[index] += by_deg * PULSES_PER_DEG
 
@@ -146,7 +147,7 @@ class SimulatedChain:
 
     @property
     def motion(self) -> Callable[[float, Array], None] | None:
-        """The callback for every step of the motion, 5 ms; None, the default, costs nothing.
+        """The callback for every 5 ms step of the motion; None, the default, costs nothing.
 
         Positions are pulses as `Motors` counts them, which is as present_position does for servos
         that are neither reversed nor given a homing offset. The array is the motors' own: copy what
@@ -164,7 +165,7 @@ class SimulatedChain:
         self.motors.motion = observer
 
     def unplug(self) -> None:
-        """Pull the computer's plug: what is under way is lost, servos keep their power.
+        """Disconnect the computer: bytes under way are lost, servos keep their power.
 
         May be called from any thread; a `PtyHost` hangs up within 50 ms.
         """
@@ -172,16 +173,16 @@ class SimulatedChain:
         self._afflictions.unplugged = True
 
     def plug_in(self) -> None:
-        """Put the plug in again; a `PtyHost` opens a new port, and its link leads there."""
+        """Connect the computer again; a `PtyHost` opens a new port, and its link leads there."""
         self._afflictions.unplugged = False
 
     @property
     def next_delivery_s(self) -> float:
-        """When the next bytes reach the computer; infinity when none are on their way."""
+        """The time in s of the next bytes to the computer; infinity: none are under way."""
         return self._wire.next_delivery_s
 
     def advance(self, now_s: float) -> None:
-        """Let motors, watchdogs and scripted faults run until `now_s`."""
+        """Simulate motors, watchdogs and scripted faults until `now_s`."""
         if now_s == self._now_s:
             return
         self._now_s = now_s
@@ -201,9 +202,9 @@ class SimulatedChain:
                 self.servos[index].latch(int(bits[index]))
 
     def _look_at_clocks(self, now_s: float) -> None:
-        """Stop those that have heard nothing for too long, each where it stood then.
+        """Trip the bus watchdogs that are due, each motor at its position of that time.
 
-        And those that switch torque on at start-up do so once they have booted.
+        Servos that switch torque on at start-up do so here once they have booted.
         """
         for servo in self.servos:
             if servo.holds_at_start:
@@ -214,7 +215,7 @@ class SimulatedChain:
                 servo.trip_watchdog()
 
     def receive(self, data: bytes, now_s: float, baud_rate: int) -> None:
-        """The computer writes `data` at `now_s`, at its baud rate."""
+        """Parse the bytes that the computer writes at `now_s` at its baud rate, and obey them."""
         byte_s = BITS_PER_BYTE / baud_rate
         heard, start_s = self._wire.host_speaks(data, now_s, byte_s)
         n_bad = self._parser.n_bad
@@ -227,11 +228,11 @@ class SimulatedChain:
         self.counts.bad_instructions += self._parser.n_bad - n_bad
 
     def deliver(self, now_s: float) -> bytes:
-        """The bytes that have reached the computer by `now_s`."""
+        """Return and remove the bytes that have reached the computer by `now_s`; b"": none."""
         return self._wire.deliver(now_s)
 
     def _hear(self, frame: Frame, end_s: float, byte_s: float, baud_rate: int) -> None:
-        """Give every servo of this baud rate one whole instruction."""
+        """Execute an instruction on all servos that listen at `baud_rate`; queue the replies."""
         self.counts.instructions += 1
         self.advance(end_s)
         listening = [s for s in self.servos if s.baud_rate == baud_rate and s.deaf_until_s <= end_s]
@@ -265,9 +266,9 @@ class SimulatedChain:
     def _broadcast(
         self, listening: list[SimulatedServo], instruction: int, parameters: bytes, byte_s: float
     ) -> None:
-        """Broadcast: no servo answers, but to a ping.
+        """Execute a broadcast instruction on all servos; only a ping is answered.
 
-        A factory reset of all is ignored, as the manual says.
+        A factory reset of everything is ignored, as the manual says.
         """
         if instruction == Instruction.FACTORY_RESET and parameters[:1] == b"\xff":
             return
@@ -281,7 +282,7 @@ class SimulatedChain:
     def _read_in_turn(
         self, listening: list[SimulatedServo], wanted: list[SpanWanted], byte_s: float
     ) -> None:
-        """Each in its turn; a silent servo leaves a gap of its own length, or stops the rest."""
+        """Answer a group read, each servo in turn; a silent one leaves a gap, or stops the rest."""
         by_id = _by_id(listening)
         for servo_id, address, size in wanted:
             answering = by_id.get(servo_id)
@@ -298,7 +299,7 @@ class SimulatedChain:
     def _read_together(
         self, listening: list[SimulatedServo], wanted: list[SpanWanted], byte_s: float
     ) -> None:
-        """Reply in one frame, which ends at the first silent servo."""
+        """Answer a fast group read in one frame, which ends at the first silent servo."""
         by_id = _by_id(listening)
         replies = []
         for servo_id, address, size in wanted:
@@ -315,7 +316,7 @@ class SimulatedChain:
 
 
 def _by_id(listening: list[SimulatedServo]) -> dict[int, list[SimulatedServo]]:
-    """Who answers to which id; more than one when an id was given twice."""
+    """Return the servos that answer reads, by id; several for an id that was given twice."""
     by_id: dict[int, list[SimulatedServo]] = {}
     for servo in listening:
         if servo.answers_reads:
@@ -324,9 +325,9 @@ def _by_id(listening: list[SimulatedServo]) -> dict[int, list[SimulatedServo]]:
 
 
 def chain_for(servos: Sequence[MountedServo], baud_rate: int, **options: Any) -> SimulatedChain:
-    """Every servo with its id, rate and limits, limp in neutral.
+    """Return a chain of a face's servos with their ids, rate and limits, limp in neutral.
 
-    options: those of `SimulatedChain`.
+    options: keyword arguments of `SimulatedChain`.
     """
     chain = SimulatedChain(
         [servo.model for servo in servos],

@@ -1,4 +1,4 @@
-"""The control table of one simulated servo, and what its registers mean for the motor."""
+"""The control table of one simulated servo, and the effect of its registers on the motor."""
 
 import math
 import struct
@@ -16,7 +16,7 @@ from firmware_bridge.simulator.motors import FULL_PWM, VELOCITY_UNIT, Motors, Pr
 
 
 class RegisterMemory:
-    """Register values by name, and reads and writes by address as a servo takes them."""
+    """Register values by name, and reads and writes by address with a servo's rules."""
 
     def __init__(self, model: ServoModel) -> None:
         self.bytes = bytearray(model.table_size)
@@ -33,7 +33,7 @@ class RegisterMemory:
         self.bytes[register.address : register.end] = register.encode(value)
 
     def shown(self, address: int, size: int) -> bytes:
-        """Return the bytes of a read; present values must be up to date."""
+        """Return the bytes that a read gets, also by indirect data; call `refresh` before."""
         data = bytes(self.bytes[address : address + size])
         for block in self._indirect:
             if address < block.data + block.count and address + size > block.data:
@@ -49,10 +49,10 @@ class RegisterMemory:
     def pieces(
         self, address: int, data: bytes, *, locked: bool
     ) -> list[tuple[Register, int]] | StatusError:
-        """Which registers a write touches, with their values, through indirect data if need be.
+        """Return the registers that a write changes, with their values, or the error against it.
 
-        Empty for a write of indirect addresses, which `map_indirect` then does. locked: torque is
-        on, so those cannot be changed.
+        Indirect data is resolved. Empty for a write of indirect addresses, which `map_indirect`
+        then does. locked: torque is on, so those cannot be changed.
         """
         for block in self._indirect:
             if block.data <= address < block.data + block.count:
@@ -75,7 +75,7 @@ class RegisterMemory:
     def _indirect_pieces(
         self, block: IndirectBlock, address: int, data: bytes
     ) -> list[tuple[Register, int]] | StatusError:
-        """The registers behind indirect data, byte by byte."""
+        """Return the registers, with values, that a write of indirect data changes, or an error."""
         shown: dict[int, int] = {}
         for offset, byte in enumerate(data):
             number = address + offset - block.data
@@ -96,7 +96,7 @@ class RegisterMemory:
         return pieces
 
     def map_indirect(self, address: int, data: bytes) -> None:
-        """Let indirect data show other addresses; `pieces` has found nothing against it."""
+        """Write indirect addresses, which `pieces` must have allowed."""
         self.bytes[address : address + len(data)] = data
 
     def _mapping_refusal(
@@ -147,8 +147,8 @@ SHAPING: Final = frozenset(
 class Drive:
     """Memory and motor of one servo, number `index` of `motors`.
 
-    The manual does not say about which place reverse mode mirrors positions; here it is 2048, so
-    that one turn stays one turn.
+    The manual does not say about which position reverse mode mirrors; here it is 2048, so that one
+    turn stays one turn.
     """
 
     def __init__(self, model: ServoModel, index: int, motors: Motors) -> None:
@@ -170,7 +170,7 @@ class Drive:
 
     @property
     def torque_on(self) -> bool:
-        """Whether the motor holds its place."""
+        """Whether torque is on."""
         return self._memory[_TORQUE] == 1
 
     @property
@@ -180,18 +180,18 @@ class Drive:
 
     @property
     def place(self) -> float:
-        """Where the shaft stands, as present_position counts, unrounded."""
+        """The shaft's position, in pulses of present_position, unrounded."""
         return float(self.motors.position[self.index] * self._sign + self._zero)
 
     def stand_at(self, place: float) -> None:
-        """Put the shaft where present_position reads `place`; its goal is there, too."""
+        """Put the shaft and its goal where present_position reads `place`, in pulses."""
         motors, i = self.motors, self.index
         motors.position[i] = motors.trajectory[i] = motors.goal[i] = self._shaft(place)
         self.table["goal_position"] = round(place)
         motors.shown_at_s = -1.0
 
     def settle(self) -> None:
-        """Let the motor be as the registers say now. A new profile counts from the next goal on."""
+        """Apply the registers to the motor; a new profile counts from the next goal on."""
         table, motors, i = self.table, self.motors, self.index
         drive_mode = table["drive_mode"]
         offset = table["homing_offset"]
@@ -214,20 +214,23 @@ class Drive:
         motors.shown_at_s = -1.0
 
     def _share_of_stall(self) -> float:
-        """What goal_current lets the motor do, as a share of its stall torque."""
+        """Return the torque that goal_current allows, as a share of the stall torque, 0..1."""
         if not self._has_current or self.table["operating_mode"] != CURRENT_BASED_POSITION:
             return 1.0
         units = min(abs(self.table["goal_current"]), self.table["current_limit"])
         return min(1.0, units * (self._model.current_unit_ma or 0.0) / self._stall_ma)
 
     def count_one_turn(self) -> None:
-        """Forget whole turns: the place is counted from 0 to 4095 again, but for the offset."""
+        """Forget whole turns: the position counts from 0 to 4095 again, plus the homing offset."""
         counted = float(self.motors.position[self.index]) * self._sign
         self._n_revolutions = math.floor(counted / _TURN) + (self._sign < 0)
         self.settle()
 
     def pursue(self, goal: int) -> None:
-        """Start a profile to `goal`, pulses of goal_position."""
+        """Start a profile to `goal`, in pulses; without torque do nothing, or switch it on.
+
+        Torque is switched on where the drive mode has torque on by goal update, unless `broken`.
+        """
         if not self._memory[_TORQUE]:
             if self._memory[_DRIVE_MODE] & TORQUE_BY_GOAL and not self.broken:
                 self.set_torque(on=True)
@@ -246,7 +249,7 @@ class Drive:
         motors.shown_at_s = -1.0
 
     def set_torque(self, *, on: bool) -> None:
-        """Switch torque; on, the motor runs to the goal that was left in the register."""
+        """Switch torque on or off; on, the motor runs to the goal in the register."""
         motors, i = self.motors, self.index
         was_on = self.torque_on
         self._memory[_TORQUE] = on
@@ -261,11 +264,11 @@ class Drive:
             self.pursue(self.table["goal_position"])
 
     def change_mode(self) -> None:
-        """What goes with another operating mode: gains, profile and limits are as after a restart.
+        """Reset gains, profile and goals as another operating mode does, as after a restart.
 
         https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#operating-mode11
-        The manual tells gains of mode 3 alone, so the other modes have the same. It does not say
-        what becomes of the goal; here it is where the servo stands, as after a restart.
+        The manual states gains of mode 3 alone, so the other modes have the same. It does not say
+        what becomes of the goal; here it is the present position, as after a restart.
         """
         defaults = self._model.defaults
         for name in defaults:
@@ -275,7 +278,7 @@ class Drive:
         self.reset_goals()
 
     def reset_goals(self) -> None:
-        """Goal PWM and goal current at their limits, goal position where the servo stands."""
+        """Set goal PWM and goal current to their limits, goal position to the present position."""
         self.table["goal_pwm"] = self.table["pwm_limit"]
         if self._has_current:
             self.table["goal_current"] = self.table["current_limit"]
@@ -284,19 +287,22 @@ class Drive:
         self.stand_at(self.place)
 
     def trip_watchdog(self) -> None:
-        """Stop where it is; goals are refused until 0 is written. Torque stays on."""
+        """Trip the bus watchdog: stop at the present position, with torque on.
+
+        Goals are refused until 0 is written to the register.
+        """
         self.table["bus_watchdog"] = _WATCHDOG_TRIPPED
         self.set_watchdog_timeout()
         self.motors.stop(self.index)
 
     def set_watchdog_timeout(self) -> None:
-        """The watchdog counts while torque is on."""
+        """Compute the watchdog's timeout from its register; infinity while it or torque is off."""
         setting = self.table["bus_watchdog"]
         armed = setting > 0 and self.torque_on
         self.watchdog_timeout_s = setting * WATCHDOG_UNIT_S if armed else math.inf
 
     def refresh(self, booted_s: float) -> None:
-        """Bring the registers of the present up to date."""
+        """Write the present values (position, current, ...) of the motor into their registers."""
         values = self.motors.register_values()[self.index]
         tick_ms = int((self.motors.now_s - booted_s) * 1e3) % 32768
         _PRESENT.pack_into(self._memory, _PRESENT_ADDRESS, tick_ms, *values)

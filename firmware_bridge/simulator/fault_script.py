@@ -1,4 +1,4 @@
-"""Fault scripts: YAML that says what goes wrong with simulated servos, and when.
+"""Parse fault scripts: YAML that lists faults of simulated servos, and their times.
 
 docs/simulator.md has an example and the table of kinds.
 """
@@ -27,11 +27,11 @@ _DEEPEST: Final = 20
 
 
 class FaultScriptError(ValueError):
-    """A script that cannot be used: in one line which fault, which key, and what is allowed."""
+    """A script that cannot be used; in one line: which fault, which key, and what is allowed."""
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """Plain values, and no key twice: PyYAML would silently keep the last one."""
+    """A YAML loader of plain values; refuses a key given twice, where PyYAML keeps the last."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen = set()
@@ -45,9 +45,9 @@ class _StrictLoader(yaml.SafeLoader):
 
 
 def read_faults(text: str | None, n_servos: int) -> tuple[int, tuple[Fault, ...]]:
-    """Seed and faults of a script for a chain of `n_servos`; None: none.
+    """Parse the seed and the faults of a script for a chain of `n_servos`; None: 0 and no faults.
 
-    Raises FaultScriptError for whatever is not allowed in it.
+    Raises FaultScriptError for an invalid script.
     """
     if text is None:
         return 0, ()
@@ -81,7 +81,7 @@ def _load(text: str) -> object:
 
 
 def _bracket_depth(text: str) -> int:
-    """How many brackets are open at once, at most; those in quotes count, too."""
+    """Return the greatest depth of open brackets in a text; those in quotes count, too."""
     depth = deepest = 0
     for character in text:
         depth += (character in "[{") - (character in "]}")
@@ -90,7 +90,7 @@ def _bracket_depth(text: str) -> int:
 
 
 class _Reader:
-    """Takes one entry of the list apart, key by key."""
+    """A parser of one entry of the list of faults; refuses unknown kinds and keys."""
 
     def __init__(self, number: int, raw: object, n_servos: int) -> None:
         self._where = f"fault {number}"
@@ -112,7 +112,7 @@ class _Reader:
                 )
 
     def fault(self) -> Fault:
-        """The fault. Raises FaultScriptError."""
+        """Return the entry's fault. Raises FaultScriptError for an invalid value."""
         amount = AMOUNTS.get(self._kind)
         if not self._by_chance:
             self._check_times()

@@ -1,4 +1,4 @@
-"""What can go wrong on the simulated wire and in the simulated servos, by seed and by moment."""
+"""Faults on the simulated wire and in simulated servos, by seeded chance or at given times."""
 
 import heapq
 import math
@@ -67,7 +67,7 @@ LASTING: Final = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Amount:
-    """What `amount` means for one kind, and between which bounds it lies; whole: no fractions."""
+    """The meaning of `amount` for one kind of fault, and its bounds; whole: no fractions."""
 
     meaning: str
     low: float
@@ -97,11 +97,11 @@ AMOUNTS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault. servos: indices in the chain, empty = all.
+    """One fault of a simulated chain. servos: indices in the chain, empty = all.
 
     On packets: happens with `probability` between from_s and until_s.
     On servos: happens at each of at_s and every `every_s` (0 = never), for lasts_s.
-    amount: what the kind needs: seconds late, bits corrupted, degrees pushed, load share.
+    amount: as `AMOUNTS` lists it for the kind: seconds late, degrees pushed, load share, ...
     """
 
     kind: str
@@ -121,7 +121,7 @@ class Fault:
             raise ValueError(f"fault {self.kind}: probability {self.probability} is outside 0..1")
 
     def hits(self, index: int, now_s: float, rng: random.Random) -> bool:
-        """Whether it hits a packet of servo `index` now."""
+        """Return whether the fault hits a packet of servo `index` at `now_s`, by `rng`'s chance."""
         return (
             (not self.servos or index in self.servos)
             and self.from_s <= now_s < self.until_s
@@ -152,7 +152,7 @@ class FaultInjector:
         self._low_v, self._high_v, self._hottest = low / 10.0, high / 10.0, hot
 
     def advance(self, now_s: float) -> None:
-        """Apply all faults that are due by `now_s`."""
+        """Begin and end all faults that are due by `now_s`."""
         while self._coming and self._coming[0][0] <= now_s:
             when_s, _, n_before, begins, fault = heapq.heappop(self._coming)
             self._motors.advance(when_s)
@@ -179,7 +179,7 @@ class FaultInjector:
             self._expect(when_s, n_before, fault, begins=True)
 
     def hardware_errors(self) -> NDArray[np.int64]:
-        """Return the error bits that each servo would set now.
+        """Return the hardware error bits that each servo would set now, by its limits.
 
         Returns
         -------

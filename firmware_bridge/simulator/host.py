@@ -1,4 +1,4 @@
-"""Simulated Dynamixels for other programs: in memory, or behind a terminal."""
+"""Simulated Dynamixels for other programs: in memory, or behind a pseudo-terminal."""
 
 from pathlib import Path
 from typing import Any, Final
@@ -19,7 +19,7 @@ _MODEL: Final = "XL330-M288"
 
 
 def simulated_wire(wiring: Wiring) -> tuple[DynamixelBus, ManualClock]:
-    """The servos of a face in memory, and the clock that moves them."""
+    """Return the bus of a face's servos, simulated in memory, and the clock that moves them."""
     servos, clock, rate = mounted_servos(wiring), ManualClock(), wiring.settings.baud_rate
     chain = chain_for(servos, rate)
     return DynamixelBus(servos, lambda: MemoryTransport(chain, clock, rate)), clock
@@ -36,12 +36,12 @@ def serve(
     faults: str | None,
     **options: Any,
 ) -> PtyHost:
-    """Servos behind a terminal that any program can open: a face's, or `n_servos` of one model.
+    """Return a host that serves simulated Dynamixels at a pseudo-terminal.
 
-    link: a path that leads to it. options: chain_stops, as of `WireRules`.
-    baud_rate: None: that of the face, or fresh from the factory.
-    faults: the text of a script. Raises ServoError for what no chain can have, FaultScriptError,
-    and PortError where no terminal can be made.
+    They are a face's servos, or `n_servos` of one model. link: path of a symbolic link to the
+    terminal. options: chain_stops, as of `WireRules`. baud_rate: None: that of the face, or the
+    factory's. faults: the YAML text of a script. Raises ServoError for unknown models, rates and
+    ids, FaultScriptError for a bad script, and PortError where no terminal or link can be made.
     """
     if options.get("log") is not None:
         raise ServoError("--log: is of hobby servos only")

@@ -1,4 +1,4 @@
-"""Servos in memory as a kind of bus: a Dynamixel face without its servos."""
+"""The kind of servo bus `simulated`: servos in memory with the YAML settings of Dynamixels."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Final
@@ -14,23 +14,23 @@ if TYPE_CHECKING:
 
 
 class SimulatedKind(DynamixelKind):
-    """Written down as Dynamixels are, so that `--port` is all that it takes to drive real ones."""
+    """The kind `simulated`: settings as for Dynamixels, so that `--port` alone drives real ones."""
 
     name = "simulated"
     at_port = "dynamixel"
 
     def capabilities(self, _settings: "BusSettings") -> BusCapabilities:
-        """The capabilities of servos that are moved by a clock alone."""
+        """Return the capabilities of servos simulated in memory."""
         return IN_MEMORY
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":  # noqa: ARG002 - nobody is missing
-        """Open the simulated bus; never refuses, since no servo is missing."""
+        """Return the simulated bus, which must be entered by `with`; no servo is ever missing."""
         from firmware_bridge.simulator.bus import SimulatedBus
 
         return SimulatedBus(wiring.joints, clock, capabilities=wiring.capabilities or IN_MEMORY)
 
     def memories(self, _wiring: Wiring) -> Sequence[Mapping[str, int] | None]:
-        """None to be known by."""
+        """Return no memories: simulated servos keep no settings of their own."""
         return ()
 
 

@@ -1,4 +1,4 @@
-"""The motors of simulated servos: profile, speed, load, current, heat, supply; in arrays."""
+"""The motors of simulated servos, as arrays: profile, speed, load, current, heat, supply."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -23,7 +23,7 @@ STEP, RECTANGLE, TRIANGLE, TRAPEZOID = 0x00, 0x10, 0x20, 0x30
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """What one profile bounds, in pulses a second (squared), and its bits of moving_status."""
+    """Top speed and acceleration of a motion, in pulses/s and /s^2, and its moving_status bits."""
 
     top_speed: float
     acceleration: float
@@ -34,7 +34,7 @@ class Course:
 class Profile:
     """Profile velocity and acceleration as the registers hold them; 0 = no bound.
 
-    timed: drive mode bit 2. They then are milliseconds: of the whole motion, and of speeding up.
+    timed: drive mode bit 2: both are times in ms, of the whole motion and of speeding up.
     """
 
     timed: bool
@@ -43,14 +43,14 @@ class Profile:
 
     @property
     def depends_on_distance(self) -> bool:
-        """Whether each goal makes a course of its own."""
+        """Whether each goal's distance must be known to compute its course."""
         return self.velocity > 0 and (self.timed or self.acceleration > 0)
 
     def course(self, distance: float, speed: float = 0.0) -> Course:
-        """The course to a goal `distance` pulses away, moving towards it at `speed` already.
+        """Return the course to a goal `distance` pulses away, moving towards it at `speed` already.
 
-        With time as its measure the profile takes the time it was given, T, of which it speeds up
-        and slows down for t each: distance = speed t / 2 + top speed (T - t).
+        A timed profile takes the set time, T, of which it speeds up and slows down for t each:
+        distance = speed t / 2 + top speed (T - t).
         """
         if not self.velocity:
             return Course(UNBOUNDED, self._bound, STEP)
@@ -65,7 +65,7 @@ class Profile:
 
     @property
     def _bound(self) -> float:
-        """Without a profile velocity the acceleration still bounds, unless it is a time."""
+        """The acceleration bound without a profile velocity, in pulses/s^2; none if timed."""
         if self.timed or not self.acceleration:
             return UNBOUNDED
         return self.acceleration * ACCELERATION_UNIT
@@ -104,7 +104,7 @@ VOLTAGE_ERROR, HEAT_ERROR, ENCODER_ERROR, SHOCK_ERROR, OVERLOAD_ERROR = 1, 4, 8,
 
 @dataclass(frozen=True, slots=True)
 class Environment:
-    """What the manual does not tell, as parameters. None of it was measured on a servo.
+    """Properties that the manual does not state, as parameters; none was measured on a servo.
 
     overload_share: share of the stall torque that counts as overload after `overload_after_s`.
     heat_deg_s: warming at stall current; cooling_s: time constant of cooling.
@@ -122,15 +122,15 @@ class Environment:
 
 
 class MotorModel(Protocol):
-    """What is known of the motor of one servo model."""
+    """The data of the motor of one servo model."""
 
     @property
     def nominal_voltage_v(self) -> float:
-        """At which the rest holds."""
+        """The voltage in V at which the other data are true."""
 
     @property
     def no_load_deg_s(self) -> float:
-        """Top speed without load."""
+        """Top speed without load, in degrees per second."""
 
     @property
     def stall_a(self) -> float:
@@ -138,15 +138,15 @@ class MotorModel(Protocol):
 
     @property
     def current_unit_ma(self) -> float | None:
-        """Of its register of the present current; None: it counts load."""
+        """The unit in mA of the present-current register; None: that register counts load."""
 
 
 class Motors:
-    """Every motor of a chain; positions in pulses, speeds in pulses a second. Arrays are (n,).
+    """All motors of a chain; positions in pulses, speeds in pulses a second. Arrays are (n,).
 
-    Positions are the shafts' own, counter-clockwise, with 2048 in the middle of the first turn.
-    What a register shows is `sign` x position + `zero`: the same, unless the servo is reversed, has
-    a homing offset, or counts another turn.
+    Positions are the shafts' own, counter-clockwise, with 2048 in the middle of the first turn. A
+    register shows `sign` x position + `zero`: equal, unless the servo is reversed, has a homing
+    offset, or counts another turn.
     Set the inputs (goal, torque, course, load, jam), call `advance`, read the rest.
     """
 
@@ -195,9 +195,9 @@ class Motors:
         self.shown_at_s = -1.0
 
     def register_values(self) -> list[list[int]]:
-        """The registers of the present, from `moving` to present_temperature, a list a servo.
+        """Return each servo's registers from `moving` to present_temperature, in register units.
 
-        In the units of the registers, of the time that was advanced to.
+        They are those of the time of the last `advance`.
         """
         if self.shown_at_s != self.now_s:
             self.shown_at_s = self.now_s
@@ -228,18 +228,18 @@ class Motors:
         return np.asarray(status + _NOT_FOLLOWING * late)
 
     def set_course(self, index: int, course: Course) -> None:
-        """Set what bounds the way of one servo to its next goal."""
+        """Set top speed, acceleration and shape of one servo's motion to its next goal."""
         self.top_speed[index] = course.top_speed
         self.acceleration[index] = course.acceleration
         self.shape[index] = course.shape
 
     def stop(self, index: int) -> None:
-        """Hold the present place from now on."""
+        """Make the present position of one servo its goal, so that it holds there."""
         self.goal[index] = self.trajectory[index] = self.position[index]
         self.trajectory_velocity[index] = 0.0
 
     def advance(self, now_s: float) -> None:
-        """Let time pass until `now_s`; never backwards."""
+        """Simulate all motors until `now_s`, in steps of 5 ms; an earlier time does nothing."""
         if now_s <= self.now_s:
             return
         self.now_s = now_s
@@ -291,7 +291,7 @@ class Motors:
         self._supply_and_heat(_STEP_S, effort, self._heat_kept)
 
     def _follow_profile(self) -> None:
-        """Trapezoid: full acceleration, top speed, braking in time.
+        """Move every trajectory by a step: full acceleration, top speed, braking in time.
 
         https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#profile-velocity112
         """
@@ -310,7 +310,10 @@ class Motors:
         self.trajectory_velocity = np.where(on & ~there, v, 0.0)
 
     def _supply_and_heat(self, dt_s: float, effort: Array, keep: float) -> None:
-        """keep: the share of a difference in temperature that is left after `dt_s`."""
+        """Compute voltage, temperature and overload after `dt_s` of `effort`, (n,) shares of stall.
+
+        keep: the share of a difference in temperature that is left after `dt_s`.
+        """
         around = self._environment
         self._effort = effort
         current_a = self._stall_a * effort + around.standby_a
@@ -323,7 +326,7 @@ class Motors:
     def hardware_errors(
         self, low_v: Array, high_v: Array, hottest_degc: Array
     ) -> NDArray[np.int64]:
-        """Return the error bits that each servo would set now, given its own limits.
+        """Return the hardware error bits that each servo would set now, by its limits.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""A simulated chain as a port: in memory on any clock, or a pseudo-terminal for any program."""
+"""A simulated device as a port: in memory on any clock, or a pseudo-terminal for any program."""
 
 import contextlib
 import ctypes
@@ -21,32 +21,32 @@ from firmware_bridge.errors import PortError, PortGone
 
 
 class SimulatedDevice(Protocol):
-    """Whatever is at the other end of a simulated port; times are seconds on one clock."""
+    """The device at the other end of a simulated port; times are seconds on one clock."""
 
     @property
     def plugged(self) -> bool:
-        """Whether its port is there."""
+        """Whether the device's port exists now."""
 
     @property
     def next_delivery_s(self) -> float:
-        """The time of the next bytes to the computer; infinity: none."""
+        """The time in s of the next bytes to the computer; infinity: none."""
 
     def advance(self, now_s: float) -> None:
-        """Move the device on to `now_s`."""
+        """Simulate the device until `now_s`."""
 
     def receive(self, data: bytes, now_s: float, baud_rate: int) -> None:
-        """Hear bytes at a rate."""
+        """Take bytes that the computer sends at `now_s` at a baud rate."""
 
     def deliver(self, now_s: float) -> bytes:
-        """Return the bytes that it has sent by `now_s`."""
+        """Return and remove the bytes that reach the computer by `now_s`; b"": none."""
 
 
 @dataclass(frozen=True, slots=True)
 class WatchedServos:
-    """Servos simulated in memory, and what only a judge of them looks at.
+    """Servos simulated in memory, with access to their true state, for tests.
 
-    device: what is simulated. shafts_deg: where the joints stand now, (n_servos,). is_reachable:
-    whether the bus can speak to it just now.
+    device: the simulated device. shafts_deg: returns the joints' true angles now, (n_servos,)
+    degrees. is_reachable: returns whether the bus can reach the device now.
     """
 
     bus: ServoBus
@@ -57,7 +57,7 @@ class WatchedServos:
 
 
 class MemoryTransport:
-    """A `Transport` whose other end is a chain. `tap` sees every write, as (time_s, bytes)."""
+    """A `Transport` to a simulated device in memory; `tap` gets every write, as (time_s, bytes)."""
 
     def __init__(
         self,
@@ -66,7 +66,7 @@ class MemoryTransport:
         baud_rate: int = 1_000_000,
         tap: Callable[[float, bytes], None] | None = None,
     ) -> None:
-        """Raises PortGone while the chain is unplugged, as opening its port would."""
+        """Open the port. Raises PortGone while the device is unplugged."""
         self._chain = chain
         self._clock = clock
         self.baud_rate = baud_rate
@@ -76,18 +76,18 @@ class MemoryTransport:
 
     @property
     def clock(self) -> Clock:
-        """The clock it was given."""
+        """The clock that the simulation runs on."""
         return self._clock
 
     def write(self, data: bytes) -> None:
-        """Put bytes on the simulated wire."""
+        """Send bytes to the simulated device. Raises PortGone."""
         self._check()
         if self._tap is not None:
             self._tap(self._clock.now(), data)
         self._chain.receive(data, self._clock.now(), self.baud_rate)
 
     def read(self, deadline_s: float) -> bytes:
-        """Jump to the next delivery or to the deadline, whichever comes first."""
+        """Advance the clock to the next delivery; return its bytes. b"": none by `deadline_s`."""
         self._check()
         self._clock.sleep_until(min(self._chain.next_delivery_s, deadline_s))
         data = self._chain.deliver(self._clock.now())
@@ -101,7 +101,7 @@ class MemoryTransport:
         return self._chain.deliver(self._clock.now())
 
     def close(self) -> None:
-        """Forget the chain's pending bytes."""
+        """Close the port, and drop the device's bytes under way."""
         if not self._closed:
             self._closed = True
             self._chain.deliver(float("inf"))
@@ -117,18 +117,18 @@ _TERMINALS: Final = Path("/dev/pts")
 
 
 class PortLink:
-    """A symbolic link of ours. A link or file of another program stays as it is."""
+    """A symbolic link that a simulator makes to its port; links and files of others stay."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._port = ""
 
     def lead_to(self, port: str) -> None:
-        """Let the path lead to `port`.
+        """Make the path a symbolic link to `port`.
 
-        Taken over is a link of ours, or one to a pseudo-terminal that is no more, as a simulator
-        that was killed leaves behind. Raises PortError for anything else, and where no link can
-        be made.
+        Replaced is a link of ours, or one to a pseudo-terminal that no longer exists, as a
+        simulator that was killed leaves behind. Raises PortError for anything else, and where no
+        link can be made.
         """
         if not self._path.name:
             raise PortError(f"--link {self._path}: is a folder, not the name of a link")
@@ -153,7 +153,7 @@ class PortLink:
         self._port = port
 
     def remove(self) -> None:
-        """Take the link away, if it still leads to our port."""
+        """Remove the link if it still leads to our port."""
         if self._port and self._target() == self._port:
             with contextlib.suppress(OSError):
                 self._path.unlink()
@@ -182,21 +182,21 @@ _EVENTS: Final = 16_384
 
 
 class ExclusiveAccess:
-    """Watches one pseudo-terminal from its host's side."""
+    """The host's watch on one pseudo-terminal: clears the exclusive flag that clients leave."""
 
     def __init__(self, slave: int, port: str) -> None:
-        """slave: the host's own descriptor of `port`. Where inotify is missing, nothing happens."""
+        """slave: the host's own descriptor of `port`. Without inotify closes are not noticed."""
         self._slave = slave
         self._port = port
         self._watch = _watch_closes(port)
 
     @property
     def descriptors(self) -> list[int]:
-        """Readable once a client has closed the port."""
+        """The descriptors that become readable once a client has closed the port; may be empty."""
         return [] if self._watch is None else [self._watch]
 
     def other_end_closed(self) -> None:
-        """Open the port to everybody again, unless a client still holds it."""
+        """Clear the exclusive flag, so that any client may open the port, unless one has it."""
         if self._watch is not None:
             with contextlib.suppress(BlockingIOError):
                 os.read(self._watch, _EVENTS)
@@ -204,7 +204,7 @@ class ExclusiveAccess:
             fcntl.ioctl(self._slave, termios.TIOCNXCL)
 
     def close(self) -> None:
-        """Stop watching."""
+        """Stop watching, and close the watch's descriptor."""
         if self._watch is not None:
             os.close(self._watch)
             self._watch = None
@@ -217,9 +217,9 @@ class ExclusiveAccess:
         return struct.unpack("i", answer) != (0,)
 
     def _is_held(self) -> bool:
-        """Whether any process, this one included, has the port open besides the host itself.
+        """Return whether any process, this one included, has the port open besides the host itself.
 
-        Processes of other users cannot be looked into. They could not open the port either, except
+        Processes of other users cannot be inspected. They could not open the port either, except
         for root, whom exclusive access never kept out.
         """
         own = f"/proc/{os.getpid()}/fd/{self._slave}"
@@ -234,7 +234,7 @@ class ExclusiveAccess:
 
 
 def _watch_closes(path: str) -> int | None:
-    """A descriptor that tells of every close of `path`; None where the computer cannot."""
+    """Return an inotify descriptor that reports every close of `path`; None without inotify."""
     try:
         libc = ctypes.CDLL(None, use_errno=True)
         watch = libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
@@ -265,15 +265,15 @@ _BUSY_S: Final = 0.001
 
 
 class PtyHost:
-    """Serves one chain on the computer's clock until stopped. Linux only.
+    """A host that serves one simulated device at a pseudo-terminal, in real time. Linux only.
 
     The simulator sees the client's baud rate, so a wrong one is silence, as on the wire. `unplug`
-    closes the terminal, by the chain's method or by its script; plugged in again it has a new name,
-    and `link`, if given, leads to it, as /dev/serial/by-id does.
+    closes the terminal, by the device's method or by its script; plugged in again it has a new
+    name, and `link`, if given, leads to it, as /dev/serial/by-id does.
     """
 
     def __init__(self, chain: SimulatedDevice, link: Path | None = None) -> None:
-        """Raises PortError when there is no pseudo-terminal, or no link can be made at `link`."""
+        """Open the terminal. Raises PortError when no terminal or no `link` can be made."""
         self._chain = chain
         self._link = None if link is None else PortLink(link)
         self._zero_s = time.monotonic()
@@ -289,7 +289,7 @@ class PtyHost:
                 raise
 
     def serve(self, stopped: Callable[[], bool], wake_fd: int | None = None) -> None:
-        """Serve until `stopped` says so; readable bytes on `wake_fd` make it ask at once."""
+        """Serve until `stopped()` is True, checked every 50 ms, or `wake_fd` is readable."""
         while not stopped():
             now_s = time.monotonic() - self._zero_s
             wait_s = self._chain.next_delivery_s - now_s
@@ -311,12 +311,12 @@ class PtyHost:
                 self._access.other_end_closed()
 
     def turn(self, index: int, by_deg: float) -> None:
-        """A hand turns a limp servo; of a device without shafts for hands nothing moves."""
+        """Turn a limp servo's shaft by some degrees, as by hand, if the device has such shafts."""
         if (turn := getattr(self._chain, "turn", None)) is not None:
             turn(index, by_deg)
 
     def close(self) -> None:
-        """Hang up: clients see the end of file."""
+        """Close the terminal, at which clients read the end of file, and remove the link."""
         if self._access is not None:
             self._access.close()
             self._access = None
@@ -366,7 +366,7 @@ class PtyHost:
 
 
 def _baud_rate(terminal: int) -> int | None:
-    """The rate that a client has set, in bits a second; None for one that cannot be determined."""
+    """Return the rate that a client has set at a terminal, in bits/s; None: unknown."""
     try:
         settings = fcntl.ioctl(terminal, _TCGETS2, bytes(_TERMIOS2_SIZE))
     except OSError:  # other numbers on some machines

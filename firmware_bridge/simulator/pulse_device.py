@@ -1,6 +1,6 @@
-"""What simulated controllers of hobby servos share: their script of faults, and the log of pulses.
+"""Fault scripts and the log of pulses, common to simulated controllers of hobby servos.
 
-Servos with places of their own have `fault_script` and `faults`.
+Servos that report their positions have `fault_script` and `faults`.
 """
 
 import json
@@ -16,7 +16,7 @@ from firmware_bridge.errors import ServoError
 
 
 class TimedFault(Strict):
-    """What goes wrong, as `kind` says, and when: once at at_s, or again and again."""
+    """A fault of a `kind` in a simulated controller: at at_s, and then every `every_s` if set."""
 
     at_s: Annotated[float, within(0.0, 1e9)]
     every_s: Annotated[float, within(0.01, 1e9)] | None = None
@@ -27,7 +27,10 @@ Fault = TypeVar("Fault", bound=TimedFault)
 
 
 def parse_faults(text: str | None, fault: type[Fault]) -> Sequence[Fault]:
-    """Faults of a script. Raises ValueError for whatever is not allowed in it."""
+    """Parse the faults in a YAML script as `fault`; None: none.
+
+    Raises ValueError for a bad script.
+    """
     if text is None:
         return ()
     script: type[Any] = create_model("Script", __base__=Strict, faults=(list[fault], ...))  # type: ignore[valid-type]
@@ -42,7 +45,10 @@ def parse_faults(text: str | None, fault: type[Fault]) -> Sequence[Fault]:
 
 
 def pulse_log(path: Path | None) -> Callable[[Sequence[float]], None] | None:
-    """What writes a row of numbers as a line of JSON. Raises ServoError where nothing can be."""
+    """Return a function that writes a row of numbers to `path` as a line of JSON; None: no path.
+
+    Raises ServoError where the file cannot be written.
+    """
     if path is None:
         return None
     try:

@@ -1,4 +1,4 @@
-"""One simulated servo: its control table, and what it answers to an instruction."""
+"""One simulated Dynamixel: its control table, and its answers to instructions."""
 
 import struct
 from collections.abc import Mapping, Sequence
@@ -53,7 +53,7 @@ Answer = tuple[int, bytes]
 
 
 class SimulatedServo:
-    """State machine over the model's control table. Its motor is number `index` of `motors`.
+    """One simulated Dynamixel, over its model's control table; its motor is `motors[index]`.
 
     Simulated: ping, read, write, reg write, action, clear of turns, reboot, factory reset; sync and
     bulk instructions, which `SimulatedChain` hands out; indirect data, status return level, EEPROM
@@ -67,7 +67,7 @@ class SimulatedServo:
     Accepted without effect: gains, PWM slope, secondary id, protocol type, goal velocity, LED.
 
     servo[name] reads a register and puts a value into it, past all locks and checks, as a fault or
-    a test may: the motor goes by it, but torque is not switched and no goal pursued.
+    a test may: the motor follows it, but torque is not switched and no goal pursued.
     """
 
     def __init__(self, model: ServoModel, servo_id: int, index: int, motors: Motors) -> None:
@@ -101,48 +101,48 @@ class SimulatedServo:
 
     @property
     def servo_id(self) -> int:
-        """The id it answers to."""
+        """The id of the servo, from its register."""
         return self._memory[7]
 
     @property
     def baud_rate(self) -> int:
-        """The rate it listens at."""
+        """The baud rate at which the servo listens, in bits/s."""
         return self._rates[self._memory[8]]
 
     @property
     def return_delay_s(self) -> float:
-        """Seconds that the servo waits before it answers."""
+        """How many seconds the servo waits before it answers."""
         return self._memory[9] * RETURN_DELAY_UNIT_S
 
     @property
     def torque_on(self) -> bool:
-        """Whether it holds its place."""
+        """Whether torque is on."""
         return self._drive.torque_on
 
     @property
     def answers_reads(self) -> bool:
-        """Whether its status return level lets it."""
+        """Whether the status return level lets the servo answer reads."""
         return self._memory[68] >= 1
 
     @property
     def watchdog_timeout_s(self) -> float:
-        """The silence after which its watchdog trips; infinity while that is off."""
+        """Seconds of silence after which the bus watchdog trips; infinity while it is off."""
         return self._drive.watchdog_timeout_s
 
     def stand_at(self, place: float) -> None:
-        """Put the shaft where present_position reads `place`; its goal is there, too."""
+        """Put the shaft and its goal where present_position reads `place`, in pulses."""
         self._drive.stand_at(place)
 
     def trip_watchdog(self) -> None:
-        """Stop where it is; goals are refused until 0 is written. Torque stays on."""
+        """Trip the bus watchdog: stop, with torque on; goals are refused until it is set to 0."""
         self._drive.trip_watchdog()
 
     def lose_torque(self) -> None:
-        """Torque off, as if by itself."""
+        """Switch torque off, as by a fault."""
         self._drive.set_torque(on=False)
 
     def latch(self, bits: int) -> None:
-        """Note hardware errors; those in `shutdown` switch torque off."""
+        """Set hardware error bits until a restart; torque goes off at bits in `shutdown`."""
         known = self._memory[70]
         if bits & ~known:
             self["hardware_error_status"] = known | bits
@@ -150,22 +150,22 @@ class SimulatedServo:
                 self._drive.set_torque(on=False)
 
     def reboot(self, now_s: float) -> None:
-        """Restart: RAM and errors are forgotten, EEPROM is kept, deaf for a while."""
+        """Restart the servo: RAM and errors are reset, EEPROM is kept, .5 s without answers."""
         self.power_up(now_s)
         self.deaf_until_s = now_s + BOOT_S
 
     def ignore_until(self, time_s: float) -> None:
-        """Receive nothing before `time_s`; infinity: nothing any more."""
+        """Receive nothing before `time_s`; infinity: never again."""
         self.deaf_until_s = time_s
 
     def start_up(self, now_s: float) -> None:
-        """Boot: switch torque on if the start-up configuration says so."""
+        """Switch torque on for the start-up configuration, once booted and without an error."""
         if self.deaf_until_s <= now_s:
             self.holds_at_start = False
             self._drive.set_torque(on=not self._drive.broken)
 
     def answer(self, instruction: int, parameters: bytes, now_s: float) -> Answer | None:
-        """Do what one instruction packet asks; None: no status packet."""
+        """Execute one instruction; return (error, data) of its status packet, None: no packet."""
         if instruction == Instruction.PING:
             return self._error(), struct.pack("<HB", self["model_number"], self["firmware_version"])
         if instruction == Instruction.READ:
@@ -190,7 +190,7 @@ class SimulatedServo:
         return (self._error(error), b"") if level == 2 else None
 
     def read_span(self, address: int, size: int) -> Answer:
-        """The bytes that a read, alone or among others, is answered with."""
+        """Return (error, data) for a read of `size` bytes from `address` on, also in a group."""
         if size < 1 or address + size > len(self._memory):
             return self._error(StatusError.ACCESS), b""
         if address + size > _PRESENT:
@@ -199,7 +199,7 @@ class SimulatedServo:
         return self._error(), data
 
     def write(self, parameters: bytes) -> int:
-        """Write all bytes or none; return the status error."""
+        """Write parameters (address, data) to registers, all or none; return the status error."""
         if len(parameters) < 3:
             return StatusError.DATA_LENGTH
         address, data = parameters[0] | parameters[1] << 8, parameters[2:]
@@ -223,7 +223,7 @@ class SimulatedServo:
         return 0
 
     def _refusal_of_all(self, pieces: Sequence[tuple[Register, int]]) -> int:
-        """The first reason against a write of these registers, with these values."""
+        """Return the first status error against writing these values to registers; 0: none."""
         for entry, value in pieces:
             error = self._refusal_of_one(entry, value)
             if error:
@@ -237,7 +237,10 @@ class SimulatedServo:
         return 0
 
     def _refusal_of_goal(self, goal: int) -> int:
-        """Whether this goal is outside the range, or the watchdog has tripped."""
+        """Return the status error for a goal position; 0: it is allowed.
+
+        Refused is a goal outside the range, and any goal while the watchdog has tripped.
+        """
         if self._memory[_WATCHDOG] == _TRIPPED:
             return StatusError.DATA_RANGE
         low, high = -_FARTHEST, _FARTHEST
@@ -269,7 +272,7 @@ class SimulatedServo:
         return StatusError.DATA_RANGE if wrong else 0
 
     def _set(self, name: str, value: int) -> None:
-        """Set one register, with all effects of a write."""
+        """Write one register, with all effects of a write on the motor."""
         drive = self._drive
         if name == "torque_enable":
             drive.set_torque(on=bool(value))
@@ -282,7 +285,7 @@ class SimulatedServo:
             drive.change_mode()
 
     def _register(self, parameters: bytes) -> int:
-        """Keep a write for the next action; what would be refused now is refused now."""
+        """Keep a write for the next action; return its status error, by the checks of a write."""
         if len(parameters) < 3:
             return StatusError.DATA_LENGTH
         address, data = parameters[0] | parameters[1] << 8, parameters[2:]
@@ -294,7 +297,7 @@ class SimulatedServo:
         return error
 
     def _act(self) -> int:
-        """Do the write that was kept. Without one: the instruction error, as the manual says."""
+        """Do the kept write and return its status error; the instruction error if there is none."""
         if not self._registered:
             return StatusError.INSTRUCTION
         parameters, self._registered = self._registered, b""
@@ -302,7 +305,7 @@ class SimulatedServo:
         return self.write(parameters)
 
     def _clear(self, parameters: bytes) -> int:
-        """Forget whole turns, unless it moves."""
+        """Forget whole turns; return the status error, RESULT_FAIL while the servo moves."""
         if parameters != _CLEAR_REVOLUTIONS:
             return StatusError.DATA_RANGE
         if self["moving"]:
@@ -329,7 +332,7 @@ class SimulatedServo:
             self._table[name] = value
 
     def power_up(self, now_s: float) -> None:
-        """As after power has been away: RAM back to defaults, EEPROM kept, goal = place."""
+        """Set the state after power-up: RAM at defaults, EEPROM kept, limp, goal = position."""
         self._memory[_RAM:] = bytes(len(self._memory) - _RAM)
         for name, value in self.model.defaults.items():
             if not self._registers[name].in_eeprom:

@@ -1,4 +1,4 @@
-"""The half-duplex wire of a simulated chain: who speaks when, what is lost, when it arrives."""
+"""The half-duplex wire of a simulated chain: timing, collisions, loss and delivery of packets."""
 
 import random
 from bisect import insort
@@ -19,11 +19,11 @@ _ECHO: Final = b"\xff\xff\xfd\x00\xfe\x03\x00\x01\x31\x42"
 
 @dataclass(slots=True)
 class WireCounts:
-    """What went over the wire so far.
+    """Counts of packets and collisions on the wire so far.
 
-    contention: two spoke at once, though everybody kept to the time a packet is due;
-    talked_over_uninvited: the computer spoke over what a fault made late, double or noise, which
-    it could not foresee.
+    contention: two sent at once, though both kept to the time a packet is due;
+    talked_over_uninvited: the computer sent over bytes that a fault made late, double or noise,
+    which it could not foresee.
     """
 
     instructions: int = 0
@@ -36,10 +36,10 @@ class WireCounts:
 
 @dataclass(frozen=True, slots=True)
 class WireRules:
-    """Where hardware may differ and the manual is silent.
+    """Behaviour in which hardware may differ and the manual is silent.
 
     chain_stops: servos after a silent one do not answer a sync read.
-    latency_s: what adapter and computer add to every reply.
+    latency_s: the delay that adapter and computer add to every reply.
     """
 
     chain_stops: bool = False
@@ -56,7 +56,7 @@ class _Reply:
 
 
 class Wire:
-    """Carries packets at their speed; faults are injected by seeded chance."""
+    """A half-duplex wire: carries packets at their speed, with faults by seeded chance."""
 
     def __init__(self, rules: WireRules, faults: Iterable[Fault], seed: int) -> None:
         self.counts = WireCounts()
@@ -71,11 +71,11 @@ class Wire:
 
     @property
     def next_delivery_s(self) -> float:
-        """When the next bytes reach the computer; infinity when none are on their way."""
+        """The time in s of the next bytes to the computer; infinity: none are under way."""
         return self._out[0].deliver_s if self._out else float("inf")
 
     def deliver(self, now_s: float) -> bytes:
-        """The bytes that have reached the computer by `now_s`."""
+        """Return and remove the bytes that have reached the computer by `now_s`; b"": none."""
         n = 0
         while n < len(self._out) and self._out[n].deliver_s <= now_s:
             n += 1
@@ -84,11 +84,14 @@ class Wire:
         return arrived
 
     def clear(self) -> None:
-        """Drop the bytes under way."""
+        """Drop the bytes under way to the computer."""
         self._out.clear()
 
     def host_speaks(self, data: bytes, now_s: float, byte_s: float) -> tuple[bytes, float]:
-        """What the servos hear of `data`, and when its first byte is on the wire."""
+        """Send bytes of the computer; return those the servos receive, and when the first is sent.
+
+        Replies that are on the wire at that time are destroyed, and counted.
+        """
         start_s = max(now_s, self.host_until_s)
         self._disturbed = False
         self.host_until_s = start_s + len(data) * byte_s
@@ -112,7 +115,7 @@ class Wire:
         after_s: float,
         byte_s: float,
     ) -> None:
-        """One status packet, after the servo's return delay; faults may be injected."""
+        """Send one status packet of a servo after its return delay, with faults by chance."""
         start_s = after_s + servo.return_delay_s
         error, data = answer
         raw = status(replied_id, error, data)
@@ -149,7 +152,7 @@ class Wire:
             start_s = max(start_s, self.until_s)
 
     def swallows(self, servo: SimulatedServo) -> bool:
-        """Whether a fault keeps this servo's part of a common frame from arriving."""
+        """Return whether a fault keeps a servo's part of a fast read's frame from arriving."""
         return any(
             fault.kind in ("drop_reply", "late_reply", "truncate_reply")
             and fault.hits(servo.index, self.until_s, self._rng)
@@ -163,9 +166,9 @@ class Wire:
         after_s: float,
         byte_s: float,
     ) -> None:
-        """One frame from many; a silent servo cuts it off where its part should be.
+        """Send one frame with the data of many servos, cut off where a silent servo would be.
 
-        missing: how many bytes of data each of those would have sent that are not heard.
+        missing: the number of data bytes of each silent servo and of those after it.
         """
         blocks = [(servo.servo_id, error, data) for servo, error, data in replies]
         frame = fast_status([*blocks, *((0, 0, bytes(size)) for size in missing)])
@@ -185,7 +188,7 @@ class Wire:
         return raw[:at] + bytes((raw[at] ^ 1 << self._rng.randrange(8),)) + raw[at + 1 :]
 
     def _queue(self, raw: bytes, start_s: float, byte_s: float, *, uninvited: bool = False) -> None:
-        """Put bytes on the wire; two servos speaking at once spoil each other's."""
+        """Put bytes on the wire to the computer; they are spoilt where two senders overlap."""
         end_s = start_s + len(raw) * byte_s
         for other in self._out:
             if other.start_s < end_s - _SAME_S and start_s < other.end_s - _SAME_S:

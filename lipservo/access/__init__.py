@@ -1,1 +1,1 @@
-"""Who may reach a face over TCP: one policy, and its token."""
+"""Access control for clients that connect to a face over TCP: one policy, and its token."""

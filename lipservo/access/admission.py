@@ -1,10 +1,10 @@
-"""Who may connect to a face over TCP: one policy for the agent server and the dashboard's server.
+"""The admission policy for TCP clients, shared by the agent server and the dashboard's server.
 
 Every request needs the token, on this computer too, but for a stop from this computer. Scripts of
 any web page in a browser reach 127.0.0.1, and a page can make its own name lead there (DNS
 rebinding): so a browser's request counts only if it comes from the server's own page or from an
 origin that the face's YAML lists, and without the token only if `Host` is an address.
-docs/hardware.md, "Who may connect over TCP", is the same for people.
+docs/hardware.md, "Who may connect over TCP", describes this for users.
 """
 
 import hashlib
@@ -31,9 +31,9 @@ _MOST_FIELDS: Final = 64
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """What a server requires of its clients.
+    """The requirements of a server on its clients.
 
-    token: that they must send; None: those of this computer need none. origins: web pages, as
+    token: that clients must send; None: clients on this computer need none. origins: web pages, as
     `https://kiosk.example`, whose scripts may connect besides the server's own pages.
     """
 
@@ -43,9 +43,9 @@ class Policy:
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """An HTTP request as far as the policy needs it.
+    """The parts of an HTTP request that the policy needs.
 
-    headers: by lower-case name, `, ` between repeated ones. peer: address of the other end.
+    headers: by lower-case name, `, ` between repeated ones. peer: address of the client.
     """
 
     method: str
@@ -57,19 +57,19 @@ class Request:
 
     @property
     def is_page(self) -> bool:
-        """Whether it is for a page that stands by itself in a browser."""
+        """Whether the request is a GET or HEAD for a page that a browser shows by itself."""
         within = any(self.path == p or self.path.startswith(f"{p}/") for p in _FOR_PROGRAMS)
         return not self.is_websocket and self.method in _SAFE and not within
 
     @property
     def token_in_query(self) -> str | None:
-        """`?token=...`; None: it has none. Raises ValueError for a query of too many fields."""
+        """The value of `?token=...`; None: none given. ValueError: over 64 fields in the query."""
         return dict(parse_qsl(self.query, max_num_fields=_MOST_FIELDS)).get("token")
 
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """An HTTP answer instead: one line."""
+    """An HTTP status and a one-line text, sent in place of the requested answer."""
 
     status: HTTPStatus
     text: str
@@ -77,14 +77,14 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True)
 class Redirect:
-    """The token of a page's address becomes a cookie; the address follows without it."""
+    """A redirect to the page's address without its token, which becomes a cookie."""
 
     location: str
     cookie: str
 
 
 def request_of_scope(scope: MutableMapping[str, Any]) -> Request:
-    """The request of an ASGI scope."""
+    """Return the request that an ASGI scope describes."""
     pairs = [(name.decode("latin-1"), value.decode("latin-1")) for name, value in scope["headers"]]
     return Request(
         scope.get("method", "GET"),
@@ -97,7 +97,7 @@ def request_of_scope(scope: MutableMapping[str, Any]) -> Request:
 
 
 def merged_headers(pairs: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """Headers by lower-case name, those of one name joined as HTTP allows."""
+    """Return headers by lower-case name, repeated ones joined by ", " as HTTP allows."""
     headers: dict[str, str] = {}
     for name, value in pairs:
         key = name.lower()
@@ -115,8 +115,7 @@ def refusal(request: Request, policy: Policy, *, is_stop: bool = False) -> Refus
     Raises
     ------
     ValueError
-        For a request that cannot be read.
-
+        For a query with too many fields.
     """
     if not _is_own_page(request, policy):
         hint = "scripts of this web page are not admitted; its origin is not in the face's YAML"
@@ -134,7 +133,7 @@ def refusal(request: Request, policy: Policy, *, is_stop: bool = False) -> Refus
 
 
 def has_token(request: Request, token: str) -> bool:
-    """Whether a request brings the token: in its query, as a header, or by our cookie."""
+    """Return whether a request has the token: in its query, its header, or our cookie."""
     in_query = request.token_in_query
     if in_query is not None and is_same_token(in_query, token):
         return True
@@ -150,7 +149,7 @@ def has_token(request: Request, token: str) -> bool:
 
 
 def cookie_of(token: str) -> tuple[str, str]:
-    """Name and value of the cookie of a browser that has sent the token; neither contains it.
+    """Return name and value of the cookie that replaces the token; neither contains it.
 
     Another server of the same host may have another token, and so a cookie of another name.
     """
@@ -159,7 +158,7 @@ def cookie_of(token: str) -> tuple[str, str]:
 
 
 def redirect_to_cookie(request: Request, token: str) -> Redirect:
-    """What a browser gets whose page's address held the token."""
+    """Return the redirect for a page's request with the token in its query."""
     name, value = cookie_of(token)
     age = f"Max-Age={_YEAR_S}; Path=/; HttpOnly; SameSite=Strict"
     fields = parse_qsl(request.query, max_num_fields=_MOST_FIELDS)
@@ -170,12 +169,12 @@ def redirect_to_cookie(request: Request, token: str) -> Redirect:
 
 
 def is_same_token(given: str, token: str) -> bool:
-    """Compared in a time that does not depend on how much of it is right."""
+    """Return whether two tokens are equal, in a time independent of how much matches."""
     return hmac.compare_digest(given.encode("utf-8", "replace"), token.encode())
 
 
 def is_plain_host(host: str) -> bool:
-    """Whether a `Host` header is an address or `localhost`: no page makes that lead elsewhere."""
+    """Return whether a `Host` header is an IP address or `localhost`, safe from DNS rebinding."""
     try:
         name = urlsplit(f"//{host}").hostname or ""
     except ValueError:
@@ -188,7 +187,7 @@ def _is_from_this_computer(request: Request) -> bool:
 
 
 def _is_own_page(request: Request, policy: Policy) -> bool:
-    """Whether it is from a page of the server, a listed one, or none: a program, or a person."""
+    """Return whether the request is from a page of the server or a listed one, or from no page."""
     origin = request.headers.get("origin")
     if origin in policy.origins:
         return True

@@ -1,7 +1,7 @@
-"""The token that clients over TCP must send: where it is kept, made, and read.
+"""The token that clients over TCP must send: creating, checking and reading its file.
 
-One for all faces of a runtime folder, made at the first start and used as long as the file is
-there. Clients of this computer find it by themselves (`lipservo_client.local_token`).
+One for all faces of a runtime folder, made at the first start and used as long as the file exists.
+Clients on this computer find it by themselves (`lipservo_client.local_token`).
 """
 
 import contextlib
@@ -25,15 +25,14 @@ _REMEDY: Final = "remove it, so that another is made, or give --token-file FILE"
 
 
 def runtime_token_file() -> Path:
-    """Return the token file of this process's runtime folder; make it where there is none.
+    """Return the token file of this process's runtime folder; create it if it is missing.
 
     Raises
     ------
     UserError
-        Where something else lies there, or it cannot be made.
+        Where the file is unsafe or not a token, or cannot be made.
     ControlError
         Where the runtime folder cannot be used.
-
     """
     path = runtime_folder() / TOKEN_NAME
     try:
@@ -51,8 +50,7 @@ def read_token(token_file: str | None) -> str | None:
     Raises
     ------
     UserError
-        Where it cannot be read, or the line is empty.
-
+        Where the file cannot be read, or the line is empty.
     """
     if token_file is None:
         return None
@@ -67,7 +65,7 @@ def read_token(token_file: str | None) -> str | None:
 
 
 def _make(path: Path) -> None:
-    """Whole or not at all; the file of another face that starts at the same time stays."""
+    """Write a new random token to `path` atomically; a file already made meanwhile stays."""
     fd, new = tempfile.mkstemp(prefix=f".{TOKEN_NAME}-", dir=path.parent)
     try:
         with os.fdopen(fd, "w", encoding="ascii") as file:
@@ -83,7 +81,7 @@ def _make(path: Path) -> None:
 
 
 def _check(path: Path) -> None:
-    """Raises UserError for what another user may have laid there, or may read."""
+    """Raise UserError for a token file that another user owns or may read, or that has no token."""
     found = path.lstat()
     if not stat.S_ISREG(found.st_mode):
         raise UserError(f"{path}: is no plain file, and no token; {_REMEDY}")

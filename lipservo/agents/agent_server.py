@@ -1,6 +1,6 @@
 """The WebSocket server that voice agents connect to: one thread, beside the live loop.
 
-docs/agents.md is its protocol.
+docs/agents.md describes the protocol.
 """
 
 import asyncio
@@ -58,7 +58,7 @@ _SILENT: Final = logging.Logger("websockets of agents", logging.CRITICAL + 1)
 
 
 class _BoundedConnection(ServerConnection):
-    """Holds little that was not read, and is not even listened to where there are too many."""
+    """A WebSocket connection with a small send buffer, aborted at once if too many are open."""
 
     n_open: ClassVar[int] = 0
 
@@ -78,7 +78,7 @@ class _BoundedConnection(ServerConnection):
 
 
 class AgentServer:
-    """Serves voice agents while it is entered; see the module."""
+    """A WebSocket server for voice agents that runs in its own thread inside a `with` block."""
 
     def __init__(
         self,
@@ -91,10 +91,12 @@ class AgentServer:
         say: Speak | None = None,
         play: Speak | None = None,
     ) -> None:
-        """listener: from `bind_listener`; closed in the end. control_path: of the face's socket.
+        """Prepare the server; entering its `with` block starts it.
 
-        delay_ms: how much later than its sound reaches us a face is shown, now. say: a text; play:
-        a sound file; None: there is none.
+        listener: a socket from `bind_listener`, closed when the server ends. control_path: the path
+        of the face's control socket. delay_ms: returns the present delay in ms from the arrival of
+        sound to the face that shows it. say, play: speak a text or play a sound file; None: not
+        available.
         """
         self._listener = listener
         self._url = url_of(listener)
@@ -119,7 +121,7 @@ class AgentServer:
         self._thread = threading.Thread(target=self._run, name="agents", daemon=True)
 
     def status(self) -> dict[str, object]:
-        """For `Status`: url, clients, streams refused. Any thread may ask; it never waits."""
+        """Return the server's URL and its numbers of clients and refused streams; never wait."""
         return {
             "url": self._url,
             "n_clients": len(self._clients),
@@ -132,7 +134,7 @@ class AgentServer:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """Cut off what clients say, send them the reason, and end the thread, whatever they do."""
+        """End all streams, close the connections, join the thread; a client cannot delay this."""
         if self._loop is not None:
             with contextlib.suppress(RuntimeError):  # it has ended by itself
                 self._loop.call_soon_threadsafe(self._stopping.set)
@@ -190,13 +192,13 @@ class AgentServer:
         return None
 
     def _handshake(self, connection: ServerConnection, request: Request) -> Handshake:
-        """Raises ValueError for a request that cannot be read."""
+        """Return whether a request gets full, stop-only or no access; ValueError if malformed."""
         peer = (connection.remote_address or ("",))[0]
         opening = request_of(request.path, request.headers.raw_items(), peer)
         return handshake(opening, self._settings, len(self._clients))
 
     async def _attend(self, connection: ServerConnection) -> None:
-        """Serve one client, from its first message to its last."""
+        """Serve one client until it disconnects, or disconnect it because it reads too slowly."""
         assert connection.request is not None
         outbox = Outbox()
         session: StreamSession | ControlSession
@@ -243,7 +245,7 @@ class AgentServer:
             await asyncio.sleep(rate.wait_s(time.monotonic()))
 
     async def _messages(self, connection: ServerConnection) -> AsyncIterator[str | bytes]:
-        """All that a client sends, unless it says nothing in the beginning."""
+        """Yield a client's messages; close its connection if the first does not come in time."""
         try:
             async with asyncio.timeout(self._settings.first_message_s):
                 first = await connection.recv()
@@ -258,7 +260,7 @@ class AgentServer:
                 yield message
 
     async def _tell(self) -> None:
-        """Pass on the playout's events and positions."""
+        """Send clients the playout's events, and positions every `position_s`, until cancelled."""
         sent_s = 0.0
         while True:
             now_s = time.monotonic()
@@ -288,7 +290,7 @@ async def _send(connection: ServerConnection, outbox: Outbox) -> None:
 
 
 async def _close(server: Server, clients: Iterable[ServerConnection]) -> None:
-    """Close every client's connection; one that does not answer is cut off a second later."""
+    """Close the clients' connections, then the server; wait at most 2 s for each of the two."""
     ends = [asyncio.ensure_future(each.close(_GOING_AWAY, "shutting_down")) for each in clients]
     if ends:
         await asyncio.wait(ends, timeout=2.0 * _CLOSING_S)
@@ -298,7 +300,7 @@ async def _close(server: Server, clients: Iterable[ServerConnection]) -> None:
 
 
 class MessageRate:
-    """A bucket that holds a second's worth of messages and fills up steadily."""
+    """A bucket of at most one second's worth of messages, which limits a client's message rate."""
 
     def __init__(self, per_s: float) -> None:
         self._per_s = per_s
@@ -306,7 +308,7 @@ class MessageRate:
         self._refilled_s = 0.0
 
     def wait_s(self, now_s: float) -> float:
-        """One more message has come at monotonic `now_s`: how long to wait before the next."""
+        """Count one message, at monotonic `now_s`; return how many s to wait before the next."""
         if self._refilled_s:
             filled = (now_s - self._refilled_s) * self._per_s
             self._left = min(self._per_s, self._left + filled)

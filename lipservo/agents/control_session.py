@@ -1,9 +1,9 @@
 """One connection to `/control`: commands, each answered by a `result` or an `error` with its id.
 
-The server is a client of the face's own control socket here: there is one command queue, one
-status, and `lipservo stop` works whatever becomes of this server. A stop is sent there from the
-event loop, before anything else: it needs no thread and no place among the pending commands. The
-dashboard's server awaits the answer to its stops here too (`stop_answer`).
+This server is a client of the face's own control socket, so there is one command queue and one
+status, and `lipservo stop` works even if this server fails. A stop is sent to that socket from the
+event loop before anything else: it needs no thread and no slot among the pending commands. The
+dashboard's server, too, awaits the answers to its stops with `stop_answer`.
 """
 
 import asyncio
@@ -52,10 +52,11 @@ Answer = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Commands:
-    """What a command needs.
+    """The control socket, speech functions and thread pools that the commands of clients need.
 
-    statuses, changes, speaking: threads for `status`; `set` and `start`; `say` and `play`. They are
-    apart, so that nothing waits for a synthesiser, and no change for a client that polls.
+    statuses, changes, speaking: thread pools for `status`; `set` and `start`; `say` and `play`.
+    They are separate so that no command waits for a synthesiser, and no change for a client that
+    polls.
     """
 
     control_path: Path
@@ -67,7 +68,7 @@ class Commands:
 
 
 class ControlSession:
-    """What one client's commands do."""
+    """The commands of one client connected to `/control`, and their results."""
 
     def __init__(
         self,
@@ -76,7 +77,7 @@ class ControlSession:
         streams: OpenStreams,
         may_only_stop: Refusal | None = None,
     ) -> None:
-        """may_only_stop: why everything but a stop is refused; None: it is not."""
+        """Create a session. may_only_stop: why all but a stop is refused; None: it is not."""
         self._outbox = outbox
         self._commands = commands
         self._streams = streams
@@ -85,7 +86,7 @@ class ControlSession:
         self._stops: dict[asyncio.Task[None], Stop] = {}
 
     async def hear(self, message: str | bytes) -> None:
-        """Begin what one message asks for; its answer comes when there is one."""
+        """Start the command in a client's message; its result or error is sent when done."""
         if isinstance(message, bytes):
             self._outbox.error("unexpected_binary", "commands are text; audio goes to /stream")
             return
@@ -112,7 +113,7 @@ class ControlSession:
         task.add_done_callback(lambda done: self._pending.pop(done, None))
 
     def _stop(self, stop: Stop) -> None:
-        """Send it now; the answer is awaited beside everything else."""
+        """Send a stop to the face now; await its answer in a task and send that to the client."""
         if stop.end and self._may_only_stop is not None:
             self._outbox.error("unauthorized", self._may_only_stop.text, id=stop.id)
             return
@@ -138,9 +139,9 @@ class ControlSession:
         task.add_done_callback(lambda done: self._stops.pop(done, None))
 
     def leave(self) -> None:
-        """The client has disconnected.
+        """Discard all results that are not sent yet, as the client has disconnected.
 
-        Its commands are completed, and their results are not sent.
+        Its running commands are completed.
         """
         self._outbox.close()
 
@@ -199,7 +200,7 @@ class ControlSession:
 
 
 def _stop_of(text: str) -> Stop | None:
-    """A stop, read here with no other file of ours on its way; None: it is none, or a wrong one."""
+    """Parse a JSON text as a stop, without `command`; None if it is not a valid stop."""
     try:
         fields = json.loads(text)
         is_stop = isinstance(fields, dict) and fields.get("type") == "stop"
@@ -218,7 +219,7 @@ async def _stop_result(
 
 
 async def _called(pool: Executor, call: Callable[[], Mapping[str, object]]) -> Mapping[str, object]:
-    """Return the face's answer. call: speaks to it in a thread."""
+    """Run `call`, a request to the face, in `pool`; return its answer or raise MessageError."""
     answer = await asyncio.get_running_loop().run_in_executor(pool, call)
     if "error" in answer:
         raise MessageError("refused", str(answer["error"]))
@@ -232,26 +233,25 @@ def _not_answering(error: OSError) -> str:
 async def stop_answer(
     sent: socket.socket | None, send: Callable[[], socket.socket], wait_s: float = 0.0
 ) -> tuple[Answer, Answer | None]:
-    """Wait for the answer to a stop, and for the report of the end.
+    """Wait for the face's answer to a stop and, if wanted, for its report that the face has ended.
 
     Parameters
     ----------
-    sent : the connection on which the stop went out; None: too many clients waited there.
-    send : sends it again, as `send_stop`, where the face's process was replaced.
-    wait_s : so long for the report; 0: not at all.
+    sent : the connection on which the stop was sent; None: not sent, too many clients waited.
+    send : sends the stop again, as `send_stop`, if the face's process was replaced.
+    wait_s : seconds to wait for the report, counted from the call; 0: do not wait for it.
 
     Returns
     -------
-    The answer, and what the servos confirmed (`StopReport`); None where no report came in time, as
-    of a freeze, which has no end.
+    The answer, and the report of what the servos confirmed (`StopReport`); None if no report came
+    in time or was wanted, or if there is none, as after a freeze or a refusal.
 
     Raises
     ------
     TimeoutError
-        Where no answer comes: the face hangs.
+        No answer comes within 2 s: the face hangs.
     OSError
-        Where no face listens there.
-
+        No face listens at the control socket.
     """
     loop = asyncio.get_running_loop()
     began_s = loop.time()
@@ -283,7 +283,7 @@ async def stop_answer(
 
 
 async def _received(connection: socket.socket, by_s: float) -> Answer | None:
-    """The next message; None: the other end has hung up. Raises TimeoutError."""
+    """Return the next message; None: the peer has closed. Raises TimeoutError at `by_s`."""
     loop = asyncio.get_running_loop()
     try:
         async with asyncio.timeout_at(by_s):

@@ -1,7 +1,7 @@
-"""How voice agents come in: the bounds that a user settles, the address, and each HTTP request.
+"""The entrance for voice agents: the user's limits, the listening socket, each HTTP request.
 
-The policy is `lipservo/access/admission.py`, which the dashboard's server has too; here are the
-paths, the number of clients, and the way in that a stop always has.
+The policy is `lipservo/access/admission.py`, which the dashboard's server has too; this module adds
+the paths, the number of clients, and the access that a stop has where other commands are refused.
 """
 
 import contextlib
@@ -31,19 +31,19 @@ PROTOCOL_PATH: Final = "/protocol.json"
 
 
 class Utterance(Protocol):
-    """What the face says by itself, in one stream of the playout or in several of one name."""
+    """Speech of the face itself: one stream of the playout, or several with one name."""
 
     @property
     def is_whole(self) -> bool:
-        """Whether all of it was read or synthesised: no further stream comes."""
+        """Whether all of it was read or synthesised, so that no further stream follows."""
 
     @property
     def n_streams(self) -> int:
-        """So many there are until now."""
+        """Number of its streams in the playout so far."""
 
     @property
     def duration_s(self) -> float:
-        """Of all of it, or of what was synthesised until now."""
+        """Duration in s of all of it, or of the part that is synthesised so far."""
 
 
 #: Says a text, or plays a file, under a name. Called in a thread of its own. A ValueError is told
@@ -53,15 +53,15 @@ Speak = Callable[[str, str], Utterance]
 
 @dataclass(frozen=True, slots=True)
 class AgentSettings:
-    """The bounds of an `AgentServer`.
+    """The limits of an `AgentServer`.
 
-    policy: who may connect.
-    when_busy: what becomes of a stream while another client's is spoken. most_streams: that are
-    spoken or wait, of all clients together. messages_per_s: of one client; more wait in its own
-    socket. first_message_s: a client that has sent nothing by then is disconnected. stalled_s: a
-    stream that gets no audio for so long is ended. position_s: between two positions that are sent
-    unrequested. ping_s: a client is pinged so often, and has twice as long to answer: one that is
-    gone is noticed within ten seconds.
+    policy: which clients may connect. when_busy: whether a stream is refused or waits while another
+    client's is spoken. most_streams: streams that are spoken or wait, of all clients together.
+    messages_per_s: of one client; further ones wait in its socket. first_message_s: a client
+    without a message by then is disconnected. stalled_s: a stream without audio for this long is
+    ended. position_s: interval of position events that are sent unrequested. ping_s: interval of
+    pings; a client may take twice as long to answer, so that a lost one is noticed within ten
+    seconds.
     """
 
     policy: Policy = field(default_factory=Policy)
@@ -77,9 +77,9 @@ class AgentSettings:
 
 
 def bind_listener(spec: str, token: str | None) -> socket.socket:
-    """Listen at `HOST:PORT`; an IPv6 address stands in brackets. Port 0: any that is free.
+    """Return a socket that listens at `HOST:PORT` ([HOST]:PORT for IPv6); port 0: any free port.
 
-    Raises UserError: no such address, one beyond loopback without a token, one that is taken.
+    Raises UserError for a bad address, one beyond loopback without a token, or one in use.
     """
     host, port = host_and_port(spec)
     if not is_loopback(host) and not token:
@@ -101,13 +101,13 @@ def bind_listener(spec: str, token: str | None) -> socket.socket:
 
 
 def url_of(listener: socket.socket) -> str:
-    """Where clients connect, as `ws://127.0.0.1:8765`."""
+    """Return the URL at which clients connect to a listening socket, as `ws://127.0.0.1:8765`."""
     host, port = listener.getsockname()[:2]
     return f"ws://[{host}]:{port}" if ":" in host else f"ws://{host}:{port}"
 
 
 def host_and_port(spec: str) -> tuple[str, int]:
-    """Of `HOST:PORT`; an IPv6 address stands in brackets. Raises UserError."""
+    """Return host and port of a text `HOST:PORT`, or `[HOST]:PORT` for IPv6. Raises UserError."""
     host, colon, port = spec.rpartition(":")
     bare = host.removeprefix("[").removesuffix("]")
     is_port = port.isascii() and port.isdigit() and int(port) <= _HIGHEST_PORT
@@ -117,7 +117,7 @@ def host_and_port(spec: str) -> tuple[str, int]:
 
 
 def _holder_of(port: int) -> str:
-    """Who listens on a port, as far as we may look: `` by process 12 (name)``, or nothing."""
+    """Return ` by process 12 (name)` for the process that listens on a port; empty: not found."""
     found = (each.inode for each in tcp_sockets() if each.listens and each.port == port)
     inodes = {f"socket:[{inode}]" for inode in found}
     for folder in _PROC.glob("[0-9]*"):
@@ -131,14 +131,14 @@ def _holder_of(port: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Handshake:
-    """refused: an HTTP answer instead of a WebSocket. may_only_stop: why a client may no more."""
+    """The verdict on a request. refused: the HTTP error. may_only_stop: why all else is refused."""
 
     refused: Refusal | None = None
     may_only_stop: Refusal | None = None
 
 
 def request_of(target: str, headers: Iterable[tuple[str, str]], peer: str) -> Request:
-    """The request for a WebSocket. target: of its first line. Raises ValueError."""
+    """Return an HTTP GET as a `Request`; `target` is its path and query. Raises ValueError."""
     split = urlsplit(target)
     merged = merged_headers(headers)
     is_websocket = merged.get("upgrade", "").lower() == "websocket"
@@ -146,9 +146,9 @@ def request_of(target: str, headers: Iterable[tuple[str, str]], peer: str) -> Re
 
 
 def handshake(request: Request, settings: AgentSettings, n_connected: int) -> Handshake:
-    """Decide about a request: full access, none, or a stop and nothing else.
+    """Decide whether a request gets full access, no access, or access for a stop only.
 
-    `/control` is open to a stop where everything else would be refused for a missing token on this
+    `/control` accepts a stop where everything else would be refused for a missing token on this
     computer, or because there are too many clients.
     """
     refused = _refused(request, settings, n_connected)

@@ -1,9 +1,9 @@
-"""What goes over a voice agent's connection: its messages and samples, and the events for it.
+"""The messages, audio samples and events of a voice agent's connection.
 
-Texts are JSON objects with a `type`, checked field by field. Fields that are not known are ignored,
-and types that are not are answered where the message has an `id`: clients are older or newer.
-Samples are bytes of PCM, and a message may be cut at any byte. What waits to be sent is bounded, so
-that a slow reader costs only itself.
+Texts are JSON objects with a `type`, checked field by field. Unknown fields are ignored, and
+unknown types are answered only if the message has an `id`, since clients are older or newer.
+Samples are bytes of PCM, and a message may be cut at any byte. The queue of events to send is
+bounded, so that a slow reader harms only itself.
 """
 
 import asyncio
@@ -54,7 +54,7 @@ Event = Mapping[str, object]
 
 
 class MessageError(ValueError):
-    """A mistake of the client's, sent to it: a code of docs/agents.md and one plain line."""
+    """A client's mistake, which is sent to it: a code of docs/agents.md and a one-line message."""
 
     def __init__(self, code: str, message: str) -> None:
         super().__init__(message)
@@ -160,7 +160,7 @@ Units = Annotated[list[Unit], Field(min_length=1, max_length=_MOST_UNITS)]
 
 
 class _SpeechMessage(_Message):
-    """stream: one that is spoken or waits; None: the open one."""
+    """A message about the stream of id `stream`; None: the client's open stream."""
 
     stream: Name | None = None
 
@@ -286,12 +286,12 @@ COMMANDS: Final[dict[str, type[Command]]] = {
 
 
 def stream_message(text: str) -> StreamMessage | None:
-    """What a text on `/stream` says; None: of a type that is not known. Raises MessageError."""
+    """Parse a text from `/stream`; None for an unknown type without `id`. Raises MessageError."""
     return _parsed(text, STREAM_MESSAGES)
 
 
 def command(text: str) -> Command | None:
-    """What a text on `/control` says; None: of a type that is not known. Raises MessageError."""
+    """Parse a text from `/control`; None for an unknown type without `id`. Raises MessageError."""
     return _parsed(text, COMMANDS)
 
 
@@ -307,7 +307,7 @@ def _parsed(text: str, known: Mapping[str, type[_Kind]]) -> _Kind | None:
 
 
 def id_of(text: str) -> int | float | str | None:
-    """The `id` of a message that was refused, so that the refusal can name it."""
+    """Return the `id` of a refused message, for its error event; None if none can be read."""
     try:
         given = _object(text).get("id")
     except MessageError:
@@ -336,9 +336,9 @@ def _checked(kind: type[_Kind], fields: dict[str, object]) -> _Kind:
 
 
 def spoken_text_of(message: SpeechUnits, sample_rate_hz: int) -> SpokenText:
-    """What a message tells of a stream; its phonemes and visemes as those of the inventory.
+    """Convert a message about a stream to a `SpokenText` in the inventory's phonemes or visemes.
 
-    Raises AlphabetError, SpokenTextError.
+    Raises AlphabetError, and SpokenTextError, as for visemes without times.
     """
     if isinstance(message, Text):
         return SpokenText("text", (SpokenUnit(message.text, message.start_sample),), sample_rate_hz)
@@ -355,7 +355,7 @@ def spoken_text_of(message: SpeechUnits, sample_rate_hz: int) -> SpokenText:
 
 
 class PcmDecoder:
-    """Little-endian mono PCM: the half of a sample waits for its other half."""
+    """A decoder of little-endian mono PCM that keeps an incomplete last sample for later."""
 
     def __init__(self, sample_format: Literal["s16le", "f32le"]) -> None:
         self._format = sample_format
@@ -364,15 +364,15 @@ class PcmDecoder:
 
     @property
     def n_left_bytes(self) -> int:
-        """Bytes of a sample whose rest has not come."""
+        """Number of bytes kept of a sample that is incomplete so far."""
         return len(self._rest)
 
     def n_samples(self, data: bytes) -> int:
-        """How many samples `decode` would give."""
+        """Return how many samples `decode(data)` would return, without decoding."""
         return (len(self._rest) + len(data)) // self._width
 
     def decode(self, data: bytes) -> Samples:
-        """Samples (n,) float32 in [-1, 1]. What is no number counts as silence."""
+        """Return whole samples, (n,) float32 in [-1, 1]; NaN becomes 0, and excess is clipped."""
         data = self._rest + data
         n_bytes = len(data) // self._width * self._width
         data, self._rest = data[:n_bytes], data[n_bytes:]
@@ -383,7 +383,7 @@ class PcmDecoder:
 
 
 def decode_base64(text: str) -> bytes:
-    """The bytes. Raises ValueError for what is no base64."""
+    """Return the bytes that a base64 text encodes; raise ValueError if it is not base64."""
     try:
         return base64.b64decode(text, validate=True)
     except (binascii.Error, ValueError) as error:
@@ -391,7 +391,7 @@ def decode_base64(text: str) -> bytes:
 
 
 class Outbox:
-    """Events for one client, first in, first out. Of one event loop."""
+    """A bounded first-in first-out queue of events for one client, for use in one event loop."""
 
     def __init__(self) -> None:
         self._events: deque[Event] = deque()
@@ -401,7 +401,11 @@ class Outbox:
         self._is_closed = False
 
     def put(self, event: Event) -> None:
-        """Send it when the client reads."""
+        """Queue an event for the client; ignore it after `close`.
+
+        If the queue is full, its oldest position or phoneme is dropped. Without one the event
+        itself is dropped, and `overflowed` is set unless it is a position or phoneme.
+        """
         if self._is_closed:
             return
         if len(self._events) >= _MOST_WAITING and not self._make_room():
@@ -412,16 +416,16 @@ class Outbox:
         self._filled.set()
 
     def error(self, code: str, message: str, **about: object) -> None:
-        """Send the client an error."""
+        """Queue an error event: a code of docs/agents.md, a message and fields (`about`)."""
         self.put({"type": "error", "code": code, "message": message, **about})
 
     def close(self) -> None:
-        """Drop all events: the client has disconnected."""
+        """Drop all waiting and future events, as the client has disconnected."""
         self._is_closed = True
         self._events.clear()
 
     async def take(self) -> str:
-        """The next event, as JSON; waits for one."""
+        """Wait until an event is queued, remove the oldest and return it as JSON."""
         while not self._events:
             self._filled.clear()
             await self._filled.wait()

@@ -1,7 +1,8 @@
-"""The protocol as an AsyncAPI document, from the models that check it: `GET /protocol.json`.
+"""The protocol of voice agents as an AsyncAPI document, for `GET /protocol.json`.
 
-What clients send are the models of `messages.py`; what the face sends is described here, and tests
-hold every message that the server sends against it. AsyncAPI 3.0: https://www.asyncapi.com/docs.
+Clients' messages are described by the models of `messages.py`, which check them; the face's are
+described here, and tests check every message that the server sends against this description.
+AsyncAPI 3.0: https://www.asyncapi.com/docs.
 """
 
 from typing import Any, Literal
@@ -16,7 +17,7 @@ Id = int | float | str | None
 
 
 class _Sent(BaseModel):
-    """time_s: of the face's clock, as in its `hello`."""
+    """A message from the face to a client. time_s: the face's clock, as in its `hello`."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -142,7 +143,7 @@ _CHANNELS: dict[str, tuple[tuple[type[BaseModel], ...], tuple[type[BaseModel], .
 
 
 def protocol_schema() -> dict[str, Any]:
-    """The AsyncAPI document, as JSON can carry it; binary samples are in its description alone."""
+    """Return the AsyncAPI document as a JSON object; binary samples are only in its description."""
     models = {model for both in _CHANNELS.values() for each in both for model in each}
     ordered = sorted(models, key=lambda model: model.__name__)
     _, defined = models_json_schema(

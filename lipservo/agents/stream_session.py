@@ -1,4 +1,4 @@
-"""One connection to `/stream`: streams of speech one after the other, and what is heard of them."""
+"""One client's connection to `/stream`: its streams of speech in sequence, and their events."""
 
 import asyncio
 import logging
@@ -49,7 +49,7 @@ _MOST_UNTAKEN = 256
 
 
 class StreamSession:
-    """What one client's messages do. A mistake is reported, and changes nothing."""
+    """The effects of one client's messages on `/stream`; a mistake is answered by an error."""
 
     def __init__(
         self, outbox: Outbox, streams: OpenStreams, playout: Playout, delay_ms: Callable[[], float]
@@ -68,7 +68,7 @@ class StreamSession:
         self._over: deque[str] = deque(maxlen=_MOST_OVER)
 
     async def hear(self, message: str | bytes) -> None:
-        """Handle one message of the client."""
+        """Handle a message of the client, PCM bytes or JSON; send an error for a mistake."""
         about = self._open.stream_id if self._open is not None else None
         try:
             if isinstance(message, bytes):
@@ -82,7 +82,7 @@ class StreamSession:
             self._outbox.error(error.code, str(error), stream=about, **ids)
 
     def leave(self) -> None:
-        """The client has gone; texts of what it has ended are taken all the same."""
+        """Handle the client's disconnection; texts of streams it has ended are still applied."""
         self._streams.leave(self._outbox)
 
     async def _do(self, parsed: StreamMessage) -> None:
@@ -181,7 +181,11 @@ class StreamSession:
             raise MessageError("no_stream", "mark before start")
 
     def _on_units(self, units: SpeechUnits) -> None:
-        """Samples do not wait for it: the first text of a process loads a dictionary."""
+        """Start a task that applies a text, words, phonemes or visemes to their stream.
+
+        Samples do not wait for it: the first text of a process loads a dictionary. Raises
+        MessageError.
+        """
         stream = self._named_stream(units.stream)
         if stream is None:
             return
@@ -212,7 +216,10 @@ class StreamSession:
             self._outbox.error("internal", "the text failed; see the face's log")
 
     def _named_stream(self, name: str | None) -> AgentStream | None:
-        """The stream that a message is about; None: one that was cut off or is over."""
+        """Return the named stream, by default the open one; None: it was cut off or is over.
+
+        Raises MessageError for a stream that was never started.
+        """
         if name is None:
             if self._open is None and not self._ignores_rest:
                 raise MessageError("no_stream", "a text before start; name the stream, or start it")

@@ -1,7 +1,7 @@
-"""The streams of speech of all clients, and whose turn it is: the others are refused or wait.
+"""The streams of speech of all clients; while one client speaks, others are refused or wait.
 
-All streams that the playout has of clients are one client's. So an interruption, which ends all
-speech, ends no other client's speech.
+All client streams in the playout at one time belong to one client. So an interruption, which ends
+all speech, ends no other client's speech.
 """
 
 import itertools
@@ -40,10 +40,10 @@ _Request = TypeVar("_Request")
 
 @dataclass(eq=False, slots=True)
 class AgentStream:
-    """A client's stream. Two clients may give theirs the same id; the playout's name is unique.
+    """A client's stream of speech. Two clients may use one id; the playout's name is unique.
 
-    owner: the client's outbox. ended_by: what ended it before its end, if anything.
-    n_marks: that were not heard yet. fed_s: monotonic, when its client sent some of it last.
+    owner: the client's outbox. ended_by: what cut it off, if anything. n_marks: marks that were not
+    reached yet. n_played: samples played so far. fed_s: monotonic time of the client's last audio.
     """
 
     owner: Outbox
@@ -63,25 +63,25 @@ class AgentStream:
 
     @property
     def is_played_by_client(self) -> bool:
-        """Whether the sound leaves the client's loudspeaker, not ours."""
+        """Whether the client's loudspeaker plays the sound, not the face's."""
         return self.start.playback == "client"
 
     def mark(self, name: str) -> None:
-        """Tell when all that came until now has been heard. Raises MessageError."""
+        """Request an event for when all audio so far was played. MessageError: too many wait."""
         if self.n_marks >= _MOST_MARKS:
             raise MessageError("too_many_marks", f"{_MOST_MARKS} marks wait to be heard already")
         self.n_marks += 1
         self.speech.mark(name)
 
     def push(self, samples: NDArray[np.float32], now_s: float) -> None:
-        """Append audio to the stream; audio after it was cut off is dropped.
+        """Append audio to the stream; do nothing if the stream has ended or was cut off.
 
         Parameters
         ----------
         samples : NDArray[np.float32]
-            (n,) at the stream's rate.
+            (n,) samples at the stream's rate.
         now_s : float
-            Monotonic seconds.
+            Present monotonic time.
         """
         self.fed_s = now_s
         if not self.speech.ended:
@@ -93,7 +93,7 @@ class AgentStream:
                     raise
 
     def tell(self, event: PlayoutEvent) -> None:
-        """Send the client an event of the stream."""
+        """Send the client an event of the playout about this stream, and update its counts."""
         self.n_played = max(self.n_played, event.n_played)
         if event.kind == "mark":
             self.n_marks -= 1
@@ -106,18 +106,18 @@ class AgentStream:
             self._put(event.kind)
 
     def tell_dropped(self, kind: str) -> None:
-        """Report that it was interrupted or cleared before any of it was spoken."""
+        """Drop the stream before any of it was spoken; send `interrupted` or `cleared`."""
         n_dropped = self.speech.n_received
         self.speech.drop()
         self._put(kind, dropped_s=n_dropped / self.rate_hz, n_dropped=n_dropped)
 
     def tell_position(self, n_played: int) -> None:
-        """How much was heard by now, and how much waits."""
+        """Send the client how many samples were played, and how many seconds of the stream wait."""
         self.n_played = max(self.n_played, n_played)
         self._put("position", waiting_s=round(self.speech.waiting_s, 3))
 
     def tell_phoneme(self, phoneme: str, start_s: float, end_s: float, heard_in_s: float) -> None:
-        """Report the phoneme spoken there: seconds in the stream, and seconds until it is heard."""
+        """Send the client a phoneme: its times in the stream, and seconds until it is audible."""
         times_s = {"start_s": start_s, "end_s": end_s, "heard_in_s": heard_in_s}
         rounded_s = {name: round(value, 3) for name, value in times_s.items()}
         self.owner.put(
@@ -132,10 +132,11 @@ class AgentStream:
 
 @dataclass(eq=False, slots=True)
 class OwnSpeech:
-    """A text or file that a client lets the face say.
+    """A text or file of a client that the face itself speaks, by `say` or `play`.
 
     stream_id: the name of all its streams in the playout. spoken: None while it is being read.
-    began_s: on the timeline, when its first sample was heard.
+    began_s: start of its first sample on the playout's timeline, None before. heard_s: seconds
+    played.
     """
 
     owner: Outbox
@@ -149,13 +150,13 @@ class OwnSpeech:
 
     @property
     def is_over(self) -> bool:
-        """Nothing of it will be heard any more."""
+        """Whether no more of it will be played: it was dropped, or all its streams have ended."""
         whole = self.spoken is not None and self.spoken.is_whole
         n_streams = 0 if self.spoken is None else self.spoken.n_streams
         return self.is_dropped or (whole and self.n_ended >= n_streams)
 
     def take(self, event: PlayoutEvent) -> None:
-        """Note an event of the playout on one of its streams."""
+        """Update this speech from a playout event of one of its streams; send `started` once."""
         if event.kind == "started" and self.began_s is None:
             self.began_s = event.position_s
             self.tell("started")
@@ -166,7 +167,7 @@ class OwnSpeech:
         self.heard_s = event.position_s - (self.began_s or event.position_s)
 
     def tell(self, kind: str) -> None:
-        """Send the client what became of this speech."""
+        """Send the client `started`, `finished` or `dropped`, with seconds played and in all."""
         about = {"stream": self.stream_id, "id": self.request_id}
         duration_s = 0.0 if self.spoken is None else self.spoken.duration_s
         times = {"played_s": round(self.heard_s, 3), "duration_s": round(duration_s, 3)}
@@ -174,7 +175,7 @@ class OwnSpeech:
 
 
 class OpenStreams:
-    """The streams of all clients, in the order in which they are spoken. Of one event loop."""
+    """The streams of all clients in the order in which they are spoken, for one event loop."""
 
     def __init__(self, playout: Playout, settings: AgentSettings) -> None:
         self._playout = playout
@@ -192,11 +193,11 @@ class OpenStreams:
 
     @property
     def playing(self) -> list[AgentStream]:
-        """The streams that the playout has, in order."""
+        """The client streams that were handed to the playout, in order."""
         return list(self._playing.values())
 
     def open(self, owner: Outbox, start: Start, now_s: float) -> AgentStream:
-        """A new stream, whose turn comes at once or later. Raises MessageError: it may not be."""
+        """Create a client's stream, to be spoken now or later; MessageError if it is refused."""
         try:
             self._check(owner, start)
         except MessageError:
@@ -217,18 +218,18 @@ class OpenStreams:
         return stream
 
     def check_room(self, duration_s: float) -> None:
-        """Raises MessageError where so much more speech is not kept, of all clients together."""
+        """Raise MessageError if all clients' waiting speech plus `duration_s` is too long."""
         waiting_s = sum(each.speech.waiting_s + _BLOCK_S for each in self._all())
         if waiting_s + duration_s > MOST_WAITING_S - _BLOCK_S:
             kept = f"{MOST_WAITING_S:g} s of speech are kept, and {waiting_s:.1f} wait"
             raise MessageError("buffer_full", f"nothing of this chunk was taken: {kept}")
 
     def interrupt(self, owner: Outbox) -> None:
-        """Silence at once; drop everything of this client.
+        """Silence a client's speech at once and drop all of its streams.
 
-        Every stream gets an event, or at least one does.
+        Each stream gets an `interrupted` event; a client without streams gets one, too.
 
-        What the face says of itself ends as well, unless another client speaks.
+        Speech of the face itself ends as well, unless another client speaks.
         """
         n_dropped = self._drop_waiting(owner, "interrupted")
         ours = [each for each in self._playing.values() if each.owner is owner]
@@ -246,7 +247,7 @@ class OpenStreams:
         self._go_on()
 
     def clear(self, owner: Outbox) -> None:
-        """What is not on its way to the loudspeaker is dropped, of this client."""
+        """Drop all of a client's audio that is not on its way to the loudspeaker yet."""
         self._drop_waiting(owner, "cleared")
         ours = [
             each for each in self._playing.values() if each.owner is owner and not each.ended_by
@@ -258,9 +259,9 @@ class OpenStreams:
         self._go_on()
 
     def pause(self, owner: Outbox, now_s: float) -> None:
-        """Silence at once; keep what was not heard. Raises MessageError.
+        """Silence the face at once and keep what was not played.
 
-        This client speaks nothing.
+        Raises MessageError if the playout has no stream of this client, or too many requests.
         """
         if not any(each.owner is owner for each in self._playing.values()):
             raise MessageError("no_stream", "pause: nothing of this client is spoken or waits")
@@ -270,7 +271,7 @@ class OpenStreams:
             self._paused = owner, now_s
 
     def resume(self, owner: Outbox) -> None:
-        """Go on with what this client paused. Raises MessageError."""
+        """Continue speech that this client paused; MessageError if too many requests wait."""
         if self._paused is not None and self._paused[0] is owner:
             self._check_requests()
             self._playout.requests.append(PlayoutRequest("resume"))
@@ -279,7 +280,7 @@ class OpenStreams:
     def open_own(
         self, owner: Outbox, request_id: int | float | str | None, label: str
     ) -> OwnSpeech:
-        """Queue a text or file of a `/control` client under a name. Raises MessageError."""
+        """Register a client's `say` or `play` as `OwnSpeech`; MessageError if agents speak."""
         if self._settings.when_busy == "refuse" and self._all():
             raise MessageError("busy", f"an agent speaks; {_LATER}")
         own = OwnSpeech(owner, request_id, f"{label} #{next(self._numbers)}")
@@ -287,11 +288,15 @@ class OpenStreams:
         return own
 
     def forget(self, own: OwnSpeech) -> None:
-        """Remove speech of this face that was refused."""
+        """Remove a `say` or `play` that failed."""
         self._own.pop(own.stream_id, None)
 
     def leave(self, owner: Outbox) -> None:
-        """The client has disconnected. What it had sent whole is spoken; within a word: silence."""
+        """Close the outbox of a client that has disconnected.
+
+        Streams that it has ended are spoken; if one is open or paused, all its speech is
+        interrupted.
+        """
         owner.close()
         has_paused = self._paused is not None and self._paused[0] is owner
         is_cut = any(each.owner is owner and not each.speech.ended for each in self._all())
@@ -299,12 +304,15 @@ class OpenStreams:
             self.interrupt(owner)
 
     def end_all(self) -> None:
-        """End all streams: the server ends."""
+        """Interrupt the speech of all clients, as the server ends."""
         for owner in {each.owner for each in self._all()}:
             self.interrupt(owner)
 
     def take_events(self, now_s: float) -> None:
-        """Pass on the playout's events since the last call. now_s: monotonic."""
+        """Send clients the playout's events since the last call; start streams that may follow.
+
+        now_s: monotonic.
+        """
         events = self._playout.events
         while events:
             self._take(events.popleft())
@@ -329,7 +337,7 @@ class OpenStreams:
         self._go_on()
 
     def end_stalled(self, now_s: float) -> None:
-        """A stream whose client sends nothing for long holds the others up no longer."""
+        """End streams without new audio for `stalled_s` and interrupt a pause of that length."""
         for stream in self._all():
             silent_s = now_s - stream.fed_s
             if not stream.speech.ended and silent_s > self._settings.stalled_s:
@@ -342,12 +350,12 @@ class OpenStreams:
             self.interrupt(owner)
 
     def stream_of(self, owner: Outbox, stream_id: str) -> AgentStream | None:
-        """A stream of a client that is spoken or waits; None: it is over, or never was."""
+        """Return a client's stream by its id if it is spoken or waits; else None."""
         ours = (each for each in self._all() if each.owner is owner)
         return next((each for each in ours if each.stream_id == stream_id), None)
 
     def tell_positions(self, owner: Outbox | None = None) -> None:
-        """Tell each client, or one, how much of its streams was heard."""
+        """Send clients, or `owner` alone, the position of each of their streams being played."""
         for stream in self.playing:
             if owner is None or stream.owner is owner:
                 name = stream.speech.name
@@ -355,7 +363,7 @@ class OpenStreams:
                 stream.tell_position(n_played or 0)
 
     def tell_phoneme(self, phoneme: str, start_s: float, end_s: float) -> None:
-        """Send the client whose stream is there on the timeline the phoneme that is spoken."""
+        """Send a phoneme to the client whose stream is played at `start_s` on the timeline."""
         found = _settled(partial(self._playout.stream_at, start_s))
         if found is None or (stream := self._playing.get(found[0].name)) is None:
             return
@@ -410,7 +418,7 @@ class OpenStreams:
             self._own_speech.add(event.stream)
 
     def _go_on(self) -> None:
-        """Give the playout whatever may be spoken next."""
+        """Hand waiting streams to the playout, as long as they are of the client that speaks."""
         while self._waiting:
             speaker = next((each.owner for each in self._playing.values()), None)
             if speaker is not None and self._waiting[0].owner is not speaker:
@@ -421,7 +429,7 @@ class OpenStreams:
 
 
 def _settled(ask: Callable[[], _Request | None]) -> _Request | None:
-    """What the playout answers; None where the live loop changes what it says just then, twice."""
+    """Return `ask()`, tried once more if the live loop changes the playout meanwhile; else None."""
     for _ in range(2):
         try:
             return ask()

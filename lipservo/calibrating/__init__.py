@@ -1,1 +1,1 @@
-"""The ways of `lipservo calibrate`."""
+"""The kinds of calibration that the sub-commands of `lipservo calibrate` make."""

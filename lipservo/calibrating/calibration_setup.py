@@ -1,4 +1,4 @@
-"""What a calibration is made of: the face, the speaker's model, and how servos are moved for it."""
+"""The setup of a calibration: the face, the speaker's model, options, and how servos are moved."""
 
 import datetime
 from collections.abc import Callable, Iterator
@@ -33,8 +33,9 @@ _FORWARD_WORDS = ("protrudes", "retracts")
 class Watch:
     """Callbacks that follow a calibration besides the terminal; by default they do nothing.
 
-    progress: what is done, how many of it, of how many; more may be. arrived: where the mouth's
-    encoders stand, (n_servos,). seen: the markers' names, and their places there, (n_markers, 3).
+    progress: called with the name of the step, the number done, and the number in all, which may be
+    exceeded. arrived: called with the mouth's encoder positions, (n_servos,) degrees. seen: called
+    with the markers' names and positions, (n_markers, 3) mm.
     """
 
     progress: Callable[[str, int, int], object] = lambda *_: None
@@ -44,12 +45,12 @@ class Watch:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationSetup:
-    """The same for every sub-command that makes a calibration.
+    """The face, model and options of a calibration, for every sub-command that makes one.
 
-    keep: the file that holds every captured pose; quiet: no progress bar; lags: whether servos are
-    moved by chirps and steps; speed_deg_s: how fast servos are moved from pose to pose.
-    sees_forward: whether markers are measured in depth too. accept: what is judgement, of joints,
-    size and grade, only warns. config: of the face, for a page that watches its servos; None: none.
+    keep: the file that receives every captured pose; quiet: no progress bar; lags: whether lags are
+    measured by moving servos in chirps and steps; speed_deg_s: speed of servos from pose to pose.
+    sees_forward: whether markers are measured in depth too. accept: doubts about joints, size and
+    grade only warn. config: the face's name for a page that shows its servos; None: no page.
     """
 
     settings: FaceSettings
@@ -66,7 +67,7 @@ class CalibrationSetup:
 
     @property
     def servos(self) -> MouthServos:
-        """The mouth's servos, as the fits want them."""
+        """The mouth's servos in the form that the fits of a calibration need."""
         mouth = self.settings.mouth_servos
         return MouthServos(
             joints=tuple(JointRange(n, s.min_deg, s.max_deg) for n, s in mouth.items()),
@@ -78,15 +79,15 @@ class CalibrationSetup:
 
     @property
     def n_typed_poses(self) -> int:
-        """How many poses there are where a person types what each marker is."""
+        """Number of poses to capture when a person types the position of each marker."""
         return max(_N_TYPED_POSES, least_poses(len(self.servos.joints)))
 
     def _word(self, positive: str) -> str:
-        """What a positive angle does; empty where the tracker cannot see whether it does."""
+        """Return `positive`, what a positive angle does; empty if the tracker cannot see that."""
         return positive if self.sees_forward or positive not in _FORWARD_WORDS else ""
 
     def procedure(self, seed: int = 0) -> Procedure:
-        """The capture procedure of this face."""
+        """Return the capture procedure for this face; `seed` draws its poses."""
         servos = self.servos
         return Procedure(
             self.model,
@@ -100,12 +101,12 @@ class CalibrationSetup:
 
 
 def today() -> str:
-    """The date that a calibration made now carries, ISO 8601."""
+    """Return the present date, ISO 8601, with which a new calibration is dated."""
     return datetime.date.today().isoformat()
 
 
 def check_places(settings: FaceSettings) -> None:
-    """Raises CalibrationError where servos cannot say where they stand."""
+    """Raise CalibrationError if any of the mouth's servos cannot report their positions."""
     for one in settings.alone.values():
         if one.mouth_servos and not one.capabilities.place:
             raise CalibrationError(
@@ -115,7 +116,10 @@ def check_places(settings: FaceSettings) -> None:
 
 
 def held_servos(setup: CalibrationSetup) -> HeldFace:
-    """The face's own servos, in neutral and held until the block ends."""
+    """Return the face's own servos, which a `with` block moves to neutral and holds to its end.
+
+    Raises CalibrationError if they cannot report their positions.
+    """
     check_places(setup.settings)
     clock = MonotonicClock()
     return HeldFace(setup.settings, clock, speed_deg_s=setup.speed_deg_s, config=setup.config)
@@ -123,9 +127,9 @@ def held_servos(setup: CalibrationSetup) -> HeldFace:
 
 @contextmanager
 def progress_bar(setup: CalibrationSetup, what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """A progress bar with the time left; what it yields is called with the number done.
+    """Show a progress bar with the time left; yield a function to be called with the number done.
 
-    More than `total` may be done: a joint may need a second look.
+    More than `total` may be done, as when a joint is measured again: the bar's total then grows.
     """
     with Progress(
         TextColumn("{task.description}"),

@@ -1,9 +1,9 @@
-"""Pictures of a camera, by PyAV, each with the time on the monotonic clock at which it was taken.
+"""Pictures of a camera, by PyAV, each with the monotonic time at which it was taken.
 
-What FFmpeg's v4l2 input says is the kernel's own time stamp, on the same clock. What counts
-otherwise is brought there by the frames that came soonest. A file or FFmpeg's lavfi generators may
-stand in for a camera; their pictures are handed out at the pace of their time stamps. A thread
-reads the camera; the recorder takes what has come.
+A time stamp of FFmpeg's v4l2 input is the kernel's own, on the monotonic clock. Time stamps of
+other clocks are converted by the least delay of recent pictures. A file or FFmpeg's lavfi
+generators may replace a camera; their pictures come at the pace of their time stamps. A thread
+reads the camera; the recorder fetches the pictures that have arrived.
 """
 
 import math
@@ -31,11 +31,11 @@ _PATIENCE_S = 5.0
 
 
 class CameraError(UserError):
-    """A camera that cannot be had or has failed; one line: which, why, what to do."""
+    """A camera that cannot be opened or has failed; one line: which one, why, and the remedy."""
 
 
 class Camera(Protocol):
-    """Pictures as they come. Use it as a context manager: it holds the device."""
+    """A camera that yields pictures as they come; a `with` block opens and closes the device."""
 
     @property
     def name(self) -> str:
@@ -43,10 +43,10 @@ class Camera(Protocol):
 
     @property
     def rate_hz(self) -> float:
-        """Pictures a second that it promises."""
+        """Nominal number of pictures per second."""
 
     def frames(self) -> Iterator[Frame]:
-        """(monotonic seconds, picture) until the camera fails (CameraError) or a file ends."""
+        """Yield (monotonic s, picture) until a file ends; CameraError if the camera fails."""
 
     def __enter__(self) -> "Camera": ...
 
@@ -55,7 +55,7 @@ class Camera(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class CameraMode:
-    """width, height in pixels; rate_hz: pictures a second."""
+    """The requested picture format. width, height: pixels; rate_hz: pictures per second."""
 
     width: int = 1280
     height: int = 720
@@ -63,10 +63,10 @@ class CameraMode:
 
 
 class AvCamera:
-    """A camera, or what stands in for one.
+    """A camera, or a video file or generator in its place, read by PyAV.
 
     wanted: a number or the path of a device; `lavfi:GRAPH` or a video file to try without one.
-    Raises CameraError from `__enter__` where it cannot be opened.
+    Raises CameraError from `__enter__` if it cannot be opened.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class AvCamera:
 
     @property
     def rate_hz(self) -> float:
-        """Pictures a second, as the camera says."""
+        """Pictures per second as the opened stream reports them, else as requested."""
         return float(self._stream.average_rate or self._mode.rate_hz)
 
     def __enter__(self) -> "AvCamera":
@@ -113,7 +113,7 @@ class AvCamera:
         self._container.close()
 
     def frames(self) -> Iterator[Frame]:
-        """(monotonic seconds, picture); CameraError when the camera fails."""
+        """Yield (monotonic s, picture) until a file ends; raise CameraError if the camera fails."""
         import av
 
         place = self._at_its_pace if self._stands_in else StampClock().time_s
@@ -127,14 +127,14 @@ class AvCamera:
             ) from error
 
     def _at_its_pace(self, stamp_s: float, now_s: float) -> float:
-        """A file's pictures come when they are due; the first one is now."""
+        """Wait until a file's picture is due, the first one at once; return that monotonic time."""
         self._begun_s = getattr(self, "_begun_s", now_s - stamp_s)
         due_s = self._begun_s + stamp_s
         self._sleep(max(0.0, due_s - now_s))
         return due_s
 
     def _ways(self) -> Iterator[tuple[str, dict[str, Any]]]:
-        """Return the ways to open a camera, the best first."""
+        """Yield the sources and options with which to try to open the camera, the best first."""
         if self._wanted.startswith(GENERATED):
             yield self._wanted.removeprefix(GENERATED), {"format": "lavfi"}
             return
@@ -153,13 +153,13 @@ class AvCamera:
 
 
 class StampClock:
-    """Time stamps of a camera, on the monotonic clock."""
+    """A converter of a camera's time stamps to the monotonic clock."""
 
     def __init__(self) -> None:
         self._ahead_s: deque[float] = deque(maxlen=_REMEMBERED)
 
     def time_s(self, stamp_s: float, now_s: float) -> float:
-        """When a picture was taken that has arrived at `now_s`."""
+        """Return the monotonic time at which a picture that arrived at `now_s` was taken."""
         if 0.0 <= now_s - stamp_s < _OLDEST_S:
             return stamp_s
         self._ahead_s.append(now_s - stamp_s)
@@ -171,7 +171,7 @@ _WAITING = 120
 
 
 class CameraFeed:
-    """The pictures of a camera as they come. Use it as a context manager."""
+    """The pictures of a camera, read by a thread inside a `with` block."""
 
     def __init__(self, camera: Camera) -> None:
         self.camera = camera
@@ -181,7 +181,7 @@ class CameraFeed:
         self._thread = threading.Thread(target=self._read, name="camera", daemon=True)
 
     def take_frames(self) -> list[Frame]:
-        """What has come since the last call. Raises CameraError once the camera has failed."""
+        """Return the pictures since the last call; CameraError if none and the camera failed."""
         frames: list[Frame] = []
         while self._waiting:
             frames.append(self._waiting.popleft())

@@ -1,4 +1,4 @@
-"""Who sees the markers: files, keys, photographs or a camera with a face mesh."""
+"""The sources of marker positions: files, typed numbers, photographs, or a camera's face mesh."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -42,7 +42,7 @@ ReadAll = Callable[[], list[tuple[int, str, Array]]]
 
 @dataclass(frozen=True, slots=True)
 class MeshOptions:
-    """What a face mesh needs. tracker: opens the networks; None of the others: not typed."""
+    """Options of a face mesh. open_tracker: loads the networks; eye_distance_mm None: not given."""
 
     open_tracker: Callable[[], FaceTracker]
     eye_distance_mm: float | None = None
@@ -51,9 +51,9 @@ class MeshOptions:
 
 
 def is_mesh_folder(folder: Path, mesh: MeshOptions) -> bool:
-    """Whether a folder holds, or is to hold, photographs without dots.
+    """Return whether a folder contains, or will contain, photographs without dots.
 
-    An empty one is to hold them where an eye distance or a landmarker was typed.
+    Without pictures it does so if an eye distance or a landmarker was given.
     """
     if not folder.is_dir() or is_dots_folder(folder):
         return False
@@ -64,20 +64,23 @@ def is_mesh_folder(folder: Path, mesh: MeshOptions) -> bool:
 
 
 def is_seen_from_the_front(source: Path, mesh: MeshOptions) -> bool:
-    """Whether depth is not measured there: a camera, photographs, or pictures of dots."""
+    """Return whether `source` measures no depth: a camera, photographs, or pictures of dots."""
     is_camera = str(source) == CAMERA
     return is_camera or is_mesh_folder(source, mesh) or (source.is_dir() and is_dots_folder(source))
 
 
 def mesh_folder(folder: Path, setup: CalibrationSetup, mesh: MeshOptions) -> MeshFolder:
-    """Photographs of this robot. Raises UserError where the scale or a tracker is missing."""
+    """Return the reader of a folder of photographs of this robot; print that protrusion is guessed.
+
+    Raises UserError if the scale or a tracker is missing.
+    """
     eye_distance_mm = _eye_distance_mm(setup, mesh)
     say(PROTRUSION_IS_GUESSED)
     return MeshFolder(folder, mesh.open_tracker(), eye_distance_mm, say)
 
 
 def reader_of(markers: Path, setup: CalibrationSetup, mesh: MeshOptions) -> ReadAll | None:
-    """What reads pictures of all poses; None for markers in files. Raises UserError."""
+    """Return a function that reads all poses' pictures; None for marker files. Raises UserError."""
     if is_mesh_folder(markers, mesh):
         return mesh_folder(markers, setup, mesh).all_readings
     if markers.is_dir() and is_dots_folder(markers):
@@ -89,9 +92,10 @@ def reader_of(markers: Path, setup: CalibrationSetup, mesh: MeshOptions) -> Read
 def tracker_source(
     setup: CalibrationSetup, source: str, axes: str, mesh: MeshOptions
 ) -> Iterator[MakeTracker]:
-    """Yield what makes the tracker once servos are held; report missing files and extras before.
+    """Yield a function that makes the tracker once servos are held.
 
-    source: `camera`, or as `tracker_of` takes it. Raises UserError.
+    Missing files and extras are reported before that. source: `camera`, or a source of
+    `tracker_of`. Raises UserError.
     """
     folder = Path(source)
     if source == CAMERA:
@@ -119,7 +123,10 @@ def tracker_source(
 
 
 def dots_folder(folder: Path) -> DotsFolder:
-    """Pictures of dots on this robot. Raises CalibrationError."""
+    """Return the reader of pictures of dots in a folder; print that protrusion is unseen.
+
+    Raises CalibrationError.
+    """
     say(PROTRUSION_IS_UNSEEN)
     return DotsFolder(folder, say)
 
@@ -135,9 +142,9 @@ def _pictures(folder: Path, names: tuple[str, ...], read: ReadPose) -> MakeTrack
 
 
 def _warned_once(read: ReadPose) -> ReadPose:
-    """Report what is wrong with a picture, and wait for the picture anew.
+    """Return `read` changed so that a faulty picture gives no markers instead of an error.
 
-    Only at the second reading: the file may have been half written.
+    The error is printed once, at the second reading: at the first the file may be half written.
     """
     seen: Counter[str] = Counter()
 
@@ -154,10 +161,10 @@ def _warned_once(read: ReadPose) -> ReadPose:
 
 
 def next_picture(feed: CameraFeed, clock: Clock) -> Picture:
-    """The first picture that is taken from now on. Raises CameraError.
+    """Return the first picture taken from now on, (height, width, 3) RGB.
 
-    A device may hold a few older ones back; after so many the next one counts, whatever its time
-    stamp says. One that gives nothing has failed.
+    Raises CameraError if the camera fails, and UserError after ten seconds without a picture. A
+    device may deliver up to four older ones; the next one counts, whatever its time stamp.
     """
     feed.take_frames()
     requested_s = clock.now()
@@ -173,7 +180,7 @@ def next_picture(feed: CameraFeed, clock: Clock) -> Picture:
 
 
 def say(line: str) -> None:
-    """A line for a person, on stderr."""
+    """Print a line for a person on stderr."""
     MESSAGES.print(line)
 
 

@@ -1,4 +1,4 @@
-"""`lipservo calibrate guided`: the speaker's mouth, the robot's beside it, and keys."""
+"""`lipservo calibrate guided`: a person moves the robot's mouth by keys into shapes shown."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -34,7 +34,7 @@ Drawn = Callable[[Array], Array]
 
 
 def calibrate_by_eye(setup: CalibrationSetup) -> CalibrationResult:
-    """Poses made with keys, on the face's own servos or on simulated ones.
+    """Let a person make poses by keys, on the face's servos or simulated ones, and fit them.
 
     Raises CalibrationError for too few poses.
     """
@@ -60,19 +60,19 @@ def calibrate_by_eye(setup: CalibrationSetup) -> CalibrationResult:
 
 
 def fit_by_eye(setup: CalibrationSetup, made_deg: Mapping[str, Array]) -> CalibrationResult:
-    """Fit the map to poses that a person made. Raises CalibrationError for too few.
+    """Fit a calibration to poses that a person made. Raises CalibrationError for too few.
 
     Parameters
     ----------
     setup : CalibrationSetup
         Model and servos.
     made_deg : Mapping[str, Array]
-        (n_servos,) by the name of the pose.
+        (n_servos,) degrees by the name of the pose.
 
     Returns
     -------
     CalibrationResult
-        Without measured errors in mm.
+        The calibration, without errors in mm, as none are measured.
     """
     calibration = fit_guided(setup.model, setup.servos, made_deg, date=today())
     return CalibrationResult(calibration)
@@ -88,24 +88,24 @@ def guide(
     keep: Path | None = None,
     drawn: Drawn | None = None,
 ) -> dict[str, Array]:
-    """Let a person make the landmark poses; the robot is left in neutral.
+    """Let a person make the landmark poses by keys, and return them; leave the robot in neutral.
 
-    Every finished pose is kept at once in `keep`, and a later session goes on from there.
+    Every finished pose is written to `keep` at once; a later session continues from that file.
 
     Parameters
     ----------
     model : FaceWithAnimPhos
-        The face.
+        Model of the face, with the landmark poses.
     joints : Sequence[JointRange]
-        Ranges.
+        Joints with their ranges.
     move : Move
-        Moves the robot.
+        Moves the robot to joint angles.
     read_key : Callable[[], str]
         Returns the next key.
     console,drawn : Console
-        Where the pose is shown.
+        Where the pose is shown; what computes the robot's markers (None: not shown).
     keep : Path | None
-        File of the poses; None: none.
+        File of the poses; None: they are not written.
 
     Returns
     -------

@@ -1,9 +1,9 @@
-"""What a person puts into a calibration: poses made with the fingers, a touch pose, trims.
+"""The parts of a calibration that a person makes by hand: hand poses, the touch pose, trims.
 
 `touched` becomes the touch pose; `widest` and `rounded` bound the joints that open and narrow the
-mouth; all are kept in the file, as places of the lip gap that a person has seen and felt. Encoders
-are read live while the fingers pose, and a key keeps the pose that the hands hold. What was made
-stays when the face is calibrated again.
+mouth; all are kept in the calibration file, as positions of the lips that a person has seen and
+felt. Encoders are read live while the fingers pose, and a key keeps the pose that the hands form.
+All of it is kept when the face is calibrated again.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -41,7 +41,7 @@ _BOUNDED: Final = (
 
 @dataclass(frozen=True, slots=True)
 class HandPose:
-    """One pose to make: its name, and what to do."""
+    """A pose to be made by hand: its name and the instruction for it."""
 
     name: str
     instruction: str
@@ -56,19 +56,19 @@ HAND_POSES: Final = (
 
 
 def beyond_limits(servos: MouthServos, positions_deg: Array) -> dict[str, str]:
-    """Return why a pose cannot be kept, for each joint that is outside the face's limits.
+    """Return an error message for each joint of a pose that is outside the face's limits.
 
     Parameters
     ----------
     servos : MouthServos
-        Of the mouth.
+        Servos of the mouth.
     positions_deg : Array
-        (n_servos,).
+        (n_servos,) degrees.
 
     Returns
     -------
     dict[str, str]
-        A line by the joint's name.
+        One line by the joint's name; empty if all are inside.
     """
     low_deg, high_deg = servos.limits_deg
     off_deg = np.maximum(low_deg - positions_deg, positions_deg - high_deg)
@@ -85,28 +85,28 @@ def beyond_limits(servos: MouthServos, positions_deg: Array) -> dict[str, str]:
 def with_hand_poses(
     calibration: Calibration, servos: MouthServos, made_deg: Mapping[str, Array], cap_ma: float
 ) -> Calibration:
-    """Return the calibration with these poses beside those that were kept before.
+    """Return a calibration with hand poses added, and with the limits that they imply.
 
     Parameters
     ----------
     calibration : Calibration
-        The old one.
+        The present one, with any poses kept before.
     servos : MouthServos
-        Of the mouth.
+        Servos of the mouth.
     made_deg : Mapping[str, Array]
-        (n_servos,) by the name of the pose.
+        (n_servos,) degrees by the name of the pose.
     cap_ma : float
-        Proposed with a touch pose where the calibration proposes none.
+        Current cap of a new touch pose, in mA, if the calibration has none yet.
 
     Returns
     -------
     Calibration
-        With limits in degrees from the poses.
+        The new one, with limits in degrees from the poses.
 
     Raises
     ------
     CalibrationError
-        No pose was made, or a joint was nowhere.
+        No pose was made, or a joint's position is unknown (NaN).
     """
     if not made_deg:
         raise CalibrationError("no pose was kept; the calibration stays as it is")
@@ -124,7 +124,7 @@ def with_hand_poses(
 
 
 def _bounds(servos: MouthServos, poses: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Of the face, drawn in where a pose shows how far a joint may go."""
+    """Return the joints' lower and upper limits, narrowed where a pose shows how far one may go."""
     low_deg, high_deg = (limit.copy() for limit in servos.limits_deg)
     for n, word in enumerate(servos.positive):
         for pose, bounded, upwards in _BOUNDED:
@@ -139,7 +139,7 @@ def _bounds(servos: MouthServos, poses: Mapping[str, Array]) -> tuple[Array, Arr
 
 
 def pose_lines(before: Calibration, after: Calibration) -> list[str]:
-    """Describe what became of the poses, for a person."""
+    """Return lines for a person about the kept poses, changed limits and the closed mouth."""
     lines = []
     for name, positions_deg in after.hand_poses.items():
         places = zip(after.servo_names, positions_deg, strict=True)
@@ -177,18 +177,18 @@ _BAR = 31
 
 
 class Keys(Protocol):
-    """Single keys of a person or a script."""
+    """A source of single keys: a person or a script."""
 
     def next_key(self, timeout_s: float) -> str | None:
-        """The next key, or None after so long."""
+        """Return the next key, or None if none comes within `timeout_s`."""
 
 
 @dataclass(slots=True)
 class Posing:
-    """Where a person is, and what was made: angles (n_servos,) by the name of the pose.
+    """The state of a session that makes hand poses: the current one, and the angles of those made.
 
-    keep: called with all poses so far after each. undivided: what happens in it is not broken
-    off by a signal.
+    made_deg: (n_servos,) degrees by the name of the pose. keep: called with all poses so far after
+    each new one. undivided: a context manager that a signal does not interrupt.
     """
 
     poses: Sequence[HandPose]
@@ -199,7 +199,7 @@ class Posing:
     current: int = field(init=False)
 
     def __post_init__(self) -> None:
-        """Begin with the first that was not made in an earlier session."""
+        """Set `current` to the first pose not made in an earlier session, or 0 if all were."""
         names = [pose.name for pose in self.poses]
         self.current = next((n for n, name in enumerate(names) if name not in self.made_deg), 0)
 
@@ -207,18 +207,18 @@ class Posing:
 def pose_by_hand(
     servos: LimpServos, mouth: MouthServos, posing: Posing, keys: Keys, console: Console
 ) -> Mapping[str, Array]:
-    """Let a person make the poses, until all are made or the person stops. Raises PortGone.
+    """Let a person make poses by hand until all are made or the person stops. Raises PortGone.
 
     Parameters
     ----------
     servos : LimpServos
-        Limp already.
+        The servos, limp already.
     mouth : MouthServos
-        Its servos.
+        Servos of the mouth.
     posing : Posing
         The poses to make.
     keys,console : Keys
-        Of the terminal.
+        The terminal's keys and output.
 
     Returns
     -------
@@ -249,7 +249,7 @@ def pose_by_hand(
 
 
 def _keep(servos: LimpServos, mouth: MouthServos, posing: Posing) -> None:
-    """Keep the pose that is held, or note why not."""
+    """Add the servos' pose to `posing` and go to the next one, or set a note why it is refused."""
     held = servos.steady_pose()
     obstacles = held.obstacles | beyond_limits(mouth, held.positions_deg)
     name = posing.poses[posing.current].name
@@ -277,7 +277,7 @@ def _page(posing: Posing, mouth: MouthServos, seen: LimpPose) -> RenderableType:
 
 
 def _bar(here_deg: float, min_deg: float, max_deg: float) -> str:
-    """Where a joint is between its limits, in characters that every terminal has."""
+    """Return a text bar of ASCII characters with a mark at the joint's position in its limits."""
     if not np.isfinite(here_deg) or max_deg <= min_deg:
         return "." * _BAR
     share = (here_deg - min_deg) / (max_deg - min_deg)
@@ -292,9 +292,9 @@ _REMEDY: Final = "set them anew with `lipservo calibrate trim`"
 def with_hand_made(
     fresh: Calibration, servos: MouthServos, output: Path
 ) -> tuple[Calibration, list[str]]:
-    """A fresh calibration with trims, hand poses and touch pose of the file it replaces.
+    """Return a new calibration with the trims, hand poses and touch pose of the file it replaces.
 
-    The second part says, for a person, what was kept and what was not, and why.
+    The second part has lines for a person: what was kept and what was not, and why.
     """
     if not output.exists():
         return fresh, []

@@ -1,6 +1,6 @@
 """Calibrations that are measured: on the face's own servos, from files, or on a simulated robot.
 
-The last part of each is how late the servos follow, which `lipservo calibrate lags` finds alone.
+Each ends with the lags of the servos, which `lipservo calibrate lags` measures alone.
 """
 
 import math
@@ -55,7 +55,7 @@ PROTRUSION = "protrusion"
 
 @dataclass(frozen=True, slots=True)
 class CalibrationResult:
-    """fit: None where nothing was measured, or a jaw alone."""
+    """A new calibration. fit: None if nothing was measured, or only the jaw."""
 
     calibration: Calibration
     fit: MeasuredFit | None = None
@@ -63,7 +63,7 @@ class CalibrationResult:
 
     @property
     def backlash_deg(self) -> Array:
-        """The backlash of each servo.
+        """The backlash of each servo, as in the calibration.
 
         Returns
         -------
@@ -73,7 +73,7 @@ class CalibrationResult:
         return backlash_of(self.calibration)
 
     def graded_by(self, setup: CalibrationSetup, on: Robot) -> "CalibrationResult":
-        """The same with a grade, measured at ten poses of speech; a jaw alone gets none."""
+        """Return the result graded at ten measured poses of speech; unchanged for a jaw alone."""
         if self.fit is None:
             return self
         fit = take_grade(self.fit, setup.servos, self.fit.face.marker_names, on)
@@ -82,18 +82,18 @@ class CalibrationResult:
         return CalibrationResult(calibration, fit, fit.warnings)
 
     def seen_by(self, setup: CalibrationSetup) -> "CalibrationResult":
-        """Return the result with its file noting what the tracker cannot see, as protrusion."""
+        """Return the result marked as without measured protrusion if markers have no depth."""
         if setup.sees_forward:
             return self
         origin = replace(self.calibration.origin, not_measured=PROTRUSION)
         return replace(self, calibration=replace(self.calibration, origin=origin))
 
     def with_following(self, following: Following) -> "CalibrationResult":
-        """Return the result with the servos' lags."""
+        """Return the result with the servos' measured lags, backlash, speeds and bandwidths."""
         return replace(self, calibration=replace(self.calibration, following=following))
 
     def with_memories(self, memories: Sequence[ServoMemory | None]) -> "CalibrationResult":
-        """The same result with the servos' own memories, where every servo was read."""
+        """Return the result with the servos' register contents; unchanged unless all were read."""
         known = tuple(memory for memory in memories if memory is not None)
         if len(known) != len(self.calibration.servo_names):
             return self
@@ -120,9 +120,10 @@ def backlash_of(calibration: Calibration) -> Array:
 
 
 def fit_capture(setup: CalibrationSetup, capture: Capture) -> CalibrationResult:
-    """A capture of this face, from wherever, to its calibration.
+    """Fit a calibration to a capture of this face.
 
-    One servo and no lips among the markers: the jaw alone.
+    Only the jaw is fitted for one servo without lip markers. Raises CalibrationError, as for
+    markers without any depth unless `accept` is set.
     """
     if setup.sees_forward and is_flat(capture):
         if not setup.accept:
@@ -142,7 +143,7 @@ def fit_capture(setup: CalibrationSetup, capture: Capture) -> CalibrationResult:
 
 
 def jaw_check(setup: CalibrationSetup, calibration: Calibration) -> float | None:
-    """Correlation of the joint that opens with the speaker's jaw; None without such a joint."""
+    """Return the correlation of the opening joint with the speaker's jaw; None: no such joint."""
     positive = setup.servos.positive
     if "opens" not in positive:
         return None
@@ -152,15 +153,15 @@ def jaw_check(setup: CalibrationSetup, calibration: Calibration) -> float | None
 def with_lags(
     setup: CalibrationSetup, face: HeldFace, result: CalibrationResult
 ) -> CalibrationResult:
-    """Return the result with the lags of servos that are held."""
+    """Measure the lags of servos that are held; return the result with them."""
     return result.with_following(_measured_following(setup, face, result.calibration))
 
 
 def measure_lags(setup: CalibrationSetup, calibration: Calibration) -> Calibration:
-    """The same map with the lags, speeds and bandwidths that this face's servos have now.
+    """Return the calibration with newly measured lags, speeds and bandwidths of this face's servos.
 
-    Backlash stays as it was: it comes from the markers. Raises CalibrationError for a calibration
-    of another face or model, or of servos that were set up anew since.
+    Backlash stays as it was, since it comes from the markers. Raises CalibrationError for a
+    calibration of another face or model, or of servos that were set up anew since.
     """
     names = setup.servos.names
     check_calibration(calibration, setup.model, names, setup.settings.checksum)
@@ -182,9 +183,9 @@ _MOST_LAG_MS = 500.0
 def typed_lags(
     setup: CalibrationSetup, calibration: Calibration, typed: Sequence[str]
 ) -> Calibration:
-    """The same with lags that a person measured, `jaw=60` in milliseconds; others stay.
+    """Return the calibration with lags typed by a person, as `jaw=60` in ms; other lags stay.
 
-    Raises CalibrationError for a joint that is not there or there twice, and for no such number.
+    Raises CalibrationError for an unknown or repeated joint, and for no number within 0 to 500 ms.
     """
     names = list(setup.servos.names)
     check_calibration(calibration, setup.model, setup.servos.names, setup.settings.checksum)
@@ -235,7 +236,7 @@ def calibrate_on_servos(
     passed: Callable[[Array], object] = lambda _: None,
     seed: int = 0,
 ) -> CalibrationResult:
-    """Capture, fit, then measure the servos' lags.
+    """Capture poses on the face's servos, fit and grade a calibration, then measure the lags.
 
     Parameters
     ----------
@@ -244,9 +245,9 @@ def calibrate_on_servos(
     make_tracker : Callable[[HeldFace], Tracker]
         Makes the source of markers.
     passed : Callable[[Array], object]
-        Called with every place that the encoders came to, (n_servos,) degrees, measured or not.
+        Called with the encoders' positions after every move, (n_servos,) degrees.
     seed : int
-        Of the plan.
+        Seed of the plan of poses.
 
     Returns
     -------
@@ -258,7 +259,7 @@ def calibrate_on_servos(
         tracker = make_tracker(face)
 
         def taken(here: Here) -> CalibrationResult:
-            """In a thread of its own: fits take seconds, and a stop must not wait for them."""
+            """Capture, fit and grade, in a thread: fits take seconds, and a stop must not wait."""
 
             def move(goal_deg: Array) -> Array:
                 reached_deg: Array = here(lambda: face.move(goal_deg))
@@ -294,7 +295,7 @@ def calibrate_on_servos(
 
 
 def calibrate_on_computed_skin(setup: CalibrationSetup) -> CalibrationResult:
-    """A rehearsal: the servos are moved, and the markers computed from where they stand."""
+    """Calibrate as a rehearsal: real servos move; markers are computed from their positions."""
     markers_of = markers_of_face(setup.model.markers_mm(setup.model.rest[None])[0], setup.servos)
     noise = np.random.default_rng(0)
 
@@ -306,7 +307,11 @@ def calibrate_on_computed_skin(setup: CalibrationSetup) -> CalibrationResult:
 
 
 def tracker_of(setup: CalibrationSetup, source: str, axes: str) -> Callable[[HeldFace], Tracker]:
-    """`typed`, or the path of a file or folder that another program fills."""
+    """Return a function that makes the tracker from held servos.
+
+    source: `typed`, or the path of a file or folder that another program fills. Raises
+    CalibrationError for anything else.
+    """
     if source == TYPED:
         return lambda face: TypedTracker(
             TYPED_MARKERS, lambda question: face.hold_while(lambda: read_line(question))
@@ -323,7 +328,7 @@ def tracker_of(setup: CalibrationSetup, source: str, axes: str) -> Callable[[Hel
 def capture_face(
     setup: CalibrationSetup, marker_names: tuple[str, ...], on: Robot, *, seed: int
 ) -> Capture:
-    """All poses of the face's procedure, with a progress bar."""
+    """Measure the markers in all poses of the face's procedure, with a progress bar."""
     with progress_bar(setup, "poses", setup.n_poses) as done:
         return setup.procedure(seed).capture(
             marker_names,
@@ -338,19 +343,19 @@ def capture_face(
 
 
 def strained_servo(setup: CalibrationSetup, effort: Array) -> str | None:
-    """Return the servo that draws nearly all of its `max_current_ma`.
+    """Return the name of a servo that draws nearly all of its `max_current_ma`, and print a line.
 
     Parameters
     ----------
     setup : CalibrationSetup
-        Has the servos.
+        Setup with the face's servos.
     effort : Array
-        (n_servos,), of the mouth, in stall torques.
+        (n_servos,) of the mouth, in stall torques.
 
     Returns
     -------
     str | None
-        Its name; None where no model measures, or none draws so much.
+        The name; None if no servo draws so much, or none measures it.
     """
     for (name, servo), share in zip(setup.settings.mouth_servos.items(), effort, strict=True):
         if servo.strain(share) >= _STRAINED:
@@ -364,9 +369,10 @@ def _say(line: str) -> None:
 
 
 def fit_simulated_face(setup: CalibrationSetup) -> CalibrationResult:
-    """Nothing is measured: the simulated face, and the lags of servos simulated to the byte.
+    """Calibrate the simulated face without a capture, with lags of servos simulated to the byte.
 
-    A face with a port gets no lags here: `lipservo calibrate lags` asks its own servos.
+    A face with a port gets no lags here: `lipservo calibrate lags` measures its own servos. Raises
+    CalibrationError for servos that the simulated face does not have.
     """
     servos = setup.servos
     if family_of(servos) is RobotFamily.ELASTIC:
@@ -388,7 +394,7 @@ def fit_simulated_face(setup: CalibrationSetup) -> CalibrationResult:
 def practise_in_memory(
     setup: CalibrationSetup, seed: int, family: RobotFamily | None = None
 ) -> CalibrationResult:
-    """A simulated robot drawn from a seed, in memory and at once. family: as `practice_robot`."""
+    """Calibrate a simulated robot drawn from `seed`, in memory. family: as for `practice_robot`."""
     robot = _drawn_robot(setup, seed, family)
     on = Robot(robot.move, robot.measure)
     capture = capture_face(setup, MARKERS_47.names, on, seed=seed)
@@ -403,7 +409,7 @@ def practise_in_memory(
 def practise_over_wire(
     setup: CalibrationSetup, seed: int, family: RobotFamily | None = None
 ) -> CalibrationResult:
-    """The servos at a port, behind the skin of a robot drawn from a seed."""
+    """Calibrate the servos at a port, with markers of a simulated robot's skin, drawn by `seed`."""
     robot = _drawn_robot(setup, seed, family)
     tracker = SeenByComputation(MARKERS_47.names, lambda _: robot.measure())
     return calibrate_on_servos(setup, lambda _: tracker, robot.move, seed)

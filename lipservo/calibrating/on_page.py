@@ -1,4 +1,4 @@
-"""Calibrations that a page leads: poses made with sliders, and what is seen of those measured."""
+"""Calibrations led by a web page: poses made with sliders, and the progress of measured ones."""
 
 import time
 from collections.abc import Sequence
@@ -34,7 +34,7 @@ _S_A_MINUTE: Final = 60.0
 
 
 class PageWatch:
-    """Tells a page how far `measure` is, and what the tracker sees: the methods of a `Watch`."""
+    """A `Watch` that sends a page the progress of `measure`, and what the tracker sees."""
 
     def __init__(self, page: PageLine, setup: CalibrationSetup) -> None:
         self._page = page
@@ -45,7 +45,7 @@ class PageWatch:
         self.watch = Watch(self.progress, self.arrived, self.seen)
 
     def progress(self, what: str, done: int, total: int) -> None:
-        """Send the page the progress of poses, then of chirps, with the minutes left."""
+        """Send the page the progress of poses, or of chirps, with the minutes left."""
         spent_s = time.monotonic() - self._began_s
         if not done:
             self._began_s, spent_s = time.monotonic(), 0.0
@@ -58,12 +58,12 @@ class PageWatch:
         self._page.tell("progress", what=what, done=done, total=total, left_min=left_min)
 
     def arrived(self, reached_deg: Array) -> None:
-        """Send the page where the encoders are.
+        """Send the page the encoders' positions.
 
         Parameters
         ----------
         reached_deg : Array
-            (n_servos,).
+            (n_servos,) degrees.
         """
         self._page.tell("arrived", deg=_by_name(self._names, reached_deg))
 
@@ -73,9 +73,9 @@ class PageWatch:
         Parameters
         ----------
         marker_names : tuple[str, ...]
-            n_markers.
+            Names of n_markers markers.
         markers_mm : Array
-            (n_markers, 3).
+            (n_markers, 3) mm, NaN where one is not seen.
         """
         points = [
             None if np.isnan(place).any() else [round(float(v), 1) for v in place]
@@ -87,7 +87,7 @@ class PageWatch:
 
 
 def _loop(group: str, landmarks: Sequence[int], marker_names: Sequence[str]) -> list[int]:
-    """Numbers of the markers of a lip, once round it."""
+    """Return the indices of a lip's markers in `marker_names`, in order once round the lip."""
     names = [f"{group}_{landmark}" for landmark in landmarks]
     return [marker_names.index(name) for name in names if name in marker_names]
 
@@ -95,10 +95,10 @@ def _loop(group: str, landmarks: Sequence[int], marker_names: Sequence[str]) -> 
 def calibrate_by_eye_on_page(
     setup: CalibrationSetup, page: PageLine, *, simulated: bool
 ) -> CalibrationResult:
-    """As `calibrate_by_eye`, with sliders in place of keys.
+    """Let a person make poses with a page's sliders, on the face's servos, and fit them.
 
-    simulated: the robot's mouth is computed from the encoders, and shown beside the wanted one.
-    Raises CalibrationError for too few poses.
+    simulated: the robot's mouth is computed from the servos' goals, and shown beside the wanted
+    one. Raises CalibrationError for too few poses.
     """
     memories = servo_memories(setup.settings)
     with held_servos(setup) as robot:
@@ -110,7 +110,7 @@ def calibrate_by_eye_on_page(
 def _guide(
     setup: CalibrationSetup, robot: HeldFace, page: PageLine, *, simulated: bool
 ) -> dict[str, Array]:
-    """The poses that a person made, (n_servos,) by name; the robot is left in neutral."""
+    """Return the poses that a person makes on the page, (n_servos,) deg by name; end in neutral."""
     model, joints, names = setup.model, setup.servos.joints, setup.servos.names
     kept = {} if setup.keep is None else kept_poses(names, setup.keep)
     session = start_session(joints, landmark_poses(model), kept)
@@ -154,7 +154,7 @@ def _guide(
 
 
 def _after(session: GuidedSession, order: Order, page: PageLine) -> GuidedSession:
-    """The session after an order, and after all moves that came meanwhile."""
+    """Return the session after an order of the page, all moves that wait behind it included."""
     while (moved := order.get("move")) is not None:
         session = _moved(session, moved)
         following = page.next_order(0.0)
@@ -170,7 +170,7 @@ def _after(session: GuidedSession, order: Order, page: PageLine) -> GuidedSessio
 
 
 def _moved(session: GuidedSession, moved: object) -> GuidedSession:
-    """Joints to these angles, by name, within their limits; what is no such order is left out."""
+    """Return the session with joints at the angles `moved`, within limits; skip invalid ones."""
     positions_deg = session.positions_deg.copy()
     wanted = moved if isinstance(moved, dict) else {}
     for n, joint in enumerate(session.joints):

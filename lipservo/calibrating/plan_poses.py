@@ -1,8 +1,8 @@
-"""Robots that something else moves: poses of a plan, and a second visit that grades the fit.
+"""Robots moved by other programs: poses of a plan, and a later visit that grades the fit.
 
 `lipservo calibrate pose` moves servos to the poses of a plan, for markers recorded by hand.
-`calibrate fit --check-plan` writes ten poses of speech that nothing was fitted to, and
-`calibrate grade` measures by them.
+`calibrate fit --check-plan` writes ten poses of speech that were not used in the fit, and
+`calibrate grade` grades by them.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,7 +25,7 @@ from lipsync.arrays import Array
 def read_poses(
     setup: CalibrationSetup, path: Path, wanted: Sequence[int]
 ) -> tuple[tuple[int, ...], PosePlan]:
-    """The numbers of the poses to go to and the plan of these alone; all where none is wanted.
+    """Return the numbers and the plan of the `wanted` poses of a file; of all if none is wanted.
 
     Raises CalibrationError for a number that is not in the plan, or goals beyond the face's limits.
     """
@@ -49,7 +49,7 @@ def read_poses(
 
 
 def check_plan(setup: CalibrationSetup, path: Path) -> None:
-    """Raises CalibrationError for goals beyond the face's limits, and a joint that never moves."""
+    """Raise CalibrationError if a plan exceeds the face's limits or a joint never moves in it."""
     _, plan = read_poses(setup, path, ())
     still = (
         np.ptp(plan.goals_deg, axis=0) == 0.0 if len(plan) > 1 else np.zeros(len(plan.servo_names))
@@ -68,16 +68,16 @@ def stand_in_poses(
     arrived: Callable[[int, Array], object],
     wait: Callable[[], object],
 ) -> None:
-    """Move to one pose after another, each from the side it names; then to neutral, and let go.
+    """Move the servos to each pose of a plan from its side, then to neutral; then torque off.
 
     Parameters
     ----------
     setup : CalibrationSetup
         Face and options.
     plan : PosePlan
-        n poses.
+        The n poses.
     arrived : Callable[[int, Array], object]
-        Called with the row of the pose in the plan and the encoders, (n_servos,) degrees.
+        Called with the row of a pose in the plan and the encoders' positions, (n_servos,) degrees.
     wait : Callable[[], object]
         Returns when the pose has been recorded; the servos are held meanwhile.
     """
@@ -89,7 +89,7 @@ def stand_in_poses(
 
 
 def check_face(setup: CalibrationSetup, calibration: Calibration, source: str) -> None:
-    """Raises CalibrationError for a calibration of another face."""
+    """Raise CalibrationError if a calibration, from `source`, was made for another face."""
     if calibration.face_checksum != setup.servos.face_checksum:
         raise CalibrationError(
             f"{source}: is of another face than {setup.settings.name!r}; name its face with "
@@ -106,7 +106,7 @@ def grade_by_files(
     axes: str,
     read: ReadAll | None,
 ) -> tuple[Calibration, tuple[str, ...]]:
-    """The calibration with the grade that the markers give it, and warnings.
+    """Return the calibration graded by recorded markers, and warnings.
 
     plan: as `fit --check-plan` wrote it. Raises CalibrationError.
     """
@@ -128,9 +128,10 @@ def write_check_poses(
     path: Path,
     output: Path,
 ) -> str:
-    """Write them for the calibration that was saved as `output`; a line that says how to go on.
+    """Write the poses to grade a calibration by to `path`; return a line with the next steps.
 
-    A jaw alone has no lips to be graded: no file then. Raises OutputError.
+    output: the file of the calibration, for that line. Without a fit (a jaw alone, which has no
+    lips to grade) no file is written. Raises OutputError.
     """
     if fit is None:
         return f"{path} is not written: a jaw alone has no lips to be graded"
@@ -144,7 +145,10 @@ def write_check_poses(
 
 
 def _in_order(capture: Capture, names: tuple[str, ...], markers: Path) -> Capture:
-    """The same markers as in the fit; one that is not there now counts as lost."""
+    """Return the capture with the markers `names`, in that order, NaN for missing ones.
+
+    Raises CalibrationError for a marker that is not in `names`; `markers` is its file.
+    """
     unknown = [name for name in capture.marker_names if name not in names]
     if unknown:
         raise CalibrationError(
@@ -157,7 +161,7 @@ def _in_order(capture: Capture, names: tuple[str, ...], markers: Path) -> Captur
 
 
 def _usual_mm(markers_mm: Array) -> Array:
-    """(n, n_markers, 3) -> (n_markers, 3), NaN for one never seen."""
+    """Return each marker's median, (n, n_markers, 3) -> (n_markers, 3); NaN for one never seen."""
     usual_mm = np.full(markers_mm.shape[1:], np.nan)
     seen = np.asarray(np.isfinite(markers_mm).any(axis=0)).all(axis=1)
     usual_mm[seen] = np.nanmedian(markers_mm[:, seen], axis=0)

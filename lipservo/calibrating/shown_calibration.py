@@ -1,4 +1,4 @@
-"""What a calibration says, for people, as JSON and as a picture.
+"""A calibration shown to people, as lines and tables, as JSON, and as a picture.
 
 The picture shows which mouths a robot can make: openings and widths of speech, and what is missing.
 It needs matplotlib, the extra `plots`.
@@ -35,9 +35,9 @@ _WELL_REACHED = 0.9
 def report_lines(
     calibration: Calibration, written: str, fit: "MeasuredFit | None", *, with_servos: bool = True
 ) -> list[str]:
-    """How far off the map is, then each joint, then what the robot cannot reach.
+    """Return lines for a person: the calibration's errors, each joint's, and what is out of reach.
 
-    fit: of a measured calibration; None for the others. with_servos: with a line for each servo.
+    fit: of a measured calibration; None for others. with_servos: include a line for each servo.
     """
     lines = [f"{written}: {_summary(calibration)}"]
     lips = calibration.learnt_lips
@@ -143,7 +143,7 @@ def _reach_lines(calibration: Calibration) -> list[str]:
 
 
 def following_lines(calibration: Calibration) -> list[str]:
-    """How each joint does, and how it follows."""
+    """Return a line for each joint: its error, backlash, lag and bandwidth."""
     lines = []
     following = calibration.following
     for i, name in enumerate(calibration.servo_names):
@@ -163,7 +163,7 @@ def following_lines(calibration: Calibration) -> list[str]:
 
 
 def _worst_markers(each_rms_mm: Mapping[str, float]) -> list[str]:
-    """Return a line on the three markers that are farthest off."""
+    """Return a line about the three markers with the largest errors, or none without markers."""
     worst = sorted(each_rms_mm.items(), key=lambda item: -item[1])[:3]
     listed = ", ".join(f"{name} {rms_mm:.2f} mm" for name, rms_mm in worst)
     return [f"farthest off: {listed}"] if worst else []
@@ -192,7 +192,7 @@ Value = str | float | Sequence[float] | None
 
 
 def following_values(calibration: Calibration) -> dict[str, dict[str, float | None]]:
-    """How each servo follows its goal, by its name; None where the file does not know."""
+    """Return each servo's lag, backlash, speed and bandwidth, by name; None where not measured."""
     following = calibration.following
     keys = ("lag_ms", "backlash_deg", "top_speed_deg_s", "bandwidth_hz")
     if following is None:
@@ -210,7 +210,7 @@ def following_values(calibration: Calibration) -> dict[str, dict[str, float | No
 
 
 def servo_values(calibration: Calibration) -> dict[str, dict[str, Value]]:
-    """Range, error and following of each servo, by its name."""
+    """Return the model, range, error, lag, backlash, speed and bandwidth of each servo, by name."""
     models = calibration.origin.servo_models or (None,) * len(calibration.servo_names)
     follows = following_values(calibration)
     return {
@@ -225,13 +225,13 @@ def servo_values(calibration: Calibration) -> dict[str, dict[str, Value]]:
 
 
 def grade_values(calibration: Calibration) -> dict[str, object] | None:
-    """What was measured, and `lips_off_mm`, which is printed first; None where nothing was."""
+    """Return the measured grade and `lips_off_mm`, for JSON; None if there is no grade."""
     grade, lips = calibration.grade, calibration.learnt_lips
     return None if grade is None else {"lips_off_mm": lips_off_mm(grade, lips), **asdict(grade)}
 
 
 def closing_values(calibration: Calibration) -> dict[str, object] | None:
-    """Whether the lips touch, and how far past contact closures go; None: not observed."""
+    """Return whether the lips touch, and how far past contact closures go; None: not observed."""
     closing, closure = calibration.closing, calibration.closure
     if closing is None:
         return None
@@ -242,7 +242,10 @@ def closing_values(calibration: Calibration) -> dict[str, object] | None:
 def shown_values(
     calibration: Calibration, rules: Sequence[PreventSettings] | None
 ) -> dict[str, object]:
-    """Everything for JSON but the map itself. rules: of the face's YAML, None: not wanted."""
+    """Return a calibration as JSON values, without the map itself.
+
+    rules: the `prevent` rules of the face's YAML; None: they are left out.
+    """
     origin, errors = calibration.origin, asdict(calibration.errors)
     lips = calibration.learnt_lips
     errors.pop("joint_rms_deg")
@@ -267,7 +270,7 @@ def shown_values(
 
 
 def trim_values(calibration: Calibration) -> dict[str, dict[str, float]]:
-    """Degrees that are added for a viseme class, by its first phoneme and the servo; no zeros."""
+    """Return the degrees added for a viseme class, by its first phoneme and the servo; no zeros."""
     trims = {
         viseme: {
             name: float(added)
@@ -280,7 +283,7 @@ def trim_values(calibration: Calibration) -> dict[str, dict[str, float]]:
 
 
 def trim_lines(calibration: Calibration) -> list[str]:
-    """A line for each trim, or that there are none."""
+    """Return a line for each trim of a servo in a viseme class, or the line "no trims"."""
     lines = [
         f"{viseme}: {servo} {added_deg:+g} deg"
         for viseme, added in trim_values(calibration).items()
@@ -290,7 +293,7 @@ def trim_lines(calibration: Calibration) -> list[str]:
 
 
 def servo_table(calibration: Calibration) -> Table:
-    """One row a servo; a dash where the file does not know."""
+    """Return a table with one row for each servo, with a dash for what is unknown."""
     table = Table(box=None, pad_edge=False)
     table.add_column("servo", no_wrap=True)
     for title in _COLUMNS.values():
@@ -303,7 +306,10 @@ def servo_table(calibration: Calibration) -> Table:
 def shown_lines(
     calibration: Calibration, file: str, rules: Sequence[PreventSettings] | None
 ) -> list[str]:
-    """What is not of one servo or viseme class: origin, errors of the lips, trims and rules."""
+    """Return lines about the whole calibration: errors of the lips, origin, trims and rules.
+
+    rules: the `prevent` rules of the face's YAML; None: they are left out.
+    """
     origin = calibration.origin
     made = f", {origin.poses} poses" if origin.poses else ""
     dated = f", {origin.date}" if origin.date else ""
@@ -320,12 +326,12 @@ def shown_lines(
 
 
 def coverage_values(calibration: Calibration) -> dict[str, dict[str, float | None]]:
-    """What is known of each viseme class, by its first phoneme; None where unknown."""
+    """Return what is known of each viseme class, by its first phoneme; None for what is unknown."""
     return {viseme: asdict(reach) for viseme, reach in calibration.coverage.items()}
 
 
 def coverage_table(calibration: Calibration) -> Table:
-    """One row a viseme class; a dash where unknown."""
+    """Return a table with one row for each viseme class, with a dash for what is unknown."""
     table = Table(box=None, pad_edge=False)
     table.add_column("class", no_wrap=True)
     for title, _ in _VISEME_COLUMNS.values():
@@ -369,9 +375,10 @@ _WORST_MM = 1.5
 def draw_coverage(
     folder: Path, model: FaceWithAnimPhos, calibration: Calibration, fit: "MeasuredFit | None"
 ) -> Path:
-    """`coverage.png`: left every frame of speech by opening and width, right by viseme class.
+    """Write `coverage.png` into `folder` and return its path.
 
-    Raises CalibrationError for a calibration that measured nothing.
+    Left is every frame of speech by opening and width, right each viseme class. Raises
+    CalibrationError for a calibration that measured nothing.
     """
     if fit is None:
         raise CalibrationError(
@@ -413,7 +420,7 @@ def draw_coverage(
 
 
 def draw_reach(folder: Path, calibration: Calibration) -> Path:
-    """`coverage.png` from a calibration file alone: the viseme classes.
+    """Write `coverage.png`, the viseme classes of a calibration file, to `folder`; return its path.
 
     Raises CalibrationError for a calibration that measured none.
     """
@@ -434,7 +441,7 @@ def draw_reach(folder: Path, calibration: Calibration) -> Path:
 
 
 def _draw_classes(axes: "Axes", calibration: Calibration) -> None:
-    """A bar for each viseme class: the part of its shapes within reach."""
+    """Draw a bar for each viseme class: the part of its shapes within reach."""
     classes = [viseme for viseme in VISEME_CLASSES if viseme[0] in calibration.coverage]
     reach = [calibration.coverage[viseme[0]] for viseme in classes]
     rows = np.arange(len(classes))
@@ -450,7 +457,7 @@ def _draw_classes(axes: "Axes", calibration: Calibration) -> None:
 def _best_off(
     model: FaceWithAnimPhos, fit: "MeasuredFit", frames: Array
 ) -> tuple[Array, Array, Array]:
-    """Wanted opening and width, and how far the best pose is off; (n,) each, mm."""
+    """Return wanted opening and width, and the error of the best pose in either; (n,) each, mm."""
     from calibration.fit.measured import ShapeErrors
 
     found = ShapeErrors(model, fit.retargeting.mouth, fit.retargeting)

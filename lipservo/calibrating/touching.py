@@ -1,4 +1,4 @@
-"""`calibrate touch`: lips are closed step by step, and where they meet is written anew."""
+"""`calibrate touch`: lips are closed step by step, and the calibration's contact is set anew."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -22,7 +22,7 @@ from lipsync.markers import MARKERS_47
 
 @dataclass(slots=True)
 class _Efforts:
-    """Sees no markers; notes what the mouth's servos draw in each pose."""
+    """A tracker without markers that records the efforts of the mouth's servos in each pose."""
 
     face: HeldFace
     seen: list[Array] = field(default_factory=list)
@@ -32,7 +32,7 @@ class _Efforts:
         """Do nothing: efforts are read by `measure`."""
 
     def measure(self) -> Array:
-        """Of (0, 3) markers."""
+        """Record the servos' present efforts; return no markers, (0, 3)."""
         self.seen.append(self.face.effort)
         return np.zeros((0, 3))
 
@@ -42,7 +42,11 @@ def touch_by_markers(
     calibration: Calibration,
     make_tracker: Callable[[HeldFace], Tracker],
 ) -> tuple[Calibration, float]:
-    """The map, and how many mm later its lips meet than it had them. Raises CalibrationError."""
+    """Close the lips step by step and set the calibration's contact by markers.
+
+    Returns the new calibration, and how many mm later its lips meet than before. Raises
+    CalibrationError.
+    """
     plan = _plan(setup, calibration)
     with held_servos(setup) as face:
         tracker = make_tracker(face)
@@ -55,7 +59,10 @@ def touch_by_markers(
 
 
 def touch_computed(setup: CalibrationSetup, calibration: Calibration) -> tuple[Calibration, float]:
-    """A rehearsal: markers are computed from where the servos stand."""
+    """Set the contact as a rehearsal, by markers computed from the servos' positions.
+
+    Returns the new calibration, and how many mm later its lips meet than before.
+    """
     markers_of = markers_of_face(setup.model.markers_mm(setup.model.rest[None])[0], setup.servos)
     noise = np.random.default_rng(0)
 
@@ -69,7 +76,11 @@ def touch_computed(setup: CalibrationSetup, calibration: Calibration) -> tuple[C
 def touch_by_current(
     setup: CalibrationSetup, calibration: Calibration
 ) -> tuple[Calibration, float]:
-    """By motor current alone. Raises CalibrationError for servos that measure none."""
+    """Close the lips step by step and set the calibration's contact by motor current alone.
+
+    Returns the new calibration, and how many mm later its lips meet than before. Raises
+    CalibrationError for servos that measure no current, or if one reaches its `max_current_ma`.
+    """
     if not setup.settings.capabilities.load:
         raise CalibrationError(
             f"{setup.settings.name}: its servos do not say what they draw; give --tracker"

@@ -1,8 +1,8 @@
 """Whether a calibrated mouth stays within its joints' speeds while it speaks, as `run` moves it.
 
-What the speaker's recorded AnimPhos ask, one after another as they may follow, goes through the
-map, play made up for, and the plan of joint motion. A joint that should go faster than its
-`max_speed_deg_s` is held back by that plan; closures come first, and are counted behind it.
+The speaker's recorded AnimPhos, in orders that may follow each other, are mapped to joint angles,
+with backlash made up for, and planned as joint motion. A joint that should be faster than its
+`max_speed_deg_s` is held back by that plan; closures come first, and are counted behind the plan.
 """
 
 from dataclasses import dataclass
@@ -32,11 +32,11 @@ _REACHED_MM = 0.1
 
 @dataclass(frozen=True, slots=True)
 class WithinSpeeds:
-    """Shares 0..1. slowest: the joint that is held back most often, and how often.
+    """Shares of speech, 0..1, with joints too slow. beyond: any joint; slowest: the worst one.
 
-    reached_closures: of those that the map alone meets, behind the plan; None: no contact is known;
-    strength: `lipservo set strength` that keeps all but a hundredth of the frames within speeds;
-    None: not even .4 does.
+    reached_closures: of the closures that the calibration alone reaches, those that are reached
+    behind the plan; None: no contact is known. strength: the `lipservo set strength` that keeps all
+    but a hundredth of the frames within speeds; None: not even 0.4 does.
     """
 
     beyond: float
@@ -49,7 +49,7 @@ class WithinSpeeds:
 def within_speeds(
     model: FaceWithAnimPhos, calibration: Calibration, settings: FaceSettings
 ) -> WithinSpeeds:
-    """Simulate twenty seconds of speech within the servos' speeds."""
+    """Simulate twenty seconds of speech; return how often the servos' speeds are exceeded."""
     speeds = [settings.servos[name].max_speed_deg_s for name in calibration.servo_names]
     speeds_deg_s = np.array(speeds)
     if calibration.following is not None:
@@ -68,7 +68,7 @@ def within_speeds(
 
 
 def spoken_frames(model: FaceWithAnimPhos, rng: np.random.Generator) -> Array:
-    """Return random speech: walks without pauses through AnimPhos that may follow.
+    """Return random speech: walks without pauses through AnimPhos that may follow each other.
 
     Each walk is short, as some AnimPhos lead round in a circle, and of a motion that repeats itself
     there is no lag to measure.
@@ -76,9 +76,9 @@ def spoken_frames(model: FaceWithAnimPhos, rng: np.random.Generator) -> Array:
     Parameters
     ----------
     model : FaceWithAnimPhos
-        Has the AnimPhos.
+        Model with the AnimPhos.
     rng : np.random.Generator
-        Chooses the way.
+        Chooses each next AnimPho.
 
     Returns
     -------
@@ -151,7 +151,7 @@ def _reached_share(
 
 
 def speed_line(found: WithinSpeeds) -> str:
-    """Return the result in one line, for a person."""
+    """Return one line for a person about the joints' speeds in speech."""
     reached = found.reached_closures
     closures = (
         ""

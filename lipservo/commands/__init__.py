@@ -1,1 +1,1 @@
-"""The commands, one module a group; `lipservo.cli` joins them."""
+"""The commands of the command line, one module for each group; `lipservo.cli` lists them."""

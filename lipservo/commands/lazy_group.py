@@ -1,7 +1,7 @@
 """A group of commands that are imported when they are run, not when they are listed.
 
-Help, a typing error and `lipservo stop` are answered before NumPy could have been loaded. What
-another distribution adds (lipservo-lab) is found by entry points of the group `lipservo.commands`:
+Help, a typing error and `lipservo stop` are answered before NumPy could have been loaded. Commands
+of another distribution (lipservo-lab) are found by entry points of the group `lipservo.commands`:
 `bench` is a command at the top, `lines.render-folder` one of the group `lines`.
 """
 
@@ -25,7 +25,7 @@ _NEGATIVE_NUMBERS: Final = {"ignore_unknown_options": True}
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command: where it is, and what the help says of it.
+    """An entry in a command group: the function to import, and its texts for the help.
 
     Attributes
     ----------
@@ -33,16 +33,15 @@ class Command:
         `module:name` of a function, or of a `typer.Typer` with commands of its own; empty for a
         command of lipservo-lab.
     help
-        One line.
+        The command's line in the group's help.
     section
-        Under which heading of the help.
+        The heading of the help under which the command is listed.
     takes_numbers
-        Its arguments may be negative numbers, which look like options.
+        Whether its arguments may be negative numbers, which look like options.
     hidden
-        Not listed: for lipservo's own processes.
+        Whether the help leaves the command out: for lipservo's own processes.
     example
-        Arguments that its help shows, without the command itself.
-
+        Arguments that the command's help shows, without the command itself.
     """
 
     target: str
@@ -54,7 +53,7 @@ class Command:
 
 
 class LazyGroup(TyperGroup):
-    """Commands of `table`; of `moved`, what an old name is now."""
+    """A group of the commands in `table`, imported when run; `moved`: new names of old commands."""
 
     table: ClassVar[Mapping[str, Command]] = MappingProxyType({})
     moved: ClassVar[Mapping[str, str]] = MappingProxyType({})
@@ -71,15 +70,14 @@ class LazyGroup(TyperGroup):
         return names + [name for name in self._added() if name not in self.table]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command, imported now; None for a name that is none.
+        """Import and return the command of that name; None for an unknown name.
 
         Raises
         ------
         BadParameter
-            For an old name: with the new one.
+            For an old name; the message has the new one.
         UserError
             For a command of a distribution that is not installed, or of another version.
-
         """
         if cmd_name in self.moved:
             raise typer.BadParameter(f"it is now `lipservo {self.moved[cmd_name]}`", ctx=ctx)
@@ -99,7 +97,10 @@ class LazyGroup(TyperGroup):
         return None
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """As the base class has it; names near to a mistyped one are offered from the table."""
+        """Return click's (name, command, remaining arguments).
+
+        Fails with similar names for an unknown name.
+        """
         if args and self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
             near = get_close_matches(args[0], self.list_commands(ctx))
             hint = f"; did you mean {', '.join(near)}?" if near else ""
@@ -107,7 +108,7 @@ class LazyGroup(TyperGroup):
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the commands under their headings, out of the table."""
+        """Write the help's list of commands, under their headings, without importing them."""
         sections: dict[str, list[tuple[str, str]]] = {}
         for name in self.list_commands(ctx):
             command = self.table.get(name, Command("", "", "Of other distributions"))
@@ -127,7 +128,7 @@ class LazyGroup(TyperGroup):
         ]
 
     def _added(self) -> dict[str, EntryPoint]:
-        """Commands of other distributions in this group, by name."""
+        """Return the entry points of other distributions' commands in this group, by name."""
         found = {
             point.name.removeprefix(self.prefix): point
             for point in entry_points(group=ENTRY_POINTS)
@@ -137,7 +138,7 @@ class LazyGroup(TyperGroup):
 
 
 def _loaded(point: EntryPoint) -> Any:
-    """Raises UserError where it is of another version than this program."""
+    """Import what an entry point names. Raises UserError unless its version is lipservo's."""
     own = version("lipservo")
     if point.dist is not None and point.dist.version != own:
         raise UserError(
@@ -148,7 +149,7 @@ def _loaded(point: EntryPoint) -> Any:
 
 
 def _made(path: str, target: Any, command: Command) -> Any:
-    """A command of click's out of a function, or out of a `typer.Typer`; path: its whole name."""
+    """Return the click command of a function or a `typer.Typer`; path: the command's full name."""
     if isinstance(target, typer.Typer):
         return typer.main.get_group(target)
     alone = typer.Typer(pretty_exceptions_enable=False)

@@ -1,6 +1,6 @@
 """The options of commands, each declared once.
 
-`stop` and its like read this file: it loads nothing that takes long.
+Quick commands such as `stop` import this module: it loads nothing that takes long.
 """
 
 from pathlib import Path
@@ -318,7 +318,7 @@ MOVED_OPTIONS: Final = {
 
 
 def port_of(given: str | None, of_the_face: str | None) -> str:
-    """The port to open. Raises UserError when there is none."""
+    """Return the port given, else the face's. Raises UserError when neither is known."""
     port = given or of_the_face
     if port is None:
         raise UserError("no port: give --port, or write `port:` under `bus:` in the face's YAML")

@@ -1,1 +1,1 @@
-"""The page of a face: seen, set up and stopped in a browser; and its API for programs."""
+"""The web dashboard of a face: pages that show, set up and stop it, and an API for programs."""

@@ -1,6 +1,6 @@
-"""The dashboard beside a face that starts it: its address, and a process that is started again.
+"""The dashboard beside a face that starts it: its socket, URL, and process, restarted if it dies.
 
-The face waits for nothing of it: one thread looks after it, and whatever becomes of it is a line.
+The face never waits for the dashboard: one thread restarts its process, and logs each end.
 """
 
 import contextlib
@@ -34,9 +34,9 @@ _END_S: Final = 2.0
 
 
 def bound_dashboard(listen: str | None, token: str | None) -> socket.socket:
-    """listen: HOST:PORT; None: 8080 of this computer, or the next port that is free.
+    """Return a socket bound to `listen`, HOST:PORT; None: to loopback's port 8080 or the next free.
 
-    Raises UserError: no such address, one beyond loopback without a token, one that is taken.
+    Raises UserError: no such address, one beyond loopback without a token, one that is in use.
     """
     if listen is not None:
         return bind_listener(listen, token)
@@ -49,7 +49,7 @@ def bound_dashboard(listen: str | None, token: str | None) -> socket.socket:
 
 
 def address_of(listener: socket.socket, token: str | None = None, page: str = "") -> str:
-    """What to type into a browser. token: that opens the page; it becomes a cookie there."""
+    """Return the URL of the dashboard, or of its `page`, with `token` as a query if given."""
     address = url_of(listener).replace("ws://", "http://", 1)
     if page:
         address = f"{address}/{page}"
@@ -67,10 +67,10 @@ def dashboard_child(
     model: Path | None = None,
     open_page: bool = False,
 ) -> Iterator[None]:
-    """Serve the face at `control_path` in a browser, until the block ends.
+    """Serve the face at `control_path` in a browser, by a child process, until the block ends.
 
-    listener: from `bound_dashboard`; stays the caller's and must outlive the block. model: that the
-    face runs with. token_file: as `VoiceOptions`.
+    listener: from `bound_dashboard`; stays the caller's and must outlive the block. model: the file
+    of the face's model. token_file: the token that browsers must send; None: any local user.
     """
     arguments = ["--control", str(control_path), "--listener", str(listener.fileno()), "--quiet"]
     arguments += ["--parent", str(os.getpid())]

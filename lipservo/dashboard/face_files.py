@@ -1,7 +1,7 @@
-"""The files of a running face: settings saved in its YAML, and what its calibration says.
+"""The files of a running face: settings written into its YAML, and values of its calibration.
 
-The YAML is written whole or not at all, and its comments stay. Everything raises FaceError, one
-line: refused, not_saved, not_available.
+The YAML is written whole or not at all, and its comments stay. Functions raise FaceError, one
+line, with the code refused, not_saved or not_available.
 """
 
 from collections.abc import Iterator, Mapping
@@ -24,7 +24,7 @@ from lipsync.output_file import write_whole
 
 
 def own_yaml(config: str | None) -> Path:
-    """The file of a face that is the user's own. Raises FaceError for one that is shipped."""
+    """Return the path of the user's own YAML. Raises FaceError for a shipped face, or for None."""
     if config is None:
         raise FaceError("refused", "the face does not say where its YAML is")
     try:
@@ -36,7 +36,7 @@ def own_yaml(config: str | None) -> Path:
 def set_pulse_limit(
     config: str | None, servo: str, limit: PulseLimit, pulse_us: float
 ) -> dict[str, Any]:
-    """Write one limit of a hobby servo into the face's YAML: the numbers of all, and what next."""
+    """Write one pulse limit (us) of a hobby servo into the face's YAML; return all its limits."""
     path = own_yaml(config)
     with face_errors():
         edit = found_limits.with_pulse_limit(path, servo, limit, pulse_us)
@@ -49,9 +49,9 @@ def set_pulse_limit(
 
 
 def saved_settings(config: str | None) -> dict[str, Any]:
-    """What the face's YAML says of its motion, and how lively its expression is.
+    """Return the motion settings in the face's YAML, and `expression`, the amount of expression.
 
-    What it leaves out is left out; `expression` is always there.
+    Motion settings that the YAML leaves out are missing; `expression` is always present.
     """
     path = own_yaml(config)
     with face_errors():
@@ -60,7 +60,7 @@ def saved_settings(config: str | None) -> dict[str, Any]:
 
 
 def with_settings(path: Path, values: Mapping[str, float]) -> EditedYaml:
-    """The file at `path` with these settings, read back and found to be what was meant."""
+    """Return an unwritten edit of the YAML at `path` with these settings. Raises FaceError."""
     places = {_place(name): value for name, value in values.items()}
     _text(path)
     with face_errors():
@@ -68,10 +68,10 @@ def with_settings(path: Path, values: Mapping[str, float]) -> EditedYaml:
 
 
 def sound_choices(config: str | None) -> dict[str, Any]:
-    """What may be chosen for a face to speak through and with, and what its YAML says.
+    """Return the devices, synthesisers, languages and voices to choose from, and those chosen.
 
     inputs, outputs: names of devices, none without a sound system. languages, voices: of the
-    synthesiser that is chosen.
+    chosen synthesiser.
     """
     from lipservo.runtime.servos.assembly import load_settings
     from lipsync.audio.devices import sound_devices
@@ -96,7 +96,7 @@ def sound_choices(config: str | None) -> dict[str, Any]:
 
 
 def choose_sound(config: str | None, values: Mapping[str, str | float]) -> dict[str, Any]:
-    """Write choices into `sound:` of the face's own YAML; they count from its next start."""
+    """Write choices into `sound:` of the face's own YAML, for its next start, and return them."""
     path = own_yaml(config)
     with face_errors():
         edited(path, {("sound", name): value for name, value in values.items()}).write()
@@ -104,9 +104,9 @@ def choose_sound(config: str | None, values: Mapping[str, str | float]) -> dict[
 
 
 def copy_shipped(config: str | None) -> dict[str, Any]:
-    """Copy a shipped face's YAML to a file of the user's own, in the working folder.
+    """Copy a shipped face's YAML into the working folder; return the file and a command to run it.
 
-    Raises FaceError for a face that is the user's own, and where the file is there already.
+    Raises FaceError for a face that is the user's own, and where the file already exists.
     """
     if config is None or config.endswith((".yaml", ".yml")):
         raise FaceError("refused", "this face is your own: its YAML can be changed as it is")
@@ -120,7 +120,7 @@ def copy_shipped(config: str | None) -> dict[str, Any]:
 
 @contextmanager
 def face_errors() -> Iterator[None]:
-    """What a file says wrong is refused; what cannot be written is not saved."""
+    """Convert SettingsError into FaceError `refused`, other UserErrors into `not_saved`."""
     try:
         yield
     except SettingsError as error:
@@ -130,7 +130,7 @@ def face_errors() -> Iterator[None]:
 
 
 def _place(name: str) -> Place:
-    """Section and key of a setting in the YAML. Raises FaceError for one that is not kept."""
+    """Return a setting's section and key in the YAML. Raises FaceError for one never saved."""
     if name in ExpressionRequests.PASSING:
         raise FaceError("refused", f"{name} is for the moment and not saved")
     return ("expression", "amount") if name == "expression" else ("motion", name)
@@ -144,7 +144,10 @@ def _text(path: Path) -> str:
 
 
 def calibration_values(config: str | None) -> dict[str, Any]:
-    """Return the JSON of `lipservo calibrate show`, with the file's name. Raises FaceError."""
+    """Return the calibration as `lipservo calibrate show --json` does, and its file's name.
+
+    Raises FaceError where there is none, or it cannot be read.
+    """
     from calibration.files.calibration_file import parse_calibration
     from lipservo.calibrating.shown_calibration import shown_values
     from lipservo.runtime.servos.assembly import load_settings

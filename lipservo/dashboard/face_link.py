@@ -1,9 +1,9 @@
-"""The dashboard's hold on a running face: its state, thirty times a second, and commands.
+"""The dashboard's connection to a running face: its state, thirty times a second, and commands.
 
-The dashboard is a client of a face like any other. What it reads is memory that the face writes
-anyway, and a status that it asks for twice a second; if all of it hangs, no face does. Commands go
-by the face's control socket and by its agent server. A stop is sent elsewhere, in the event loop
-(`web/stop_route.py`); here is kept where to. Commands raise FaceError, one line, with a code of
+The dashboard is one client of a face. It reads memory that the face writes anyway, and polls the
+face's status twice a second; if the dashboard hangs, no face does. Commands go to the face's
+control socket and to its agent server. A stop is sent by `web/stop_route.py`, in the event loop, to
+the control path that is kept here. Commands raise FaceError, one line, with a code of
 docs/agents.md: refused, not_answering, not_available.
 """
 
@@ -61,7 +61,7 @@ HISTORY_S: Final = 30
 
 
 class NothingDrivenError(UserError):
-    """There is no face to be stopped. is_limp: the servos that were driven last confirmed it."""
+    """The error for a stop while no face runs. is_limp: the last servos confirmed torque off."""
 
     def __init__(self, text: str, *, is_limp: bool) -> None:
         super().__init__(text)
@@ -69,13 +69,13 @@ class NothingDrivenError(UserError):
 
 
 class FaceLink:
-    """One face, seen and commanded. Its tasks run within `async with link.running()`.
+    """A connection to one face. Its tasks run within `async with link.running()`.
 
-    control_path: where the face listens, or listened last: a stop is sent there without a look-up.
-    layout: names of servos, states, phonemes, of the face that was seen last. moment: the newest.
-    status: the face's newest answer, None before the first. trouble: why there is none just now.
-    history: encoded frames of the last seconds. on_moment: called at every tick. origins: of web
-    pages that the face's YAML lists.
+    control_path: the face's present or last control socket: a stop is sent there without a search.
+    layout: names of servos, states, phonemes, of the last face read. moment: the newest snapshot.
+    status: the face's newest answer, None before the first. trouble: why none comes now, or None.
+    history: encoded frames of the last seconds. on_moment: functions called at every tick. origins:
+    web pages that the face's YAML lists.
     """
 
     def __init__(
@@ -85,10 +85,10 @@ class FaceLink:
         control_path: Path | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """find: where the face listens, called in a thread; raises UserError, ControlError.
+        """Keep `find`, which returns the face's control socket; raises UserError, ControlError.
 
-        token: what the face's agent server requires; None: it is found, where the face runs on this
-        computer. control_path: where the face listens, as far as it is known.
+        find is called in a thread. token: what the face's agent server requires; None: it is found,
+        where the face runs on this computer. control_path: the control socket, if it is known.
         """
         self._find = find
         self._token = token
@@ -117,16 +117,19 @@ class FaceLink:
 
     @property
     def status_age_s(self) -> float:
-        """Seconds since the face answered; infinite before it has."""
+        """Seconds since the face's last status arrived; infinite before the first."""
         return self._clock() - self._status_s
 
     @property
     def answers(self) -> bool:
-        """Whether the face has reported its status within the last second."""
+        """Whether the last status request had an answer, and that is at most 1.5 s old."""
         return self.trouble is None and self.status_age_s < STATUS_OLD_S + STATUS_EVERY_S
 
     def certainty(self) -> dict[str, Any]:
-        """Return the age of the status; up: the face answers and its servo side ticks."""
+        """Return how current the state is: whether face, servo and speech side answer; age in s.
+
+        up: the face answers and its servo side ticks.
+        """
         is_new = self.status_age_s < float("inf")
         return {
             "up": self.answers and not self.moment.servos_gone,
@@ -139,7 +142,7 @@ class FaceLink:
 
     @contextlib.asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
-        """Poll the face until the block ends."""
+        """Read the face's state and poll its status until the block ends; then close the link."""
         tasks = [asyncio.create_task(each) for each in (self._look(), self._ask_status())]
         try:
             yield
@@ -151,7 +154,7 @@ class FaceLink:
             self._put_away()
 
     def look(self) -> None:
-        """One tick: read what the face has written since the last."""
+        """Read the face's newest snapshot, encode it into the history, and call `on_moment`."""
         now_s = self._clock()
         number, time_s = self.moment.number + 1, now_s - self._started_s
         if self._reader is None:
@@ -164,9 +167,9 @@ class FaceLink:
             tell()
 
     async def located(self) -> Path:
-        """Find the face anew, where none listens at `control_path`; it is kept there.
+        """Find the face's control socket anew, keep it as `control_path`, and return it.
 
-        Raises FaceError; NothingDrivenError where there is none to be found.
+        Raises FaceError where it is not found; NothingDrivenError where no servo is driven.
         """
         if self._locating is None or self._locating.done():
             self._locating = asyncio.create_task(self._located())
@@ -174,7 +177,7 @@ class FaceLink:
 
     @contextlib.contextmanager
     def waiting_for_end(self, wait_s: float) -> Iterator[float]:
-        """How long a stop waits for the report of the end; 0: so many wait for one already."""
+        """Yield how many seconds a stop may wait for its report; 0 if too many already wait."""
         if not wait_s or self._n_waiting >= _MOST_WAITING:
             yield 0.0
             return
@@ -189,13 +192,12 @@ class FaceLink:
 
         Parameters
         ----------
-        wait_s : so long until it is driven; 0: the answer says that the start is accepted.
+        wait_s : seconds to wait until it is driven; 0: return once the start is accepted.
 
         Returns
         -------
         {"accepted": "start"}; with `wait_s` also `state`, `servos` and `troubles` of its status
-        when every servo is driven, when it has come to another state, or when the time is over.
-
+        once every servo is driven, another state is reached, or `wait_s` is over.
         """
         answer = dict(await self._returned(start_face, self._starting))
         if not wait_s:
@@ -214,12 +216,12 @@ class FaceLink:
         return {"accepted": answer.get("accepted"), **known}
 
     async def interrupt(self) -> None:
-        """Interrupt: drop all that the face says or plays."""
+        """Drop all that the face is saying or playing. Raises FaceError."""
         async with self._speech_side() as face:
             await face.interrupt()
 
     async def change(self, values: Mapping[str, float]) -> Answer:
-        """Change settings: all of them, or none."""
+        """Change settings of the face, all or none; return its answer. Raises FaceError."""
         if not values:
             raise FaceError("refused", "name at least one setting")
         for name, value in values.items():
@@ -228,53 +230,53 @@ class FaceLink:
         return await self._returned(lambda path: change_settings(path, dict(values)))
 
     async def servo(self, name: str, what: str) -> Answer:
-        """Order one servo off, on or restarted."""
+        """Switch one servo `off` or `on`, or `reboot` it; return the face's answer."""
         if what not in set(ServoSwitch):
             raise FaceError("refused", f"{shown(what)}: there are off, on, reboot")
         return await self._returned(lambda path: switch_servo(path, name, ServoSwitch(what)))
 
     async def jog_arm(self) -> Answer:
-        """Single servos may be moved by hand from now on; to be renewed within 3 s."""
+        """Allow single servos to be moved by hand for 3 s, or renew that; return the answer."""
         return await self._returned(arm_jog)
 
     async def jog(self, name: str, deg: float) -> Answer:
-        """One servo to an angle of its joint, within its limits; renews."""
+        """Move one servo to a joint angle (deg) within its limits, and renew jogging for 3 s."""
         if not math.isfinite(deg):
             raise FaceError("refused", f"{shown(name)}: {deg} is no angle")
         return await self._returned(lambda path: jog_servo(path, name, deg))
 
     async def jog_pulse(self, name: str, pulse_us: float) -> Answer:
-        """One hobby servo to a pulse, in small steps beyond its limits, too; renews."""
+        """Move a hobby servo to a pulse (us), in small steps beyond its limits; renew jogging."""
         return await self._returned(lambda path: jog_pulse(path, name, pulse_us))
 
     async def jog_end(self) -> Answer:
-        """The face goes on as before."""
+        """End jogging: moved servos go back, and the face goes on as before."""
         return await self._returned(end_jog)
 
     async def look_at(self, yaw_deg: float | None, pitch_deg: float | None = None) -> Answer:
-        """Look there, yaw to its own left and pitch upwards; None: at nothing in particular."""
+        """Aim the gaze at yaw (to the face's left) and pitch (up), in deg; None: at no target."""
         if yaw_deg is None:
             return await self.change({"look_weight": 0.0})
         angles = {"look_yaw_deg": yaw_deg, "look_pitch_deg": pitch_deg or 0.0}
         return await self.change(with_expiry(angles, time.monotonic()))
 
     async def affect(self, valence: float, arousal: float, tau_s: float) -> Answer:
-        """A mood, -1 to 1 each, which fades with the time constant `tau_s`."""
+        """Set a mood, -1 to 1 each, which fades with the time constant `tau_s` (s)."""
         mood = {"affect_valence": valence, "affect_arousal": arousal, "affect_tau_s": tau_s}
         return await self.change(with_expiry(mood, time.monotonic()))
 
     async def say(self, text: str) -> Answer:
-        """A text, in the face's own voice."""
+        """Let the face speak a text in its own voice; return its answer once it is accepted."""
         async with self._speech_side() as face:
             return await face.say(text)
 
     async def play(self, file: str) -> Answer:
-        """Play a sound file of the folder that the face plays from."""
+        """Play a sound file or performance of the face's folder; return the face's answer."""
         async with self._speech_side() as face:
             return await face.play(file)
 
     def close(self) -> None:
-        """Nothing more is sent; what waits fails."""
+        """Send nothing more: waiting calls are cancelled, running ones are not waited for."""
         for pool in (self._finding, self._starting, self._others, self._asking):
             pool.shutdown(wait=False, cancel_futures=True)
 
@@ -290,7 +292,7 @@ class FaceLink:
 
     @contextlib.asynccontextmanager
     async def _speech_side(self) -> AsyncIterator[AsyncFace]:
-        """The face's agent server, for one call. Raises FaceError."""
+        """Yield a client of the face's agent server, for one call. Raises FaceError."""
         url = (self.status or {}).get("listens_on")
         if url is None:
             hint = "it speaks when it was started by `lipservo daemon`, with --play"
@@ -304,7 +306,7 @@ class FaceLink:
     async def _returned(
         self, call: Callable[[Path], Answer], pool: ThreadPoolExecutor | None = None
     ) -> Answer:
-        """The face's answer. call: speaks to it, at a path, in a thread."""
+        """Return the face's answer to `call`, made in a thread. Raises FaceError if refused."""
         loop = asyncio.get_running_loop()
         answer = await loop.run_in_executor(pool or self._others, partial(self._called, call))
         if "error" in answer:
@@ -312,7 +314,10 @@ class FaceLink:
         return answer
 
     def _called(self, call: Callable[[Path], Answer]) -> Answer:
-        """Call the face where it was last, or else where it is by now; in a thread."""
+        """Return the result of `call` at the last known control socket, or at one found anew.
+
+        Raises FaceError where no face answers. Blocks: called in a thread.
+        """
         path = self.control_path
         try:
             if path is None:
@@ -340,7 +345,7 @@ class FaceLink:
             await asyncio.sleep(max(0.05, began_s + STATUS_EVERY_S - self._clock()))
 
     def _status_in_thread(self) -> tuple[dict[str, Any] | str, LiveBoard | None]:
-        """The status, or why there is none; and a board, where one is needed."""
+        """Return (the status, or a line why there is none; a new live board, or None)."""
         try:
             path = self.control_path
             if path is None or self._must_find:
@@ -362,7 +367,7 @@ class FaceLink:
         return answer, board
 
     def _read_origins(self, config: object) -> None:
-        """Once for each face. A YAML that cannot be read any more lists none."""
+        """Store the web origins in the face's YAML, once a face; none if it is unreadable."""
         if config == self._origins_of or not isinstance(config, str):
             return
         try:
@@ -393,7 +398,7 @@ class FaceLink:
 
 
 def not_answering(error: Exception) -> FaceError:
-    """The error of a face that cannot be reached."""
+    """Return the FaceError `not_answering`, with the reason why the face cannot be reached."""
     if isinstance(error, TimeoutError):
         why = "the face hangs; `lipservo stop --limp` lets its servos go"
     elif isinstance(error, PermissionError):
@@ -408,7 +413,7 @@ def _requested_status(path: Path) -> Answer:
 
 
 def _reached(url: str) -> str:
-    """The URL for requests: a server at every address of this computer is reached at loopback."""
+    """Return the URL to connect to: a server bound to all addresses is reached at loopback."""
     split = urlsplit(url)
     if split.hostname in ("0.0.0.0", "::"):
         host = "127.0.0.1" if split.hostname == "0.0.0.0" else "[::1]"
@@ -417,7 +422,7 @@ def _reached(url: str) -> str:
 
 
 def _plain_value(value: Any) -> Any:
-    """The same with nothing that is no number: JSON, as others read it, has no NaN."""
+    """Return a value with NaN and infinity replaced by None at every depth, as JSON needs it."""
     if isinstance(value, dict):
         return {key: _plain_value(each) for key, each in value.items()}
     if isinstance(value, list):

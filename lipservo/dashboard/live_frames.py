@@ -1,10 +1,11 @@
-"""What a face does at a moment, read from its live board, and how it is sent to clients.
+"""Snapshots of a face's state, read from its live board, and their encoding for clients.
 
-`/api/twin` sends a moment in a hundred bytes, little-endian, which static/frame.js reads: u32
+`/api/twin` sends a snapshot in a hundred bytes, little-endian, which static/frame.js reads: u32
 number; f32 time_s; u8 state, 255 unknown; u8 phoneme, 255 none; u8 flags; i8 arousal * 127;
 f32 coefficients[n_components]; i16 expression[9], angles in 0.01 degrees, others in 0.0001; i16
 goals[n_servos] and i16 encoders[n_servos] in 0.01 degrees; u8 n_peaks; u8 peaks[n_peaks]. -32768
-of an i16: not known. `/api/state` sends it as a JSON array, whose fields its hello names once.
+of an i16: not known. `/api/state` sends a snapshot as a JSON array; its first message names the
+array's fields.
 """
 
 import json
@@ -43,10 +44,10 @@ FIELDS = (
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """number: of the dashboard's tick; time_s: since it started.
+    """A snapshot of a face. number: of the dashboard's tick; time_s: since the dashboard started.
 
-    servos, speech: the newest record of each side, None before its first. peaks: 255 = full scale,
-    of the blocks of 10 ms shown since the moment before.
+    servos, speech: the newest record of each side, None before its first. peaks: of the blocks of
+    10 ms of sound since the snapshot before, 255 = full scale.
     """
 
     number: int
@@ -60,7 +61,7 @@ class Moment:
 
 @dataclass(slots=True)
 class _Side:
-    """The newest record of one writer. seen_s: monotonic, when it was new."""
+    """The newest record of one writer of the board. seen_s: monotonic time when it was new."""
 
     number: int = 0
     record: Record | None = None
@@ -78,16 +79,16 @@ class _Side:
 
 
 class BoardReader:
-    """Reads one board tick by tick. Times are monotonic seconds."""
+    """A reader of one live board, called once a tick. Times are monotonic seconds."""
 
     def __init__(self, board: LiveBoard) -> None:
-        """board: is closed by `close`."""
+        """Read from `board`, which `close` closes."""
         self._board = board
         self._servos, self._speech = _Side(), _Side()
         self.layout = board.layout
 
     def read(self, number: int, since_start_s: float, now_s: float) -> Moment:
-        """Read what has been written by now."""
+        """Return the newest records, and the peaks of sound since the last call, as a Moment."""
         speech = self._board.speech_since(self._speech.number)
         peaks = b""
         if self._speech.number:
@@ -110,7 +111,7 @@ class BoardReader:
 
 
 def hello(layout: BoardLayout) -> str:
-    """The message sent once: the names that a frame counts by."""
+    """Return the first message of `/api/twin`, JSON: the names that indices in frames refer to."""
     return json.dumps(
         {
             "version": VERSION,
@@ -126,7 +127,7 @@ def hello(layout: BoardLayout) -> str:
 
 
 def flags_of(moment: Moment) -> int:
-    """The bits of a frame's flags."""
+    """Return a frame's flag bits: torque on, servos gone, speech gone, sound cut off, speaking."""
     servos, speech = moment.servos, moment.speech
     flags = SERVOS_GONE if moment.servos_gone else 0
     flags |= SPEECH_GONE if moment.speech_gone else 0
@@ -138,7 +139,7 @@ def flags_of(moment: Moment) -> int:
 
 
 def state_of(moment: Moment, layout: BoardLayout) -> int:
-    """The state's number; 255 where it is unknown."""
+    """Return the index in `layout.states` of the servo side's state; 255 where it is unknown."""
     if moment.servos is None or moment.servos_gone:
         return UNKNOWN
     state = int(moment.servos["state"])
@@ -146,7 +147,7 @@ def state_of(moment: Moment, layout: BoardLayout) -> int:
 
 
 def phoneme_of(moment: Moment, layout: BoardLayout) -> int:
-    """The phoneme's number; 255 for none."""
+    """Return the index in `layout.phonemes` of the phoneme shown; 255 for none."""
     if moment.speech is None or moment.speech_gone:
         return UNKNOWN
     phoneme = int(moment.speech["phoneme"])
@@ -154,14 +155,14 @@ def phoneme_of(moment: Moment, layout: BoardLayout) -> int:
 
 
 def arousal_of(moment: Moment) -> float:
-    """-1 to 1; 0 where it is unknown."""
+    """Return the arousal of the voice, -1 to 1; 0 where it is unknown."""
     if moment.speech is None or moment.speech_gone:
         return 0.0
     return float(np.nan_to_num(np.clip(moment.speech["arousal"], -1.0, 1.0)))
 
 
 def goals_of(moment: Moment, layout: BoardLayout, scale: float) -> NDArray[np.int16]:
-    """Return the servos' goals.
+    """Return the servos' goal positions as whole numbers.
 
     Parameters
     ----------
@@ -170,19 +171,19 @@ def goals_of(moment: Moment, layout: BoardLayout, scale: float) -> NDArray[np.in
     layout : BoardLayout
         Names of the servos.
     scale : float
-        Numbers a degree.
+        Units per degree.
 
     Returns
     -------
     NDArray[np.int16]
-        (n_servos,), in 1/scale degrees; absent before the first.
+        (n_servos,), in 1/scale degrees; `ABSENT` before the first record.
     """
     record = moment.servos
     return whole_numbers(nothing(layout) if record is None else record["goal_deg"], scale)
 
 
 def encoders_of(moment: Moment, layout: BoardLayout, scale: float) -> NDArray[np.int16]:
-    """Return where the servos are.
+    """Return the servos' measured positions as whole numbers.
 
     Parameters
     ----------
@@ -191,19 +192,19 @@ def encoders_of(moment: Moment, layout: BoardLayout, scale: float) -> NDArray[np
     layout : BoardLayout
         Names of the servos.
     scale : float
-        Numbers a degree.
+        Units per degree.
 
     Returns
     -------
     NDArray[np.int16]
-        (n_servos,), in 1/scale degrees; absent while they are not read.
+        (n_servos,), in 1/scale degrees; `ABSENT` while they are not read.
     """
     record = None if moment.servos_gone else moment.servos
     return whole_numbers(nothing(layout) if record is None else record["encoder_deg"], scale)
 
 
 def expression_of(moment: Moment) -> NDArray[np.int16]:
-    """Return the degrees of freedom in their order.
+    """Return the expression's channels in the order of `EXPRESSION_NAMES`, as whole numbers.
 
     Parameters
     ----------
@@ -213,7 +214,7 @@ def expression_of(moment: Moment) -> NDArray[np.int16]:
     Returns
     -------
     NDArray[np.int16]
-        (n_channels,), in scaled degrees or shares; absent where one is not set.
+        (n_channels,), angles in 0.01 degrees, others in 0.0001; `ABSENT` where one is not set.
     """
     record = None if moment.speech_gone else moment.speech
     return whole_numbers(
@@ -222,7 +223,7 @@ def expression_of(moment: Moment) -> NDArray[np.int16]:
 
 
 def encode(moment: Moment, layout: BoardLayout) -> bytes:
-    """Return one frame as bytes."""
+    """Return a snapshot as one frame of `/api/twin`, in bytes."""
     if moment.speech is None:
         coefficients = np.zeros(layout.n_components, "<f4")
     else:
@@ -249,7 +250,7 @@ def encode(moment: Moment, layout: BoardLayout) -> bytes:
 
 
 def nothing(layout: BoardLayout) -> NDArray[np.float32]:
-    """Return an unknown angle for every servo.
+    """Return an unknown angle, NaN, for every servo.
 
     Parameters
     ----------
@@ -265,14 +266,14 @@ def nothing(layout: BoardLayout) -> NDArray[np.float32]:
 
 
 def whole_numbers(values: ArrayLike, scale: float | NDArray[np.float64]) -> NDArray[np.int16]:
-    """Return values scaled and rounded; what is too large becomes the largest.
+    """Return values scaled, rounded and clipped to 16 bits.
 
     Parameters
     ----------
     values : ArrayLike
         (n,).
     scale : float | NDArray[np.float64]
-        Numbers a unit, or (n,) of them.
+        Factor of all values, or (n,) factors.
 
     Returns
     -------
@@ -285,7 +286,7 @@ def whole_numbers(values: ArrayLike, scale: float | NDArray[np.float64]) -> NDAr
 
 
 def state_hello(layout: BoardLayout) -> str:
-    """The message sent once: fields of an array, and the names that they count by."""
+    """Return the first message of `/api/state`, JSON: the fields of its arrays, and index names."""
     return json.dumps(
         {
             "version": VERSION,
@@ -305,7 +306,10 @@ def state_hello(layout: BoardLayout) -> str:
 
 
 def state_message(moment: Moment, layout: BoardLayout) -> str:
-    """One array; null: not known. Expression: hundredths, angles in tenths of a degree."""
+    """Return a snapshot as one JSON array of `FIELDS`, null where a value is not known.
+
+    Expression in hundredths, its angles in tenths of a degree.
+    """
     expression = [
         None if value == ABSENT else round(value / (10 if name.endswith("_deg") else 100))
         for name, value in zip(EXPRESSION_NAMES, expression_of(moment).tolist(), strict=True)

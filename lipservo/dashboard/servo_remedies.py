@@ -1,4 +1,4 @@
-"""What ails a servo, in plain words, and what a person can do about it."""
+"""Faults of servos in plain words, and what a person can do about each."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, Final
@@ -42,7 +42,7 @@ _OF_STATE: Final = {
 
 
 def error_words(bits: int | None) -> list[dict[str, str]]:
-    """Each hardware error that is set: {error, meaning, remedy}."""
+    """Return {error, meaning, remedy} of each hardware error bit that is set."""
     known = [
         {"error": _named(error), "meaning": meaning, "remedy": remedy}
         for error, (meaning, remedy) in _OF_ERROR.items()
@@ -56,7 +56,7 @@ def error_words(bits: int | None) -> list[dict[str, str]]:
 
 
 def state_words(state: str) -> dict[str, str] | None:
-    """{meaning, remedy} of a servo that is not driven; None for one that is."""
+    """Return {meaning, remedy} for a state in which a servo is not driven; else None."""
     words = _OF_STATE.get(state)
     return None if words is None else {"meaning": words[0], "remedy": words[1]}
 
@@ -69,10 +69,10 @@ _UNCONFIRMED: Final = (
 
 
 def listed_servos(status: Mapping[str, Any] | None, *, is_fresh: bool) -> list[dict[str, Any]]:
-    """Every servo of a status, with remedies. is_fresh: whether the face says it now.
+    """Return every servo of a status with its faults and remedies. is_fresh: the status is current.
 
-    Nothing is reported better than it is: what was never heard is null, and of a face that does not
-    answer nothing is known but what its servos are called. While a person has stopped the face, a
+    Nothing is reported better than it is: what was never received is None, and of a face that does
+    not answer only its servos' names and ids are known. While a person has stopped the face, a
     servo is `limp` or `unconfirmed`, as it answered the stop, or `released` where it cannot answer.
     """
     status = status or {}
@@ -97,7 +97,7 @@ def listed_servos(status: Mapping[str, Any] | None, *, is_fresh: bool) -> list[d
 
 
 def _with_heat(status: Mapping[str, Any]) -> Callable[[str], bool]:
-    """Whether a servo, by its name, reports how warm it is."""
+    """Return a function that returns whether the servo of a name reports its temperature."""
     can: Mapping[str, Any] = status.get("capabilities") or {}
     bus_of = dict(zip(status.get("servos") or (), can.get("bus_of") or (), strict=False))
     return lambda name: bool(
@@ -106,7 +106,7 @@ def _with_heat(status: Mapping[str, Any]) -> Callable[[str], bool]:
 
 
 def is_stopped(status: Mapping[str, Any] | None) -> bool:
-    """Whether a person has stopped the face, and it waits for a start."""
+    """Return whether a person has stopped the face, which now waits for a start."""
     status = status or {}
     return status.get("state") == "stopped" and bool(status.get("stopped"))
 
@@ -126,9 +126,9 @@ def _released(words: str) -> dict[str, Any]:
 def _heard(
     health: Mapping[str, Any], state: str, *, is_fresh: bool, has_heat: bool
 ) -> dict[str, Any]:
-    """heard: whether anything came from it; a bus without a way back reads none.
+    """Return whether values came from the servo (heard), and whether it answers now (answers).
 
-    answers: and it does now.
+    Where the bus can read temperatures, only values with a temperature count.
     """
     heard = is_fresh and bool(health)
     heard = heard and (health.get("temperature_degc") is not None or not has_heat)

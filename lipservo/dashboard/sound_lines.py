@@ -4,8 +4,8 @@ Files that are uploaded are written off the event loop, and whole or not at all:
 seconds for one `fsync`, and nothing else of the dashboard, its stop least of all, waits for that.
 Each upload is written in a thread of its own, and there are few.
 
-Everything raises FaceError, one line: refused, not_found, not_sound, not_available; an upload also
-busy, exists, too_large, stalled.
+All functions raise FaceError, one line, with the code refused, not_found, not_sound or
+not_available; an upload also busy, exists, too_large, stalled.
 """
 
 import asyncio
@@ -44,7 +44,7 @@ _LEFT_S: Final = 3600.0
 
 
 def checked_name(name: str) -> str:
-    """A name that is a file of the folder itself and nothing else. Raises FaceError."""
+    """Return `name` if it is a plain file name with a known ending, else raise FaceError."""
     try:
         n_bytes = len(name.encode())
     except UnicodeEncodeError:
@@ -60,14 +60,14 @@ def checked_name(name: str) -> str:
 
 
 class SoundLines:
-    """The files of one folder."""
+    """The sound files and performances of one folder that a face plays from."""
 
     def __init__(self, folder: Path | None) -> None:
-        """folder: None: the face plays no files."""
+        """Use this folder; None: the face plays no files, and every method raises FaceError."""
         self._folder = folder
 
     def listed(self) -> list[dict[str, Any]]:
-        """{name, n_bytes, changed_s} of each, by name; changed_s: seconds since 1970."""
+        """Return {name, n_bytes, changed_s} of each file, by name; changed_s: s since 1970."""
         found = []
         with contextlib.suppress(OSError), os.scandir(self._place()) as entries:
             for entry in entries:
@@ -81,7 +81,7 @@ class SoundLines:
         return sorted(found, key=_name)[:_MOST_LISTED]
 
     def path_of(self, name: str) -> Path:
-        """Return the path of an existing line."""
+        """Return the path of an existing line. Raises FaceError where there is none."""
         path = self.place_of(name)
         try:
             is_file = stat.S_ISREG(path.lstat().st_mode)
@@ -92,14 +92,14 @@ class SoundLines:
         return path
 
     def remove(self, name: str) -> None:
-        """Delete a line."""
+        """Delete the line of that name. Raises FaceError where that fails."""
         try:
             self.path_of(name).unlink()
         except OSError as error:
             raise FaceError("refused", f"{shown(name)}: {error.strerror}") from error
 
     def place_of(self, name: str) -> Path:
-        """Return the path for a line of that name."""
+        """Return the path for a line of that name, existing or not. Raises FaceError."""
         return self._place() / checked_name(name)
 
     def _place(self) -> Path:
@@ -110,7 +110,7 @@ class SoundLines:
 
 
 def check_sound(path: Path, name: str) -> None:
-    """Raise FaceError for what is neither a sound nor a performance. name: of it, for people."""
+    """Raise FaceError unless the file is a sound or a performance. name: shown in the message."""
     from lipsync.audio.file import checked_sound
 
     try:
@@ -128,7 +128,7 @@ def _name(line: dict[str, Any]) -> str:
 
 
 class Uploads:
-    """The uploads of one dashboard, a few at a time. Of one event loop."""
+    """The uploads of one dashboard, a few at a time, in one event loop."""
 
     def __init__(self) -> None:
         self._writing = ThreadPoolExecutor(MOST_AT_ONCE, thread_name_prefix="dashboard upload")
@@ -137,13 +137,13 @@ class Uploads:
     async def store(
         self, place: Path, chunks: AsyncIterator[bytes], *, replace: bool = False
     ) -> dict[str, Any]:
-        """Write a file as it comes; it is at its place once it is whole and known to be sound.
+        """Write an upload to disk; it appears at `place` once it is whole and known to be sound.
 
         Parameters
         ----------
-        place : where it is to be, from `SoundLines.place_of`.
+        place : the path of the finished file, from `SoundLines.place_of`.
         chunks : its bytes; what iterating raises is raised, and nothing is left behind.
-        replace : whether it may take the place of another.
+        replace : whether an existing file may be replaced.
 
         Returns
         -------
@@ -153,7 +153,6 @@ class Uploads:
         ------
         FaceError
             busy, exists, too_large, not_sound, stalled, not_available.
-
         """
         if self._n_coming >= MOST_AT_ONCE:
             raise FaceError("busy", f"{MOST_AT_ONCE} files are coming in already; try again")
@@ -206,7 +205,7 @@ def _sweep(folder: Path) -> None:
 
 
 class _ComingFile:
-    """A file that is not whole yet, under another name beside its place. Used in threads."""
+    """An upload that is not whole yet, under a temporary name in its folder. Used in threads."""
 
     def __init__(self, place: Path, *, replace: bool) -> None:
         if place.exists() and not replace:
@@ -225,7 +224,7 @@ class _ComingFile:
             self._file.write(chunk)
 
     def finish(self) -> None:
-        """On the disk, known to be sound, and at its place."""
+        """Flush the file to disk, check that it is sound, and give it its final name."""
         with self._lock:
             self._file.flush()
             os.fsync(self._file.fileno())
@@ -241,7 +240,7 @@ class _ComingFile:
                 raise FaceError("exists", f"{shown(self._place.name)}: is there already") from error
 
     def close(self) -> None:
-        """Remove the unfinished file."""
+        """Close and delete the temporary file."""
         with self._lock:
             try:
                 self._file.close()

@@ -1,7 +1,7 @@
-"""Pictures and sound become a film: H.264 and AAC in an MP4, by PyAV, whole or not at all.
+"""Films from pictures and sound: H.264 and AAC in MP4, by PyAV, written whole or not at all.
 
-Both are on one axis of time that begins with the first sample: picture n is shown at n / rate, and
-the samples that the encoder puts before the sound are skipped by the player (an edit list).
+Both have one time axis that begins with the first sample: picture n is shown at n / rate, and the
+player skips the samples that the encoder puts before the sound (an edit list).
 """
 
 import errno
@@ -34,29 +34,29 @@ _SAMPLES_A_FRAME = 1024
 
 
 class FilmError(UserError):
-    """A film that cannot be made; one line: which, why, what to do."""
+    """A film that cannot be made; one line: which one, why, and the remedy."""
 
 
 class Display(Protocol):
-    """Whatever shows a frame as a picture."""
+    """A drawing of a face that turns a frame into a picture."""
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height in pixels."""
 
     def draw(self, frame: Frame) -> Picture:
-        """(height, width, 3), red, green, blue."""
+        """Return the frame's picture, (height, width, 3), red, green, blue."""
 
 
 def check_film(path: Path) -> None:
-    """Raises UserError for a name that says no kind of film, MissingExtraError without PyAV."""
+    """Raise UserError for a file name without a film's ending, MissingExtraError without PyAV."""
     if path.suffix.lower() not in FILM_ENDINGS:
         raise FilmError(f"{path}: name a film {' or '.join(FILM_ENDINGS)}")
     check_extra("av", "making a film")
 
 
 def is_film(head: bytes) -> bool:
-    """Whether a file that begins so is an MP4, MOV or Matroska file."""
+    """Return whether a file with these first bytes is an MP4, MOV or Matroska file."""
     return head[4:8] == b"ftyp" or head.startswith(b"\x1a\x45\xdf\xa3")
 
 
@@ -69,7 +69,7 @@ def film(
     rate_hz: int = FILM_RATE_HZ,
     progress: Callable[[int], None] = lambda _n: None,
 ) -> int:
-    """Film a face: one picture a frame, frame n of sound time n / rate_hz; how many there were.
+    """Film a face: one picture per frame, frame n at sound time n / rate_hz; return their number.
 
     sound: its file; None: a silent film. out: replaced. progress: called with the number of
     pictures so far. Raises FilmError, OutputError, SoundError.
@@ -87,7 +87,11 @@ def write_film(
     rate_hz: int = FILM_RATE_HZ,
     progress: Callable[[int], None] = lambda _n: None,
 ) -> int:
-    """Pictures of one size, even in width and height, and their sound. Raises as `film` does."""
+    """Write pictures and their sound as a film; return the number of pictures.
+
+    Width and height are even, and equal in all pictures. sound: its file; None: a silent film. out:
+    replaced. Raises FilmError, OutputError, SoundError, MissingExtraError.
+    """
     check_film(out)
     import av
 
@@ -120,14 +124,14 @@ def write_film(
 
 
 def open_film(*given: Any, **how: Any) -> Any:
-    """As `av.open`."""
+    """Open a film by `av.open`, with its arguments."""
     import av
 
     return av.open(*given, **how)
 
 
 class _Voice:
-    """The sound of a film, encoded as far as the pictures are."""
+    """The sound of a film, which is encoded as far as the pictures are."""
 
     def __init__(self, file: Any, samples: NDArray[np.float32]) -> None:
         self._file, self._samples = file, samples
@@ -136,7 +140,7 @@ class _Voice:
         self._next = 0
 
     def encode_until(self, time_s: float) -> None:
-        """All samples before a time, in whole blocks."""
+        """Encode the next samples in blocks, up to at least `time_s` or the sound's end."""
         until = min(round(time_s * _SOUND_RATE_HZ), self._samples.shape[1])
         while self._next < until:
             block = self._samples[:, self._next : self._next + _SAMPLES_A_FRAME]
@@ -152,7 +156,7 @@ class _Voice:
         self._file.mux(self._stream.encode(sound))
 
     def end(self) -> None:
-        """Flush the encoder."""
+        """Flush the encoder into the film, after the last samples."""
         self._file.mux(self._stream.encode(None))
 
 
@@ -171,7 +175,10 @@ def _stereo(samples: NDArray[np.float32], rate_hz: int) -> NDArray[np.float32]:
 
 @contextmanager
 def _explained(out: Path, fault: type[Exception]) -> Iterator[None]:
-    """What FFmpeg says against writing is the disk's, and written_whole's to tell."""
+    """Turn a block's error of type `fault` into OSError if it has an errno, else into FilmError.
+
+    The OSErrors are the disk's, which written_whole reports.
+    """
     try:
         yield
     except fault as error:

@@ -1,4 +1,4 @@
-"""A film of a request: whose motion, on which face, one or two of them."""
+"""A film as it was requested: of one motion or two, each on a face."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -31,7 +31,7 @@ _HEAD = "face_head"
 
 @dataclass(frozen=True, slots=True)
 class FilmRequest:
-    """A film as it was typed; see `lipservo film --help`."""
+    """The options of a film as they were typed; `lipservo film --help` explains them."""
 
     speech: str | None
     output: Path
@@ -50,7 +50,7 @@ class FilmRequest:
 
 
 def make_film(request: FilmRequest, chosen: ChosenMotion, advance: Advance) -> dict[str, float]:
-    """Make it; return durations in s by name. Raises UserError."""
+    """Make the film; return its number of pictures and durations in s. Raises UserError."""
     began_s = time.perf_counter()
     # What can be wrong with the face is told before anything is heard.
     displays = [_display(request)]
@@ -82,18 +82,18 @@ def make_film(request: FilmRequest, chosen: ChosenMotion, advance: Advance) -> d
 
 
 class Beside:
-    """Two displays of one frame, side by side."""
+    """Two displays of one frame, drawn side by side."""
 
     def __init__(self, left: Display, right: Display) -> None:
         self._both = left, right
 
     @property
     def size(self) -> tuple[int, int]:
-        """Size of both pictures side by side, in pixels."""
+        """Width and height in pixels of both pictures side by side."""
         return sum(each.size[0] for each in self._both), self._both[0].size[1]
 
     def draw(self, frame: object) -> Picture:
-        """Draw both displays, left and right."""
+        """Return the pictures of both displays side by side, (height, width, 3)."""
         return np.hstack([each.draw(frame) for each in self._both])  # type: ignore[arg-type]
 
 
@@ -104,7 +104,10 @@ def photograph(
     size: tuple[int, int],
     face: FaceModel,
 ) -> PhotoFace:
-    """A photograph in the size of a film, its face detected or given. Raises UserError."""
+    """Read a photograph, cut it to a film's size and fit the head to it. Raises UserError.
+
+    landmarks: file of the face's points; None: they are detected.
+    """
     picture, share = read_photo(path)
     if landmarks is not None:
         points = read_landmarks(landmarks, share)
@@ -148,7 +151,10 @@ def _speech(request: FilmRequest, chosen: ChosenMotion) -> SpeechRequest:
 def _other(
     request: FilmRequest, chosen: ChosenMotion, first: FilmedMotion, stack: ExitStack
 ) -> FilmedMotion:
-    """The motion at the right: of a performance, or of the same sound with another strategy."""
+    """Return the right-hand motion: a performance's, or that of the sound by another strategy.
+
+    It has the length of the motion at the left. Raises UserError.
+    """
     assert request.beside is not None
     if Path(request.beside).suffix == SUFFIX:
         other = _speech(request, chosen)
@@ -169,14 +175,17 @@ def _other(
 
 
 def _pictures(motions: Sequence[FilmedMotion], displays: Sequence[Display]) -> Iterator[Picture]:
-    """Of each moment the faces of all motions, beside each other."""
+    """Yield for each frame one picture, with the faces of all motions side by side."""
     drawn = [_drawn(motion, display) for motion, display in zip(motions, displays, strict=True)]
     for n in range(len(motions[0].frames)):
         yield np.hstack([draw(n) for draw in drawn])
 
 
 def _drawn(motion: FilmedMotion, display: Display) -> Callable[[int], Picture]:
-    """How picture n of a motion is drawn: a robot of a run that was, as its servos were sent."""
+    """Return a function that draws picture n of a motion.
+
+    A robot is drawn by the goals that a traced run sent to its servos, if the motion has them.
+    """
     if isinstance(display, RobotDisplay) and motion.sent_deg is not None:
         robot, sent = display, motion.sent_deg
         return lambda n: robot.draw_angles(motion.servos, sent[n])

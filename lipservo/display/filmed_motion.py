@@ -1,4 +1,4 @@
-"""What is filmed: a sound, a text, a performance or a trace, as one frame for each picture."""
+"""The motion of a film, one frame per picture, from a sound, a text, a performance or a trace."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -32,9 +32,9 @@ LONGEST_FILM_S = 600.0
 
 @dataclass(frozen=True, slots=True)
 class FilmedMotion:
-    """frames: one a picture, at n / rate. sound: its file; None where there is none.
+    """A motion to film. frames: one per picture, at n / rate. sound: its file; None: silent.
 
-    servos, sent_deg (n, n_servos): of a run that was, what its servos were sent; else empty.
+    servos, sent_deg (n, n_servos): the goals that a traced run sent to its servos; else empty.
     """
 
     frames: tuple[Frame, ...]
@@ -45,10 +45,10 @@ class FilmedMotion:
 
 @dataclass(frozen=True, slots=True)
 class SpeechRequest:
-    """What a sound or text says, and how it becomes motion.
+    """The known content of a sound or text, and how it becomes motion.
 
-    script: a TextGrid; text: what the sound says; neither: the recogniser listens. head: the face,
-    by name, that head and eyes are moved as; None: they are still.
+    script: a TextGrid; text: the words of the sound; with neither the recogniser finds the
+    phonemes. head: name of the face by whose expression head and eyes move; None: they are still.
     """
 
     motion: MotionOptions
@@ -61,9 +61,9 @@ class SpeechRequest:
 
 @contextmanager
 def filmed(speech: str, request: SpeechRequest, rate_hz: int) -> Iterator[FilmedMotion]:
-    """The motion of a sound file, of a performance, or of a text that is spoken first.
+    """Yield the motion of a sound file, a performance, or a text that is first synthesised.
 
-    Its sound is there as long as it is entered. Raises UserError.
+    Its sound file exists until the `with` block ends. Raises UserError.
     """
     with ExitStack() as stack:
         path = Path(speech)
@@ -83,7 +83,7 @@ def filmed(speech: str, request: SpeechRequest, rate_hz: int) -> Iterator[Filmed
 
 
 def filmed_trace(trace: Path, sound: Path | None, model: Path | None, rate_hz: int) -> FilmedMotion:
-    """A run that was, by its sound time from 0 on. Raises TraceError, UserError."""
+    """Return the motion of a traced run from sound time 0 on. Raises TraceError, UserError."""
     run = read_trace(trace)
     face = load_face(model)
     if run.model != face.checksum:
@@ -152,7 +152,7 @@ def _frames(times_s: Array, faces: Array, tracks: dict[str, Array]) -> tuple[Fra
 
 
 def _spoken(text: str, config: str, folder: Path) -> tuple[Path, Path | None]:
-    """A text by the voice of a face, as a sound file and, where it tells them, its phonemes."""
+    """Synthesise a text by the face's voice; return the sound file, and a phoneme file or None."""
     speaker = speaker_of(load_settings(config)[0].sound, load_settings(config)[1])
     voice = Voice("en-us", speaker.voice)
     sentences = list(speak_in_pieces(synthesizer_for(speaker.synthesizer), text, voice))
@@ -167,7 +167,7 @@ def _spoken(text: str, config: str, folder: Path) -> tuple[Path, Path | None]:
 
 
 def _joined(sentences: Sequence[SynthesizedSpeech]) -> Iterator[tuple[str, float, float]]:
-    """Phonemes of sentences one after the other: name, start, end."""
+    """Yield (phoneme, start s, end s) of sentences that follow one another."""
     begins_s = 0.0
     for sentence in sentences:
         for event in sentence.phonemes:

@@ -1,4 +1,4 @@
-"""What keeps a warped photograph whole: lips that meet, and triangles that do not turn over."""
+"""Corrections of a warped photograph: lips touch when they should, and no triangle turns over."""
 
 from dataclasses import dataclass
 
@@ -21,7 +21,7 @@ _LIP_MM = 6.0
 class Mesh:
     """The flat mesh of a photograph, from the back to the front.
 
-    rest_px (n, 2): its vertices in the photograph. triangles (n_triangles, 3), drawn in this order.
+    rest_px (n, 2): its vertices in the photograph. triangles (n_triangles, 3), in drawing order.
     skin: rows of `triangles` that are skin.
     """
 
@@ -31,12 +31,12 @@ class Mesh:
 
 
 class LipContact:
-    """Lips of another face than the model's, brought together where the model's touch.
+    """A correction that brings a photograph's lips together where the model's lips touch.
 
-    The targets move the lips of the photograph as far as the speaker's, so that what they are apart
-    when they should touch is the difference of two faces. It is taken away in the measure in which
-    the model's lips come nearer to each other than they are in the photograph. And lips that would
-    overlap meet in the middle. What it is made of is public for the page, which does the same.
+    The targets move the lips of the photograph as far as the speaker's, so that their distance when
+    they should touch is the difference of two faces. It is removed in proportion as the model's
+    lips come nearer to each other than they are in the photograph. Lips that would overlap meet in
+    the middle. Its parts are public for the page, which computes them in the same manner.
     """
 
     def __init__(self, photo: PhotoFace, own_px: Array, lips: Indices) -> None:
@@ -68,14 +68,14 @@ class LipContact:
         return float(self.gaps.gaps_mm(coefficients).max())
 
     def held(self, skin_px: Array, frame: Frame) -> Array:
-        """Bring the lips in contact where they should be, in place.
+        """Move the lips in `skin_px` into contact where they should touch, in place.
 
         Parameters
         ----------
         skin_px : Array
-            (n, 3), changed.
+            (n, 3) pixels and depth, changed.
         frame : Frame
-            Which gaps are wanted.
+            Its coefficients give the wanted gaps.
 
         Returns
         -------
@@ -91,7 +91,10 @@ class LipContact:
 
 
 def _felt_by(own_px: Array, rim: Indices, reach_px: float, side: Array) -> sparse.csr_array:
-    """(n, n_rim): how far vertices of one lip go with its rim; side (2,): where the lip lies."""
+    """Return (n, n_rim): how far each vertex of one lip moves with the vertices of its rim.
+
+    side (2,): the direction from the rim to the lip.
+    """
     apart = own_px[:, None] - own_px[None, rim]
     nearest = np.argmin((apart**2).sum(axis=2), axis=1)
     from_rim = apart[np.arange(len(own_px)), nearest]
@@ -105,19 +108,19 @@ def _felt_by(own_px: Array, rim: Indices, reach_px: float, side: Array) -> spars
 
 
 class Unfolding:
-    """Triangles that would turn over move as a whole instead, as far as they must."""
+    """A correction that prevents triangles from turning over, by moving them as a whole."""
 
     def __init__(self, rest_px: Array, mesh: Mesh) -> None:
         self._rest, self._triangles = rest_px, mesh.triangles[mesh.skin]
         self._areas = areas_px2(rest_px, self._triangles)
 
     def unfolded(self, moved_px: Array) -> Array:
-        """Bring corners of folded triangles to go as their middle goes.
+        """Return the vertices with the corners of each folded triangle moved as their mean moves.
 
         Parameters
         ----------
         moved_px : Array
-            (n, 2).
+            (n, 2) pixels.
 
         Returns
         -------
@@ -140,14 +143,14 @@ class Unfolding:
 
 
 def areas_px2(places_px: Array, triangles: Indices) -> Array:
-    """Return twice the area of triangles, with the sign of the way round.
+    """Return twice the area of triangles in square pixels, signed by their orientation.
 
     Parameters
     ----------
     places_px : Array
-        (n, 2).
+        (n, 2) pixels.
     triangles : Indices
-        (n_triangles, 3).
+        (n_triangles, 3), rows of `places_px`.
 
     Returns
     -------

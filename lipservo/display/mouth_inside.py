@@ -1,8 +1,8 @@
-"""What is seen between the lips of a photograph: teeth, tongue and darkness.
+"""The mouth's inside as seen between the lips of a photograph: teeth, tongue and darkness.
 
 Teeth and tongue are the twin's own (`lipsync/twin/parts.py`), drawn once as small pictures: the
-upper ones stay with the head, the lower ones and the tongue go with the jaw. They get dark as the
-lips close, for no light gets there.
+upper ones stay with the head, the lower ones and the tongue move with the jaw. They darken as the
+lips close, since less light enters.
 """
 
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ SHADOW_MM = 2.2
 
 @dataclass(frozen=True, slots=True)
 class _Sprite:
-    """A picture with how much it covers (rows, columns, 4), and where its corner belongs, px."""
+    """A small picture, (rows, columns, 4) with its coverage, and the position of its corner, px."""
 
     pixels: Pixels
     corner_px: Array
@@ -45,7 +45,7 @@ class _Sprite:
 
 @dataclass(frozen=True, slots=True)
 class SeenPart:
-    """A part of the twin as it is in the photograph's own pose, in its light.
+    """A part of the twin in the photograph's own pose and light.
 
     places_px (n, 3), with depth. colours (n, 3): sRGB, 0 to 255. triangles: from the back.
     """
@@ -56,11 +56,11 @@ class SeenPart:
 
 
 class MouthParts:
-    """What is behind the lips of one photograph. lips_px (n, 3): the inner rim as it is.
+    """The parts behind the lips of one photograph. lips_px (n, 3): the inner rim as photographed.
 
-    upper, lower: teeth; with the lower ones the tongue. jaw_px: how far 1 of each target takes the
-    lower ones. upper_rows, lower_rows: of the rim, from corner to corner, pair by pair. hidden_px
-    (n_pairs,): so far the lips of each pair part before anything is seen between them.
+    upper: the upper teeth; lower: the lower teeth and the tongue. jaw_px: how far 1 of each target
+    moves the lower part. upper_rows, lower_rows: of the rim, from corner to corner, pair by pair.
+    hidden_px (n_pairs,): distance of each pair up to which nothing is seen between the lips.
     """
 
     def __init__(self, photo: PhotoFace, lips_px: Array) -> None:
@@ -85,7 +85,10 @@ class MouthParts:
 
 
 class MouthInside:
-    """Draws the inside of the mouth of one photograph. lips_px (n, 3): the inner rim as it is."""
+    """The drawn inside of the mouth of one photograph.
+
+    lips_px (n, 3): the inner rim as photographed.
+    """
 
     def __init__(self, photo: PhotoFace, lips_px: Array) -> None:
         self._photo = photo
@@ -100,16 +103,16 @@ class MouthInside:
     def draw_into(
         self, picture: Picture, frame: Frame, lips_px: Array, turned: tuple[Array, Array]
     ) -> None:
-        """Fill what is open between the inner lips.
+        """Draw teeth, tongue and darkness into the opening between the inner lips of a picture.
 
         Parameters
         ----------
         picture : Picture
             (height, width, 3), changed in place.
         frame : Frame
-            What the mouth shows.
+            The mouth's coefficients.
         lips_px : Array
-            (n, 3).
+            (n, 3) pixels and depth, the inner rim as moved.
         turned : tuple[Array, Array]
             Rotation and shift of the head, in pixels.
         """
@@ -165,7 +168,7 @@ class MouthInside:
 
 
 class _Opening:
-    """Pixels between the inner lips: how much of each is open, along the mouth's own axis."""
+    """The opening between the inner lips: the open share of each pixel, along the mouth's axis."""
 
     def __init__(
         self,
@@ -201,7 +204,7 @@ class _Opening:
         self._along, self._is_upper = s, (t - top) < (bottom - t)
 
     def nearest_lip(self, rest_px: Array) -> tuple[Pixels, Pixels]:
-        """Where in the photograph the rim of the nearer lip is, for each pixel."""
+        """Return for each pixel the x and y, in the photograph, of the nearer lip's rim."""
         found = []
         for axis in (0, 1):
             upper, lower = (
@@ -219,7 +222,7 @@ def _placed(
     low: NDArray[np.int_],
     shape: tuple[int, int],
 ) -> Pixels:
-    """A sprite as it is seen in a view that begins at `low`."""
+    """Return a sprite's pixels, turned and moved, in a view of `shape` with its corner at `low`."""
     import cv2
 
     turn, shift = turned
@@ -233,7 +236,7 @@ def _placed(
 
 
 def _seen_part(photo: PhotoFace, part: Part, own: dict[str, float]) -> SeenPart:
-    """A part of the twin in the pose of the photograph, shaded."""
+    """Return a part of the twin, shaded, in the pose of the photograph."""
     places_mm = part.places_mm.copy()
     for name, moves in part.morphs.items():
         places_mm += own.get(name, 0.0) * moves
@@ -247,7 +250,7 @@ def _seen_part(photo: PhotoFace, part: Part, own: dict[str, float]) -> SeenPart:
 
 
 def _sprite(part: SeenPart) -> _Sprite:
-    """A part drawn once."""
+    """Draw a part into a small picture and return it."""
     import cv2
 
     px = part.places_px
@@ -266,7 +269,7 @@ def _sprite(part: SeenPart) -> _Sprite:
 
 
 def _tone(picture: Picture, lips_px: Array) -> Pixels:
-    """How bright and how coloured the photograph's light is at the lips, against white: (3,)."""
+    """Return the colour of the photograph's light at the lips, (3,), relative to white."""
     height, width = picture.shape[:2]
     low = np.clip(np.floor(lips_px[:, :2].min(axis=0)).astype(int) - 10, 0, None)
     high = np.clip(np.ceil(lips_px[:, :2].max(axis=0)).astype(int) + 10, None, (width, height))

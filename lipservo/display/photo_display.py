@@ -1,8 +1,8 @@
-"""Draws a photograph as a frame of the model has it: layer on layer, as pixels of one picture.
+"""Drawing of a photograph with the face of a frame: layer on layer, as pixels of one picture.
 
-From the back: what stays, the eyes and the skin, warped by `photo_warp.py`; the mouth's inside with
-tongue and teeth, seen through the lips. The skin is never painted: each pixel is looked up in the
-photograph.
+From the back: the still parts, the eyes and the skin, warped by `photo_warp.py`; the mouth's inside
+with tongue and teeth, seen through the lips. The skin is never painted: each of its pixels comes
+from the photograph.
 """
 
 import numpy as np
@@ -25,7 +25,7 @@ _STILL_PX = 0.02
 
 
 class PhotoDisplay:
-    """Draws one photograph, a frame at a time. Needs OpenCV, the extra `film`."""
+    """A display of one photograph, drawn a frame at a time. Needs OpenCV, the extra `film`."""
 
     def __init__(self, photo: PhotoFace) -> None:
         check_extra("cv2", "drawing a photograph")
@@ -59,7 +59,7 @@ class PhotoDisplay:
         return self._photo.own
 
     def model_moves_px(self, face: FaceModel, coefficients: Array) -> Array:
-        """Return how far the model's points are from where the photograph has them.
+        """Return how far the model's points are moved from their positions in the photograph.
 
         Parameters
         ----------
@@ -83,7 +83,7 @@ class PhotoDisplay:
         return width, height
 
     def draw(self, frame: Frame) -> Picture:
-        """The photograph with the face of a frame."""
+        """Return the photograph with the face of a frame, (height, width, 3)."""
         import cv2
 
         moved_px, depth_px = self.warp.moved(frame)
@@ -98,17 +98,17 @@ class PhotoDisplay:
         return picture
 
     def source_of(self, moved_px: Array) -> NDArray[np.float32]:
-        """Return from where in the photograph each pixel of the moving part comes.
+        """Return the position in the photograph from which each pixel of the moving part comes.
 
         Parameters
         ----------
         moved_px : Array
-            (n, 2), of `moved`.
+            (n, 2) pixels, the mesh's vertices from `PhotoWarp.moved`.
 
         Returns
         -------
         NDArray[np.float32]
-            (2, rows, columns) pixels.
+            (2, rows, columns) pixels, x and y.
         """
         rest = self._mesh.rest_px
         still = np.asarray((np.abs(moved_px - rest) < _STILL_PX).all(axis=1))
@@ -126,7 +126,7 @@ class PhotoDisplay:
         return maps
 
     def _coarse(self, moved_px: Array) -> NDArray[np.float32]:
-        """The map of everything, from one pixel in so many each way."""
+        """Return the map of the whole mesh, drawn for every fourth pixel and interpolated."""
         import cv2
 
         corner = np.array(self.corner_px)
@@ -154,5 +154,5 @@ class PhotoDisplay:
 
     @property
     def corner_px(self) -> tuple[int, int]:
-        """Column and row at which `source_of` begins."""
+        """Column and row of the picture at which the map of `source_of` begins."""
         return self._box[1].start, self._box[0].start

@@ -1,9 +1,9 @@
-"""A photograph of a face that a face model can move: the mean head worn by its landmarks.
+"""A photograph of a face that a face model can move: the mean head fitted to its landmarks.
 
-The head of the twin is laid on the landmarks, by a similarity and then, as a thin shell, through
+The head of the twin is fitted to the landmarks, by a similarity and then, as a thin shell, through
 each of them; with it come the model's targets, lids, brows, smile, teeth and tongue
 (`lipsync/twin/twin.py`), in the proportions of this face. So a photograph is a twin whose skin has
-its pixels for a colour, and whatever draws a twin can draw it.
+its pixels for a colour, and any drawing of a twin can draw it.
 """
 
 from collections.abc import Mapping
@@ -52,15 +52,15 @@ _LIP_PAIRS = tuple(zip(INNER_LIP[1:10], INNER_LIP[:10:-1], strict=True))
 
 
 class PhotoError(UserError):
-    """A photograph that cannot be moved; one line: which, why, what to do."""
+    """A photograph that cannot be moved; one line: which one, why, and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class LipGaps:
-    """How far the model's inner lips are apart, as a linear function of the coefficients.
+    """Distances of the model's inner lips, as a linear function of the coefficients.
 
-    along (n,): where, from one corner (0) to the other (1). at_zero (n,), each (n, n_components):
-    in mm. Corners are always together.
+    along (n,): position of each gap from one corner (0) to the other (1). at_zero (n,), each (n,
+    n_components): in mm. The gap at both corners is always 0.
     """
 
     along: Array
@@ -68,7 +68,7 @@ class LipGaps:
     each: Array
 
     def gaps_mm(self, coefficients: Array) -> Array:
-        """Return the gaps of a mouth.
+        """Return the lip gaps of a mouth shape.
 
         Parameters
         ----------
@@ -78,12 +78,12 @@ class LipGaps:
         Returns
         -------
         Array
-            (n,) mm.
+            (n,) mm, at the positions `self.along`.
         """
         return np.asarray(self.at_zero + self.each @ coefficients)
 
     def at(self, along: Array, coefficients: Array) -> Array:
-        """Return the gaps at other places along the lips.
+        """Return the lip gaps at given positions along the lips, interpolated.
 
         Parameters
         ----------
@@ -120,27 +120,27 @@ class PhotoFace:
 
     @property
     def px_per_mm(self) -> float:
-        """Size of the face in the picture."""
+        """Scale of the face in the picture, in pixels per mm."""
         return float(np.cbrt(abs(np.linalg.det(self.matrix))))
 
     def in_picture(self, places_mm: Array) -> Array:
-        """Return places of the head as pixels and depth.
+        """Convert positions on the head to pixels and depth in the picture.
 
         Parameters
         ----------
         places_mm : Array
-            (n, 3).
+            (n, 3) mm.
 
         Returns
         -------
         Array
-            (n, 3) pixels.
+            (n, 3) pixels: x right, y down, z towards the viewer.
         """
         return np.asarray(places_mm @ self.matrix.T + self.shift_px)
 
 
 def photo_face(picture: Picture, landmarks_px: Mapping[int, Array], face: FaceModel) -> PhotoFace:
-    """Fit the head to a photograph.
+    """Fit the mean head to a photograph and return both, ready to be moved by the model.
 
     Parameters
     ----------
@@ -150,12 +150,12 @@ def photo_face(picture: Picture, landmarks_px: Mapping[int, Array], face: FaceMo
         By number in the 478-point face mesh (2,) or (3,), x right, y down, z away from the viewer;
         all of a tracker, or those of `HAND_POINTS` at the least.
     face : FaceModel
-        The model.
+        The model that will move it.
 
     Returns
     -------
     PhotoFace
-        With its scale in pixels a mm.
+        With its scale in pixels per mm.
 
     Raises
     ------
@@ -191,14 +191,14 @@ def photo_face(picture: Picture, landmarks_px: Mapping[int, Array], face: FaceMo
 
 
 def _with_depth(points: list[Array]) -> Array | None:
-    """(n, 3) with y up and z to the viewer; None where a point has no depth."""
+    """Return the points as (n, 3), y up and z to the viewer; None if one has no depth."""
     if any(len(point) < 3 for point in points):
         return None
     return np.stack(points) * (1.0, -1.0, -1.0)
 
 
 def _check_size_and_pose(face_px: float, rotation: Array) -> None:
-    """Refuse a face that is too small or turned too far. Raises PhotoError."""
+    """Raise PhotoError for a face that is too small or turned too far."""
     if face_px < LEAST_FACE_PX:
         raise PhotoError(
             f"the face is {face_px:.0f} pixels wide, {LEAST_FACE_PX:.0f} are needed; take a larger "
@@ -222,7 +222,7 @@ def _worn(
     landmarks_px: Mapping[int, Array],
     back: tuple[Array, Array, Array],
 ) -> MeanFace:
-    """The mean head with its landmarks where this face has them, all else following smoothly."""
+    """Return the mean head with landmarks moved to this face's, and all else following smoothly."""
     surface = head_surface(mean)
     still = np.flatnonzero(mean.behind > 2.0)
     held = np.concatenate([numbers, still])
@@ -241,7 +241,7 @@ def _worn(
 
 
 def lip_gaps(face: FaceModel) -> LipGaps:
-    """Return the lip gaps of a model; its own one alone without inner lips in its layout."""
+    """Return the lip gaps of a model; only its own gap if its layout has no inner lips."""
     landmarks = face.layout.landmarks
     found = [
         (n / (len(_LIP_PAIRS) + 1), landmarks.index(upper), landmarks.index(lower))
@@ -256,10 +256,10 @@ def lip_gaps(face: FaceModel) -> LipGaps:
 
 
 def _own_coefficients(face: FaceModel, gaps: LipGaps, worn: MeanFace) -> Array:
-    """What the mouth in a photograph does: it rests, or is as open as its inner lips are apart.
+    """Return the coefficients of the mouth in a photograph: rest, or as open as its inner lips are.
 
-    Of all mouths with these lip gaps the likeliest by the model's covariance; other proportions
-    than the speaker's are no motion.
+    Of all mouths with these lip gaps it is the likeliest by the model's covariance; proportions
+    that differ from the speaker's are no motion.
     """
     upper, lower = (list(each) for each in zip(*_LIP_PAIRS, strict=True))
     own_mm = worn.vertices_mm[upper, 1] - worn.vertices_mm[lower, 1]

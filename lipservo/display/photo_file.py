@@ -1,6 +1,7 @@
-"""Photographs as people have them: files of any kind, held anyhow, with a face somewhere.
+"""Photographs and their landmarks from files, for a film.
 
-What is read comes upright, in red, green and blue, no larger than a film needs it.
+Pictures of any kind and orientation are returned upright, in red, green and blue, no larger than a
+film needs.
 """
 
 import json
@@ -36,9 +37,9 @@ Landmarks = Mapping[int, Array]
 
 
 def read_photo(path: Path) -> tuple[Picture, float]:
-    """The picture, and how many of its own pixels one of the file was made into.
+    """Return a photograph, upright, RGB, at most 1920 px long, and its scale to the file.
 
-    Raises PhotoError, MissingExtraError.
+    The scale is the picture's width by the file's. Raises PhotoError, MissingExtraError.
     """
     check_extra("PIL", "reading a photograph")
     from PIL import Image, ImageOps
@@ -74,7 +75,7 @@ def read_photo(path: Path) -> tuple[Picture, float]:
 
 
 def _red_green_blue(image: Any) -> Any:
-    """Whatever mode a picture has, without what is transparent."""
+    """Convert a Pillow image of any mode to RGB, with a plain colour behind transparent parts."""
     from PIL import Image
 
     if "transparency" in image.info or image.mode in _WITH_ALPHA:
@@ -87,7 +88,7 @@ def _red_green_blue(image: Any) -> Any:
 
 
 def tracked(picture: Picture, tracker: FaceTracker, name: str) -> Landmarks:
-    """The landmarks of the one face in a picture. Raises PhotoError for none, or several."""
+    """Return the landmarks of the one face in a picture. Raises PhotoError for none, or several."""
     faces = tracker.faces(picture)
     if not faces:
         raise PhotoError(
@@ -101,11 +102,11 @@ def tracked(picture: Picture, tracker: FaceTracker, name: str) -> Landmarks:
 
 
 def read_landmarks(path: Path, share: float) -> Landmarks:
-    """Landmarks from a JSON file: `{"points_px": {"nose_tip": [x, y], ...}}`.
+    """Read landmarks from a JSON file: `{"points_px": {"nose_tip": [x, y], ...}}`.
 
     Names of `HAND_POINTS` or numbers of the 478-point face mesh, in pixels of the photograph's
-    file, z (away from the viewer) where it is known. share: what the picture was made smaller by.
-    Raises PhotoError.
+    file, z (away from the viewer) where it is known. share: the scale of the picture to that file,
+    by which they are multiplied. Raises PhotoError.
     """
     try:
         if path.stat().st_size > _MOST_JSON_BYTES:
@@ -122,7 +123,7 @@ def read_landmarks(path: Path, share: float) -> Landmarks:
 
 
 def landmarks_of(points: object) -> Landmarks:
-    """Landmarks from what stands under `points_px`. Raises PhotoError without a file's name."""
+    """Return the landmarks in the value of `points_px`. Raises PhotoError without a file's name."""
     try:
         named = dict(points)  # type: ignore[call-overload]
         found = {_number(name): np.array(place, dtype=np.float64) for name, place in named.items()}
@@ -147,7 +148,7 @@ def _no_points(error: Exception) -> str:
 def framed(
     picture: Picture, landmarks: Landmarks, size: tuple[int, int]
 ) -> tuple[Picture, Landmarks]:
-    """A picture cut and scaled to (width, height), its face in the middle as far as it goes."""
+    """Cut and scale a picture and its landmarks to (width, height), the face in the middle."""
     import cv2
 
     height, width = picture.shape[:2]

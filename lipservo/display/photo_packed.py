@@ -1,7 +1,8 @@
-"""The warp of a photograph as bytes for a page: what moves its mesh, without a pixel of it.
+"""The warp of a photograph as bytes for a page: all that moves its mesh, but no pixel of it.
 
-A header and arrays as those of a twin (`lipsync/twin/packed.py`). Everything is in pixels of the
-photograph, x right, y down, z to the viewer, so that a page needs neither the head nor its pose.
+A header and arrays, packed like those of a twin (`lipsync/twin/packed.py`). All lengths are in
+pixels of the photograph, x right, y down, z to the viewer, so that a page needs neither the head
+nor its pose.
 """
 
 from lipservo.display.lip_contact import LipContact
@@ -23,9 +24,10 @@ from lipsync.twin.packed import Body
 
 
 def pack_photo(photo: PhotoFace, face: FaceModel) -> bytes:
-    """Mesh, targets, contact of the lips and the mouth's inside; face: whose rest is shown first.
+    """Return mesh, targets, lip contact and the mouth's inside of a photograph as bytes for a page.
 
-    Read by lipservo/dashboard/static/show/photo_warp.js.
+    face: the model whose rest is shown first. lipservo/dashboard/static/show/photo_warp.js reads
+    them.
     """
     warp, body = PhotoWarp(photo), Body()
     parts = MouthParts(photo, warp.own_px[warp.lips])

@@ -1,8 +1,8 @@
-"""Where the points of a photograph go when its face moves: its flat mesh, moved by a frame.
+"""The warp of a photograph: its flat mesh, whose vertices are moved by a frame.
 
-From the back: rings round the face, which give way; the eyes; the skin with the lips, moved by the
-model's targets. Lips meet where the model's do, and no triangle turns over (`lip_contact.py`).
-`lipservo/dashboard/twin/picture/photo_warp.js` does the same in a page.
+From the back: rings round the face, which follow its rim; the eyes; the skin with the lips, moved
+by the model's targets. Lips touch where the model's do, and no triangle turns over
+(`lip_contact.py`). `lipservo/dashboard/static/show/photo_warp.js` computes the same in a page.
 """
 
 from dataclasses import fields
@@ -28,11 +28,12 @@ MOST = {"lid_left": (0.0, 1.0), "lid_right": (0.0, 1.0), "brow": (-0.4, 1.0), "s
 
 
 class PhotoWarp:
-    """The mesh of one photograph.
+    """The mesh of one photograph, moved by frames.
 
-    places_mm (n_skin, 3) and targets: of the skin's vertices, which are the mesh's first, of the
-    head in mm. lips, rim: rows of its loops, from a corner of the mouth. eyes: of each, rows of its
-    loop; their own vertices come next, those of a loop and then its middle. The rings are last.
+    places_mm (n_skin, 3) and targets: of the skin's vertices, the first of the mesh, on the head in
+    mm. lips, rim: rows of the skin's loops, from a corner of the mouth. eyes: for each eye, rows of
+    its loop. After the skin come the vertices of each eye, its loop and then its middle; the rings
+    are last.
     """
 
     def __init__(self, photo: PhotoFace) -> None:
@@ -74,7 +75,7 @@ class PhotoWarp:
         self._unfold = Unfolding(rest_px, self.mesh)
 
     def moved(self, frame: Frame) -> tuple[Array, Array]:
-        """Return where the mesh's vertices are.
+        """Return the positions of the mesh's vertices in a frame.
 
         Parameters
         ----------
@@ -96,7 +97,7 @@ class PhotoWarp:
         return self._unfold.unfolded(np.vstack([skin[:, :2], *eyes, rings])), skin[:, 2]
 
     def turn(self, frame: Frame) -> tuple[Array, Array]:
-        """Of the head, in the picture: `px @ turn.T + shift`, about the twin's pivot."""
+        """Return a frame's head rotation and shift, `px @ turn.T + shift`, about the pivot."""
         angles = pose_rad(frame)
         if not any(angles):
             return np.eye(3), np.zeros(3)
@@ -106,7 +107,7 @@ class PhotoWarp:
         return turn, pivot - turn @ pivot
 
     def vertex_of(self, landmark: int) -> int:
-        """The mesh's vertex of a landmark of the 478-point face mesh; -1: it is not drawn."""
+        """Return the mesh's vertex of a landmark of the 478-point face mesh; -1: not drawn."""
         return int(self._number[landmark])
 
     def _eyes_of(self, skin_px: Array) -> list[Array]:
@@ -122,7 +123,7 @@ class PhotoWarp:
 
 
 def amounts_of(frame: Frame, components: tuple[str, ...]) -> dict[str, float]:
-    """How much of each target a frame asks for; what it leaves open is at rest."""
+    """Return the amount of each target in a frame, clipped; 0 for an expression that is not set."""
     amounts = dict(zip(components, np.asarray(frame.coefficients).tolist(), strict=True))
     values = {each.name: getattr(frame.expression, each.name) for each in fields(frame.expression)}
     for name, (least, most) in MOST.items():
@@ -134,7 +135,7 @@ def amounts_of(frame: Frame, components: tuple[str, ...]) -> dict[str, float]:
 
 
 def pose_rad(frame: Frame) -> tuple[float, float, float]:
-    """Pitch, yaw and roll of the head that a photograph bears."""
+    """Return pitch, yaw and roll of a frame's head in rad, limited to what a photograph shows."""
     expression = frame.expression
     angles_deg = (expression.neck_pitch_deg, expression.neck_yaw_deg, expression.neck_roll_deg)
     most = MOST_POSE_DEG.values()
@@ -164,13 +165,13 @@ def rotation(pitch: float, yaw: float, roll: float) -> Array:
 
 
 def _half_as_fine(triangles: Indices) -> Indices:
-    """One triangle for each four of the last subdivision, which keeps its corners' numbers."""
+    """Return the triangles before the last subdivision, one for each four."""
     four = triangles.reshape(-1, 4, 3)
     return np.column_stack([four[:, 0, 0], four[:, 1, 1], four[:, 2, 2]])
 
 
 def _loop(loops: list[Indices], start: Indices) -> Indices:
-    """The hole that goes through a vertex, from it towards another one."""
+    """Return the loop of vertices through start[0], from it on in the direction of start[1]."""
     first, then = start.tolist()
     (loop,) = (each for each in loops if first in each)
     at = int(np.flatnonzero(loop == first)[0])
@@ -181,7 +182,7 @@ def _loop(loops: list[Indices], start: Indices) -> Indices:
 
 
 def _fan(first: int, n: int) -> Indices:
-    """Triangles of a loop of vertices and its middle, which comes after them."""
+    """Return triangles from a loop of `n` vertices to its middle, the vertex after them."""
     here = first + np.arange(n)
     return np.column_stack([here, np.roll(here, -1), np.full(n, first + n)])
 
@@ -194,7 +195,7 @@ def _band(inner: Indices, outer: Indices) -> Indices:
 
 
 def _smooth(moves: Array) -> Array:
-    """Of neighbours on the rim, so that the rings round it do not cross."""
+    """Return the moves averaged over neighbours on the rim, so that the rings do not cross."""
     near = range(-RIM_NEIGHBOURS, RIM_NEIGHBOURS + 1)
     around = [np.roll(moves, shift, axis=0) for shift in near]
     return np.asarray(np.mean(around, axis=0))

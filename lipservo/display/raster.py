@@ -1,6 +1,6 @@
-"""Triangles to pixels, by spans of rows, in NumPy: what lies under each pixel of a flat mesh.
+"""Rasterisation of triangles by spans of rows, in NumPy: which pixels a flat mesh covers.
 
-A pixel belongs to a triangle when its middle lies in it; of several triangles the last one counts.
+A pixel belongs to a triangle if its middle lies inside; of several triangles the last one counts.
 """
 
 from dataclasses import dataclass
@@ -15,9 +15,9 @@ _LEAST_AREA_PX2 = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Covered:
-    """Pixels that triangles cover, in the order in which they are to be drawn.
+    """Pixels that triangles cover, in drawing order.
 
-    rows, columns (n,): of each pixel. triangle (n,): which one covers it.
+    rows, columns (n,): of each pixel. triangle (n,): index of the triangle that covers it.
     """
 
     rows: Indices
@@ -25,19 +25,19 @@ class Covered:
     triangle: Indices
 
     def interpolated(self, corners_px: Array, values: Array) -> Array32:
-        """Interpolate values of triangles' corners at each pixel.
+        """Interpolate the values at the triangles' corners linearly, at each covered pixel.
 
         Parameters
         ----------
         corners_px : Array
-            (m, 3, 2).
+            (m, 3, 2) pixels.
         values : Array
-            (m, 3, k).
+            (m, 3, k) values of m triangles.
 
         Returns
         -------
         Array32
-            (k, n).
+            (k, n), n pixels.
         """
         x, y = corners_px[..., 0], corners_px[..., 1]
         sides = np.stack([x[:, 1:] - x[:, :1], y[:, 1:] - y[:, :1]], axis=-1)
@@ -57,9 +57,9 @@ class Covered:
 
 
 def covered(corners_px: Array, height: int, width: int) -> Covered:
-    """Return the pixels under triangles, x right and y down, a pixel's middle at whole numbers.
+    """Return the pixels that triangles cover, x right, y down, a pixel's middle at whole numbers.
 
-    What lies outside the picture is left out; so are triangles without area.
+    Pixels outside the picture are left out; so are triangles without area.
 
     Parameters
     ----------
@@ -87,14 +87,14 @@ def covered(corners_px: Array, height: int, width: int) -> Covered:
 
 
 def _counted(counts: Indices, begin: Indices) -> tuple[Indices, Indices]:
-    """Each index as often as counted, and begin, begin + 1, ... beside it."""
+    """Return each index repeated `counts` times, and beside it begin, begin + 1, ..."""
     which = np.repeat(np.arange(len(counts)), counts)
     before = np.cumsum(counts) - counts - begin
     return which, np.arange(len(which)) - np.repeat(before, counts)
 
 
 def _ends(x: Array, y: Array, of_span: Indices, row: Array) -> tuple[Array, Array]:
-    """Where rows (n,) enter and leave their triangles; to the left of the entry: not at all."""
+    """Return the x where rows (n,) enter and leave their triangles; 0 and -1: it is not crossed."""
     left, right = np.full(len(row), np.inf), np.full(len(row), -np.inf)
     for a, b in ((0, 1), (1, 2), (2, 0)):
         rise = y[:, b] - y[:, a]

@@ -1,4 +1,4 @@
-"""Draws a robot from the front as its servos stand: the page's drawing, as pixels.
+"""A drawing of a robot from the front, at given servo angles: the page's drawing, as pixels.
 
 Geometry, directions and colours are those of lipservo/dashboard/static/live/robot_figure.js: horns
 of 8 mm at the lips, the jaw hinged 88 mm behind the incisors.
@@ -38,10 +38,10 @@ _BITS = 4
 
 
 class RobotDisplay:
-    """Draws a face's robot for frames, or for angles of its servos. Needs OpenCV."""
+    """A display of a face's robot, for frames or for angles of its servos. Needs OpenCV."""
 
     def __init__(self, face: Face, size: tuple[int, int], period_s: float) -> None:
-        """period_s: between two frames, for what limits a head's speed."""
+        """Prepare the drawing. period_s: time between two frames, which limits a head's speed."""
         check_extra("cv2", "drawing a robot")
         self._size = size
         self._rig = robot_rig(face.settings.servos)
@@ -58,7 +58,7 @@ class RobotDisplay:
         return self._size
 
     def draw(self, frame: Frame) -> Picture:
-        """The robot as its servos stand in a frame."""
+        """Return a picture of the robot with its servos at the angles for a frame."""
         positions_deg = np.zeros(len(self._names))
         positions_deg[self._mouth] = self._calibration.positions_deg(frame.coefficients)
         for claim in self._head.claims(frame.expression, Layer.EXPRESSION):
@@ -66,14 +66,14 @@ class RobotDisplay:
         return self.draw_angles(self._names, positions_deg)
 
     def draw_angles(self, names: Sequence[str], positions_deg: Array) -> Picture:
-        """Draw the robot with its servos at angles.
+        """Return a picture of the robot with its servos at the given angles.
 
         Parameters
         ----------
         names : Sequence[str]
-            n servos.
+            Names of n servos.
         positions_deg : Array
-            (n,).
+            (n,) degrees.
 
         Returns
         -------
@@ -90,7 +90,7 @@ class RobotDisplay:
 def moved_channels(
     rig: Mapping[str, RigServo], positions_deg: Mapping[str, float]
 ) -> dict[tuple[str, str], float]:
-    """Degrees in the drawing's directions, by channel and side."""
+    """Return the servos' angles in the drawing's directions, in degrees, by (channel, side)."""
     found: dict[tuple[str, str], float] = {}
     for name, deg in positions_deg.items():
         servo = rig.get(name)
@@ -102,7 +102,7 @@ def moved_channels(
 
 
 class _Canvas:
-    """One picture of the drawing."""
+    """One picture of the robot, on which its parts are drawn."""
 
     def __init__(
         self,
@@ -122,7 +122,7 @@ class _Canvas:
         self._narrow = np.array([np.cos(np.radians(yaw)), 1.0])
 
     def head(self, has_eyes: bool) -> None:
-        """Neck, skull, nose and eyes."""
+        """Draw neck, skull, nose, brows, and eyes if there are any."""
         self._fill(_box(158, 330, 84, 88), _JAW, _LINE, "field")
         self._fill(np.array([[128, 408], [272, 408], [286, 430], [114, 430]]), _JAW, _LINE, "field")
         jaw_units = _UNIT * self._jaw_mm
@@ -164,7 +164,7 @@ class _Canvas:
         self._fill(middle + _EYE_RADIUS * arc, _LID, _LINE)
 
     def mouth(self) -> None:
-        """Lips, teeth and what is between them."""
+        """Draw lips, teeth and the cavity between the lips."""
         pout = min(1.0, max(-1.0, _horn_mm(self._deg("protrusion", "left")) / _HORN_MM))
         inner = _INNER_MM - 2 * pout
         jaw = self._jaw_mm
@@ -206,7 +206,7 @@ class _Canvas:
         return self._moved.get((channel, side), 0.0)
 
     def _placed(self, points: Array, on: str) -> Array:
-        """Pixels of points that lie on the face's front, on its skull, or on the field."""
+        """Return the pixels of points given on the face's front, on its skull, or on the field."""
         at = np.asarray(points, dtype=np.float64)
         if on == "face":
             at = (at - (200.0, 0.0)) * self._narrow + (200.0, 0.0) + self._feature_shift
@@ -249,7 +249,7 @@ def _ring(one: Array, other: Array) -> Array:
 
 
 def _curve(points: Array, *, closed: bool = True) -> Array:
-    """A Catmull-Rom curve through points (n, 2) -> (m, 2)."""
+    """Return points on a Catmull-Rom curve through `points`, (n, 2) -> (m, 2)."""
     if closed:
         around = np.vstack([points[-1:], points, points[:2]])
     else:

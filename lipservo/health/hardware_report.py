@@ -1,4 +1,4 @@
-"""What a stranger's hardware does, measured: `doctor --report`.
+"""A report on a user's hardware, measured, for bug reports: `doctor --report`.
 
 Only figures, and words out of fixed lists, leave the computer: no name, path, host, user or serial
 number. Joints are `servo_1`, `servo_2` and so on, in the order of the face's YAML.
@@ -38,7 +38,7 @@ Report = dict[str, Any]
 
 
 def about_face(settings: FaceSettings) -> Report:
-    """Computer, bus and servos as the YAML has them."""
+    """Return the report's part on versions, computer, buses and servos, without names."""
     return {
         "format": FORMAT,
         "version": FORMAT_VERSION,
@@ -67,12 +67,12 @@ def about_face(settings: FaceSettings) -> Report:
 
 
 def labels(settings: FaceSettings) -> list[str]:
-    """Return the joints' labels in a report."""
+    """Return the joints' labels in a report: servo_1, servo_2, ..."""
     return [f"servo_{n}" for n in range(1, len(settings.servos) + 1)]
 
 
 def plain_values(settings: BaseModel) -> dict[str, object]:
-    """What of settings is a number, a flag, or a word that the schema lists."""
+    """Return the settings that are numbers, flags or listed words, and the model, by name."""
     values: dict[str, object] = {}
     for name, field in type(settings).model_fields.items():
         value = getattr(settings, name)
@@ -89,7 +89,10 @@ def examined(
     secrets: Sequence[str],
     examine: Callable[[FaceSettings], Iterator[Finding]],
 ) -> list[dict[str, str]]:
-    """What `doctor` finds, of joints that have labels for names; a port that is dead, too."""
+    """Return the findings of `doctor`, scrubbed, with joints named by labels.
+
+    secrets: texts to be removed. examine: yields findings; a BusError from it counts as one.
+    """
     servos = dict(zip(labels(settings), settings.servos.values(), strict=True))
     found = []
     try:
@@ -109,7 +112,7 @@ def _finding(finding: Finding, secrets: Sequence[str]) -> dict[str, str]:
 
 
 def secrets_of(settings: FaceSettings, config: str) -> list[str]:
-    """Texts of this face and computer that no report may hold, the longest first."""
+    """Return texts of this face and computer that no report may contain, the longest first."""
     port = settings.servo_port or ""
     found = {port, os.path.realpath(port) if port else "", config, settings.name, platform.node()}
     found |= {os.environ.get(name, "") for name in ("USER", "LOGNAME", "HOME", "HOSTNAME")}
@@ -122,16 +125,16 @@ def secrets_of(settings: FaceSettings, config: str) -> list[str]:
 
 
 def scrubbed(text: str, secrets: Sequence[str]) -> str:
-    """The text without secrets, paths and long numbers, which may be those of a device."""
+    """Return the text without secrets, paths and long numbers, which may be those of a device."""
     for secret in secrets:
         text = re.sub(rf"(?<!\w){re.escape(secret)}(?!\w)", "[...]", text)
     return re.sub(r"\b[0-9A-Fa-f]{8,}\b", "[...]", _PATH.sub("[path]", text))
 
 
 def limp_loop(bus: ServoBus, rate_hz: float, seconds: float, clock: Clock) -> Report:
-    """Read and write servos that were let go, for a while: how long each takes, in milliseconds.
+    """Read and write limp servos for some seconds; return durations (ms) and counts of errors.
 
-    Goals are where the servos stand: nothing moves.
+    Goals are the servos' present positions: no servo moves.
     """
     goals_deg = bus.read().start_deg(bus.capabilities)
     has_place = bus.capabilities.place
@@ -171,7 +174,7 @@ def limp_loop(bus: ServoBus, rate_hz: float, seconds: float, clock: Clock) -> Re
 
 
 def spread(values: Sequence[float]) -> dict[str, float] | None:
-    """Return median, 99th percentile and worst; None without values."""
+    """Return median (p50), 99th percentile (p99) and worst of values; None without values."""
     if not values:
         return None
     found = np.percentile(values, [50.0, 99.0, 100.0])
@@ -184,7 +187,7 @@ def step_goals(min_deg: float, max_deg: float, rate_hz: float) -> Array:
     Parameters
     ----------
     min_deg,max_deg : float
-        Its limits.
+        The joint's limits.
     rate_hz : float
         Goals a second.
 
@@ -204,13 +207,13 @@ def step_answers(
 ) -> list[dict[str, float | None]]:
     """Return how a shaft answered each step.
 
-    late_ms: until it has gone a tenth of the way; settled_ms: until it stays near its goal, None:
-    it does not; beyond_deg: how far past it; off_deg: where it comes to rest.
+    late_ms: until it has gone a tenth of the step; settled_ms: until it stays near its goal, None:
+    it does not; beyond_deg: how far past it; off_deg: its final position minus the goal.
 
     Parameters
     ----------
     goals_deg,seen_deg : Array
-        (n,), one a tick.
+        (n,) degrees, one a tick: goals sent, positions read.
     rate_hz : float
         Ticks a second.
 

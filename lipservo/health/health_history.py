@@ -1,4 +1,4 @@
-"""Reads health logs: what each servo was like, day by day, and sentences on what gets worse."""
+"""Reading of health logs: figures of each servo day by day, and sentences on what gets worse."""
 
 import json
 import math
@@ -36,7 +36,7 @@ _PERIOD_HOURS = 10.0 / 3600.0
 
 @dataclass(frozen=True, slots=True)
 class ServoDay:
-    """One servo on one UTC day. NaN: never heard, or not measured by its model.
+    """The readings of one servo on one UTC day. NaN: not received, or not measured by its model.
 
     n_readings: with torque on, and only they make temperature_degc, load and current_ma, which are
     medians. n_reboots, n_unanswered: on this day.
@@ -57,7 +57,7 @@ class ServoDay:
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """Every servo of a face, its days in order. n_bad_lines: lines that could not be read."""
+    """The days of every servo of a face, in order. n_bad_lines: lines that could not be parsed."""
 
     servos: Mapping[str, Sequence[ServoDay]]
     n_readings: int
@@ -76,7 +76,7 @@ class _Column:
 
 
 class _Counted:
-    """Counts since a run began, made into counts since the reading before."""
+    """A converter of counts since a run began into counts since the previous record."""
 
     def __init__(self) -> None:
         self._number: float = -1.0
@@ -107,7 +107,7 @@ class _Counted:
 
 
 def day_files(folders: Iterable[Path], days: int) -> dict[date, list[Path]]:
-    """The newest `days` days on which anything was logged, and their files.
+    """Return the log files of the newest `days` days that have any, by day.
 
     Raises OSError for a folder that cannot be read.
     """
@@ -128,7 +128,7 @@ def _day(name: str) -> date | None:
 
 
 def read_history(folders: Iterable[Path], days: int) -> History:
-    """The newest `days` days of the logs in these folders; what cannot be read is counted.
+    """Read the newest `days` days of the logs in folders; count bad lines, list bad files.
 
     Raises OSError for a folder that cannot be read.
     """
@@ -155,7 +155,7 @@ def read_history(folders: Iterable[Path], days: int) -> History:
 def _read_lines(
     lines: Iterable[bytes], columns: dict[str, _Column], counted: _Counted
 ) -> tuple[int, int]:
-    """How many lines could be read, and how many not."""
+    """Add log lines to the columns of their servos; return (lines parsed, lines not parsed)."""
     good = bad = 0
     for line in lines:
         if not line.strip():
@@ -177,7 +177,7 @@ def _read_lines(
 
 
 def _parse(line: bytes) -> tuple[list[str], float, dict[str, list[float]]]:
-    """Names, the reading's number in its run, columns. Raises ValueError, TypeError, KeyError."""
+    """Parse a log line to (names, number, columns). Raises ValueError, TypeError, KeyError."""
     raw = json.loads(line)
     names = raw["servos"]
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
@@ -223,13 +223,13 @@ def _summarize(day: date, column: _Column) -> ServoDay:
 
 
 def _of(function: Callable[[Array], np.float64], values: Array) -> float:
-    """NaN where nothing was heard."""
+    """Return `function` applied to the finite values; NaN if there are none."""
     heard = values[np.isfinite(values)]
     return float(function(heard)) if len(heard) else math.nan
 
 
 def findings(servos: Mapping[str, Sequence[ServoDay]]) -> list[str]:
-    """One sentence each, with what to do; the urgent ones first."""
+    """Return one sentence, with a remedy, for each problem of servos; urgent ones first."""
     shared = _shared_warmth(servos)
     lines = [line for name, days in servos.items() for line in _troubles(name, days)]
     rise = _change(shared)
@@ -256,7 +256,7 @@ def theil_sen_slope(times: NDArray[np.float64], values: NDArray[np.float64]) -> 
     Returns
     -------
     float
-        Values a unit of time.
+        Slope in units of `values` for one unit of time.
     """
     slopes = [
         (values[j] - values[i]) / (times[j] - times[i])
@@ -266,7 +266,7 @@ def theil_sen_slope(times: NDArray[np.float64], values: NDArray[np.float64]) -> 
 
 
 def _troubles(name: str, days: Sequence[ServoDay]) -> list[str]:
-    """What a servo itself complained of in the newest days, and silence."""
+    """Return a sentence each for errors, restarts and unanswered requests of a servo lately."""
     newest = days[-_FRESH_DAYS:]
     lines = []
     errors = 0
@@ -327,7 +327,7 @@ def _trends(name: str, days: Sequence[ServoDay], shared: Mapping[date, float]) -
 
 
 def _change(values: Mapping[date, float]) -> tuple[float, int] | None:
-    """How much it rose, and within how many days; None where that may be chance."""
+    """Return (rise, days) of values by their linear trend; None where the rise may be chance."""
     known = sorted((day.toordinal(), v) for day, v in values.items() if math.isfinite(v))
     if len(known) < _FEWEST_DAYS:
         return None
@@ -341,7 +341,7 @@ def _change(values: Mapping[date, float]) -> tuple[float, int] | None:
 
 
 def _shared_warmth(servos: Mapping[str, Sequence[ServoDay]]) -> dict[date, float]:
-    """The median over all servos, day by day: the room's share."""
+    """Return the median temperature of all servos by day, degC: the room's share."""
     by_day: dict[date, list[float]] = {}
     for days in servos.values():
         for day in days:

@@ -1,8 +1,8 @@
-"""How the servos were, on disk: a line of JSON every ten seconds, a file a UTC day, bounded.
+"""The health log of servos on disk: a JSON line every ten seconds, a file a UTC day, bounded.
 
-The loop that runs a face calls `offer`; a thread writes. Whatever the disk does, `offer`
-returns at once and the face goes on. `lipservo health` reads what lies here (`health_history`). The
-folder is that of the user's or the service's state, where a person's stop is kept too.
+The loop that runs a face calls `offer`; a thread writes. Whatever the disk does, `offer` returns at
+once and the face goes on. `lipservo health` reads the files (`health_history`). The folder is that
+of the user's or the service's state, where a person's stop is kept too.
 """
 
 import errno
@@ -37,7 +37,7 @@ DAY_FILE = re.compile(r"\d{4}-\d\d-\d\d\.jsonl")
 
 
 def log_folder(face: str, port: str, environment: Mapping[str, str]) -> Path | None:
-    """Where the readings of a face at this port go; None: there is no such place.
+    """Return the folder for the readings of a face at a port; None: the user has no state folder.
 
     A pseudo-terminal leads to simulated servos: these have a folder of their own, or a rehearsal
     would spoil the figures of the real ones.
@@ -47,13 +47,13 @@ def log_folder(face: str, port: str, environment: Mapping[str, str]) -> Path | N
 
 
 def stop_record_path(face: str, port: str, environment: Mapping[str, str]) -> Path | None:
-    """The file that keeps a person's stop of a face at this port; None: there is no such place."""
+    """Return the file that keeps a person's stop of a face at a port; None: no state folder."""
     state = _own_state(environment)
     return None if state is None else state / "stops" / f"{_name_at(face, port)}.json"
 
 
 def kept_pulses_path(face: str, port: str, environment: Mapping[str, str]) -> Path | None:
-    """Where a face of hobby servos keeps the pulses that it sent last."""
+    """Return the file with the last pulses of a face of hobby servos; None: no state folder."""
     state = _own_state(environment)
     return None if state is None else state / "pulses" / f"{_name_at(face, port)}.json"
 
@@ -64,12 +64,12 @@ def _name_at(face: str, port: str) -> str:
 
 
 def folder_name(face: str) -> str:
-    """A face's name as a folder: its words in small letters, with dashes between, 60 at most."""
+    """Return a face's name as a folder: lower-case words, dashes between, 60 characters at most."""
     return re.sub(r"\W+", "-", face.lower())[:60].strip("-") or "face"
 
 
 def logged_faces(environment: Mapping[str, str]) -> dict[str, list[Path]]:
-    """The folders of every face with a log, the user's own and the service's."""
+    """Return the log folders of every face, by folder name: the user's own and the service's."""
     own = _own_state(environment)
     places = [own] if environment.get("LIPSERVO_STATE") else [own, SERVICE_STATE]
     found: dict[str, list[Path]] = {}
@@ -93,7 +93,7 @@ def places_searched(environment: Mapping[str, str]) -> str:
 
 
 def _own_state(environment: Mapping[str, str]) -> Path | None:
-    """$LIPSERVO_STATE, $XDG_STATE_HOME/lipservo or ~/.local/state/lipservo.
+    """Return $LIPSERVO_STATE, $XDG_STATE_HOME/lipservo, ~/.local/state/lipservo, or else None.
 
     https://specifications.freedesktop.org/basedir-spec/latest/ : a relative path is ignored.
     """
@@ -108,10 +108,10 @@ def _own_state(environment: Mapping[str, str]) -> Path | None:
 
 
 class HealthLog:
-    """Appends readings to the files of one face."""
+    """A log that appends the servo readings of one face to files in a folder, in a thread."""
 
     def __init__(self, folder: Path, wall_s: Callable[[], float] = time.time) -> None:
-        """wall_s: seconds since 1970."""
+        """Start the thread that writes to `folder`. wall_s: returns seconds since 1970."""
         self._folder = folder
         self._wall_s = wall_s
         self._number = 0
@@ -122,14 +122,14 @@ class HealthLog:
         self._thread.start()
 
     def offer(self, now: tuple[ServoHealth, ...]) -> None:
-        """Take one reading of all servos; dropped when the disk is a minute behind."""
+        """Queue one reading of all servos; drop it when the disk is a minute behind."""
         try:
             self._queue.put_nowait((self._wall_s(), now))
         except queue.Full:
             return
 
     def close(self) -> None:
-        """Write what waits, for a second at most."""
+        """Write the queued readings and end the thread; wait at most about two seconds."""
         try:
             self._queue.put(None, timeout=_CLOSE_S)
         except queue.Full:
@@ -165,10 +165,10 @@ class HealthLog:
 
 
 def health_log(face: str, port: str | None, environment: Mapping[str, str]) -> HealthLog | None:
-    """The log of a face by name whose servos are at `port`; None for servos in memory.
+    """Return the log of a face whose servos are at `port`; None for servos in memory.
 
-    Those never age, never warm up differently and are run in every rehearsal: their readings would
-    say nothing and push out real ones.
+    Servos in memory never age, never warm up differently and are run in every rehearsal: readings
+    of them would push out real ones. None, with an error logged, also without a state folder.
     """
     if port is None:
         return None
@@ -180,9 +180,10 @@ def health_log(face: str, port: str | None, environment: Mapping[str, str]) -> H
 
 
 def json_line(moment: datetime, number: int, servos: Sequence[ServoHealth]) -> bytes:
-    """One reading of all servos, whole columns by quantity; null for what was never heard.
+    """Return one reading of all servos as a line of JSON, with a list for each quantity.
 
-    number: 0 begins a run, in which reboots and unanswered questions count from 0.
+    Values never received are null. number: 0 begins a run, in which reboots and unanswered requests
+    count from 0.
     """
     record = {
         "time": f"{moment:%Y-%m-%dT%H:%M:%SZ}",
@@ -203,7 +204,7 @@ def json_line(moment: datetime, number: int, servos: Sequence[ServoHealth]) -> b
 
 
 def append_line(path: Path, line: bytes) -> None:
-    """One write, so that lines of two programs never mix; ends a line that a power cut tore.
+    """Append a line by one write, so that programs' lines never mix; end a torn last line first.
 
     Raises OSError, also when only a part could be written, and for a file grown beyond all bounds.
     """
@@ -228,7 +229,7 @@ def append_line(path: Path, line: bytes) -> None:
 def prune(
     folder: Path, keep: str, most_days: int = MOST_DAYS, most_bytes: int = MOST_BYTES
 ) -> None:
-    """Remove the oldest days beyond the bounds, never the file `keep` nor any of another name.
+    """Remove the oldest day files beyond the bounds, never the file `keep` nor any of another name.
 
     Days are counted, not dated: a clock that is wrong for a while costs one day, not all.
     """

@@ -1,1 +1,1 @@
-"""Lines rendered to performances: the phonemes of a sound, one line, many lines on all cores."""
+"""Lines of speech rendered to performances: the phonemes of a sound, and one line's motion."""

@@ -1,8 +1,8 @@
-"""Head, eyes, lids and brows of a line that is known to its end, as its face moves them live.
+"""Head, eyes, lids and brows for a whole recorded line, as its face moves them live.
 
-What knowing the end changes: the voice is compared with the whole line's own loudness and pitch,
-not with the part before; a turn is over when its last phone is, not 0.3 s later; and the head is no
-later than a human one.
+Since the end of the line is known, the voice is compared with the whole line's own loudness and
+pitch, not with the part before; speech is over when its last phone is, not 0.3 s later; and the
+head is no later than a human one.
 """
 
 from collections.abc import Iterator, Sequence
@@ -33,16 +33,16 @@ _PAUSE_S: Final = 0.3
 
 
 def line_expression(face: str, line: Line, n_frames: int) -> dict[str, NDArray[np.float32]]:
-    """Return the expression of a line; the same line always moves the same, another one otherwise.
+    """Return the expression of a line over time; the same sound always gives the same expression.
 
     Parameters
     ----------
     face : str
-        Whose expression, by the name of a shipped face or its YAML.
+        Name of a shipped face, or path of a YAML, with the settings of the expression.
     line : Line
-        The line.
+        Sound and phones.
     n_frames : int
-        100 a second.
+        Number of frames, 100 per second.
 
     Returns
     -------
@@ -80,7 +80,7 @@ def line_expression(face: str, line: Line, n_frames: int) -> dict[str, NDArray[n
 
 
 def voice_frames(samples: NDArray[np.float32]) -> list[VoiceFrame]:
-    """Return the prosody of a sound, against the baselines of all of it.
+    """Return the prosody of a sound, relative to the baselines of the whole sound.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def voice_frames(samples: NDArray[np.float32]) -> list[VoiceFrame]:
 
 
 def silent_s(events: Sequence[PhonemeEvent], n_frames: int) -> Iterator[float]:
-    """Yield for each 10 ms the seconds of silence so far: 0 within a sentence."""
+    """Yield every 10 ms the seconds of silence so far: 0 in speech and in short pauses."""
     spoken = [event for event in events if event.phoneme != SILENCE]
     end_s = -np.inf  # of what was said so far
     ahead = iter(spoken)

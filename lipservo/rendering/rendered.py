@@ -1,4 +1,4 @@
-"""One sound file becomes one performance file."""
+"""Rendering of one sound file into one performance file."""
 
 import time
 from dataclasses import dataclass, replace
@@ -23,9 +23,9 @@ from lipsync.offline.performance import RATE_HZ, Performance, performed_sound, w
 
 @dataclass(frozen=True, slots=True)
 class Rendering:
-    """How lines are rendered. model, offline: files; None: the shipped ones.
+    """Options of rendering lines. model, offline: files; None: the shipped ones.
 
-    includes_sound: whether the sound goes into the file, or is named in it with its checksum.
+    includes_sound: whether the sound is stored in the file, or only its name and checksum.
     expression: the face, by name or YAML, whose head and eyes are stored too; None: none are.
     """
 
@@ -39,7 +39,7 @@ class Rendering:
 
 @dataclass(frozen=True, slots=True)
 class Rendered:
-    """A rendered line: duration_s of sound, seconds of computing, and notes for a person."""
+    """A rendered line: its output, duration_s of sound, seconds of computing, notes for people."""
 
     output: Path
     duration_s: float
@@ -49,9 +49,9 @@ class Rendered:
 
 
 def render(sound: Path, script: Script, output: Path, how: Rendering) -> Rendered:
-    """Render a sound to a performance file, whole or not at all.
+    """Render a sound to a performance file, whole or not at all; return the outcome.
 
-    Raises UserError: in one line what is wrong with the sound, what is known of it, or a model.
+    Raises UserError with one line about a bad sound, script or model.
     """
     performance, done = rendered_line(sound, script, how)
     write_performance(performance, output)
@@ -59,7 +59,7 @@ def render(sound: Path, script: Script, output: Path, how: Rendering) -> Rendere
 
 
 def rendered_line(sound: Path, script: Script, how: Rendering) -> tuple[Performance, Rendered]:
-    """Render a line without writing it: `output` is the sound still. Raises UserError."""
+    """Render a line without writing it; `output` in the outcome is the sound. Raises UserError."""
     speaker = load_speaker(how.model, how.offline)
     line, heard_notes = spoken_line(sound, script)
     began_s = time.perf_counter()
@@ -81,18 +81,18 @@ def rendered_line(sound: Path, script: Script, how: Rendering) -> tuple[Performa
 def rendered_faces(
     speaker: Speaker, line: Line, method: LineMethod, strength: float = 1.0
 ) -> tuple[Array, tuple[str, ...]]:
-    """Render a line.
+    """Return the mouth's motion for a whole line of speech, made by the given method.
 
     Parameters
     ----------
     speaker : Speaker
-        Models.
+        Models of the face and its speech.
     line : Line
         Sound and phones.
     method : LineMethod
-        Of the motion.
+        Method that makes the motion.
     strength : float
-        0 to 1 and beyond.
+        Scale of the motion: 0 keeps the mouth closed, 1 moves as the speaker did.
 
     Returns
     -------
@@ -105,13 +105,13 @@ def rendered_faces(
 
 
 def check_expression_of(face: str) -> None:
-    """Refuse now what every line would refuse. Raises SettingsError, ExpressionModelError."""
+    """Raise SettingsError or ExpressionModelError now if the face's expression cannot be used."""
     check_expression(*load_settings(face))
 
 
 @cache
 def load_speaker(model: Path | None, offline: Path | None) -> Speaker:
-    """Face, what is expected of it, and offline model, once a process.
+    """Load the face model, its expectations and the offline model, once per process.
 
     Raises ModelError, and OfflineModelError for one that was made for another face.
     """

@@ -1,4 +1,4 @@
-"""The phonemes of a sound file: by a file of phones, by its text, or by the recogniser."""
+"""The phonemes of a sound file: from a file of phones, from its text, or by the recogniser."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,14 +27,14 @@ LONGEST_LINE_S = 300.0
 
 
 class LineError(UserError):
-    """A sound that cannot be rendered as a line; one line: which, why, what to do."""
+    """A sound that cannot be rendered as a line; one line: which one, why, and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class Script:
-    """What is known of a sound. phones: a file of phones with times. text: its words.
+    """The known content of a sound. phones: a file of phones with times. text: its words.
 
-    With neither the recogniser listens.
+    With neither the recogniser finds the phonemes.
     """
 
     phones: Path | None = None
@@ -42,7 +42,7 @@ class Script:
 
 
 def spoken_line(sound: Path, script: Script) -> tuple[Line, tuple[str, ...]]:
-    """The line, its phones end to end, and notes for a person.
+    """Return the line of a sound file, its phones end to end, and notes for a person.
 
     Raises SoundError, LabelError, AlignmentError, PronunciationError, and LineError for a sound
     longer than `LONGEST_LINE_S` and for labels of another sound.
@@ -87,7 +87,7 @@ def spoken_line(sound: Path, script: Script) -> tuple[Line, tuple[str, ...]]:
 
 
 def given_text(text: str) -> str:
-    """The text itself, or what the file of that name holds. Raises LineError."""
+    """Return the text, or the content of the file of that name. Raises LineError if unreadable."""
     if not is_file(text):
         return text
     try:
@@ -97,7 +97,7 @@ def given_text(text: str) -> str:
 
 
 def is_file(text: str) -> bool:
-    """Whether a text is the name of a file; one too long for a name is none."""
+    """Return whether a text is the name of an existing file; one too long for a name is not."""
     try:
         return Path(text).is_file()
     except OSError:  # a text too long for a file's name

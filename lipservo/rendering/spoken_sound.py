@@ -1,4 +1,4 @@
-"""A sound file as the phonemes and the frames that `replay` has of it."""
+"""The phonemes and frames of a sound file, as `replay` computes them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,9 +31,9 @@ from lipsync.textgrid import read_phonemes
 
 @dataclass(frozen=True, slots=True)
 class SpokenSound:
-    """A sound file, who says its phonemes, and how they become motion.
+    """A sound file, the source of its phonemes, and how they become motion.
 
-    script: a TextGrid, or None: the recogniser listens, and follows the text if there is one.
+    script: a TextGrid, or None: the recogniser is used, and follows the text if there is one.
     """
 
     path: Path
@@ -45,30 +45,30 @@ class SpokenSound:
 
     @property
     def duration_s(self) -> float:
-        """How long the sound is. Raises SoundError."""
+        """Duration of the sound in s. Raises SoundError."""
         return FileSource(self.path).duration_s
 
     def events(self) -> list[PhonemeEvent]:
-        """The phonemes in order. Raises LabelError for a script, SoundError for a sound."""
+        """Return the phonemes in order. Raises LabelError for a script, SoundError for a sound."""
         if self.script is not None:
             return list(read_phonemes(self.script))
         recognizer = self._recognizer()
         return list(settled_events(FileSource(self.path), recognizer))
 
     def _recognizer(self) -> FallbackRecognizer:
-        """Make the recogniser, with the text given to it. Raises PronunciationError."""
+        """Return a new recogniser that follows the text, if any. Raises PronunciationError."""
         recognizer = make_recognizer(self.motion.engine, None, self.motion.weights)
         if self.text:
             recognizer.tell(spoken_words(self.text))
         return recognizer
 
     def frames(self, times_s: Sequence[float] | Array) -> list[Frame]:
-        """Return the faces of a sound, as the robot shows them.
+        """Return the faces that the robot shows at given times of the sound.
 
         Parameters
         ----------
         times_s : Sequence[float] | Array
-            (n,) sound times, ascending.
+            (n,) sound times in seconds, ascending.
 
         Returns
         -------
@@ -102,7 +102,7 @@ class SpokenSound:
 def spoken_sound(
     sound: Path, script: Path | None, chosen: ChosenMotion, config: str, model: Path | None
 ) -> SpokenSound:
-    """With the motion that was typed, or that the face's YAML says. Raises UserError."""
+    """Return a `SpokenSound` with the chosen motion, else the face YAML's. Raises UserError."""
     settings, folder = load_settings(config)
     return SpokenSound(
         sound, script, motion_options(chosen, settings.motion, folder), config, model

@@ -1,1 +1,1 @@
-"""A face at work: a request becomes sound, speech, servos and status."""
+"""Run a face: turn a request into sound, speech, servo motion and status."""

@@ -1,4 +1,4 @@
-"""Every frame that the face shows, sent on to screen avatars while it is shown."""
+"""Send the frames that the face shows to screen avatars: VMC protocol (OSC) or Live Link Face."""
 
 import logging
 import math
@@ -26,10 +26,10 @@ _MOUTH = frozenset(MOUTH_NAMES)
 
 
 class AvatarStream:
-    """A `TickObserver` that sends frames as datagrams, 60 a second at most.
+    """A `TickObserver` that sends frames as UDP datagrams, 60 frames a second at most.
 
-    Nothing is waited for. A receiver that is slow, or is not there, loses frames; what could not be
-    handed to the system is counted.
+    No send ever blocks. A receiver that is slow or absent loses frames; datagrams that the
+    operating system did not accept are counted in `n_failed`.
     """
 
     def __init__(
@@ -41,10 +41,11 @@ class AvatarStream:
         *,
         has_vowels: bool = False,
     ) -> None:
-        """rest: (n_components,), the closed mouth that is sent at the end.
+        """Create the stream; nothing is sent yet.
 
-        osc, live_link: connected, non-blocking UDP sockets; None: nothing is sent there.
-        has_vowels: OSC carries vowels in place of the mouth's ARKit shapes.
+        rest: (n_components,), face coefficients of the closed mouth that is sent at the end. osc,
+        live_link: connected, non-blocking UDP sockets; None: that protocol is not sent. has_vowels:
+        OSC carries vowels instead of the mouth's ARKit shapes.
         """
         self._arkit = arkit
         self._rest = rest
@@ -58,11 +59,14 @@ class AvatarStream:
         self.n_failed = 0
 
     def observe(self, tick: StreetTick) -> None:
-        """Send what a tick showed, if the last frame is long enough ago."""
+        """Send the frame that a tick showed, unless the last one was sent less than 1/60 s ago."""
         self.show(tick.report.time_s, tick.sound_s, tick.frame)
 
     def show(self, time_s: float, sound_s: float, frame: Frame) -> None:
-        """Send a frame outside the tick of a face. time_s: monotonic, ascending."""
+        """Send a frame, unless the last one was sent less than 1/60 s ago.
+
+        time_s: monotonic seconds, ascending from call to call. sound_s: sound time of the frame.
+        """
         if time_s < self._due_s - _ROUNDING_S:
             return
         # On a grid, so that ticks a little late make the frames no fewer.
@@ -80,11 +84,14 @@ class AvatarStream:
             self._hand_over(self._live_link, live_link_packet(values, SUBJECT, sound_s))
 
     def end(self) -> None:
-        """Send the closed mouth, which is what an avatar keeps."""
+        """Send one frame with the closed mouth, which the avatars keep showing afterwards."""
         self._send(self._sound_s, Frame(self._sound_s, self._rest))
 
     def _shapes(self, values: Array) -> list[tuple[str, float]]:
-        """The mouth's shapes, and of the others those that were ever above 0."""
+        """Return the (name, value) pairs to send over OSC: vowels or mouth shapes, then the others.
+
+        The mouth's shapes are always sent, any other ARKit shape once its value was ever above 0.
+        """
         pairs = list(zip(ARKIT_NAMES, values.tolist(), strict=True))
         self._sent_names.update(name for name, value in pairs if value > 0.0)
         known_pairs = [pair for pair in pairs if pair[0] in self._sent_names]
@@ -102,7 +109,7 @@ class AvatarStream:
 
 @contextmanager
 def avatar_stream(targets: AvatarTargets, model: Path | None = None) -> Iterator[AvatarStream]:
-    """Send to the targets while the face is shown; at the end, the mouth is closed there too.
+    """Open the sockets to the targets, yield the stream, and send a closed mouth at the end.
 
     model: the file of the face model, None for the shipped one. Raises AvatarError for a target
     that cannot be sent to, ModelError and MeasureError.
@@ -121,9 +128,10 @@ def avatar_stream(targets: AvatarTargets, model: Path | None = None) -> Iterator
 def entered_avatars(
     targets: AvatarTargets, model: Path | None, stack: ExitStack
 ) -> AvatarStream | None:
-    """The stream, entered; None for no targets, or where there is no way to them: that is logged.
+    """Enter an avatar stream on `stack` and return it; None for no targets or unreachable ones.
 
-    For a process that speaks on without them. Raises ModelError and MeasureError.
+    Unreachable targets are logged, not raised, so that the caller speaks on without avatars. Raises
+    ModelError and MeasureError.
     """
     if not targets.is_any:
         return None
@@ -135,7 +143,7 @@ def entered_avatars(
 
 
 def resolved_avatars(targets: AvatarTargets) -> AvatarTargets:
-    """The targets with the numbers of their hosts, so that no name is looked up again.
+    """Return the targets with host names replaced by IP addresses, so that none is looked up later.
 
     Raises AvatarError for a target that cannot be sent to.
     """
@@ -149,7 +157,7 @@ def resolved_avatars(targets: AvatarTargets) -> AvatarTargets:
 
 @contextmanager
 def _sender(address: Address | None) -> Iterator[socket.socket | None]:
-    """A UDP socket that sends there and never waits; None for no address."""
+    """Yield a non-blocking UDP socket connected to `address`; None if `address` is None."""
     if address is None:
         yield None
         return

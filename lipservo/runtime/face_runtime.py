@@ -1,4 +1,4 @@
-"""A face at work in one process, on whatever clock it is given, from beginning to end."""
+"""Run a face in one process from start to end, on a real or a manual clock."""
 
 import math
 import os
@@ -36,7 +36,10 @@ _TAIL_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class RunOutcome:
-    """What came of a run. status: at its end; signal_number: of the signal that stopped it."""
+    """The result of a run: its summary, its final status, and the servos' stop report.
+
+    signal_number: number of the signal that stopped the run; None: no signal did.
+    """
 
     summary: Summary
     status: Status
@@ -54,12 +57,12 @@ def run_face(
     listener: socket.socket | None = None,
     synthesizer: Synthesizer | None = None,
 ) -> RunOutcome:
-    """Play an entered source to its end or until stopped; the face is limp afterwards.
+    """Run a face on an open source until it ends or is stopped, then switch torque off.
 
-    live: draw the face in the terminal; endless: go on in silence when the source is over, and wait
-    for a start when a person has stopped the face;
-    listener: where voice agents connect; synthesizer: of what needs no recogniser; None: whom the
-    request's motion asks for.
+    live: draw the face in the terminal. endless: go on in silence when the source is over, and wait
+    for a start command when a person has stopped the face. listener: bound socket to which voice
+    agents connect; None: no agents. synthesizer: used without any recogniser; None: recogniser and
+    synthesiser that the request's motion names. Returns summary, status, stop report and signal.
     """
     began_s = time.perf_counter()
     requested = RequestedFace(request)
@@ -123,10 +126,11 @@ def play(
     tally: Tally,
     observers: Sequence[TickObserver] = (),
 ) -> None:
-    """Run the street until it is over or a person stops the face; then to rest.
+    """Tick speech and servos until `is_over` or a stop ends the run, then until the face rests.
 
-    A life cycle that waits for a start goes on: sound is heard and dropped meanwhile, so that
-    nothing has to be caught up with. is_over: called at the monotonic time of each tick.
+    While a stopped life cycle waits for a start command, sound is still read and dropped, so that
+    no backlog builds up. is_over: called with the monotonic time of each tick. tally, observers:
+    get every tick.
     """
     for time_s, late in life.ticks():
         if not life.stopping and is_over(time_s):
@@ -143,22 +147,26 @@ def play(
 
 
 class _End:
-    """When a run is over: a little after its sound, of whatever kind, has been shown."""
+    """The end of a run: 0.5 s after the last of its sound, of whatever kind, has been shown."""
 
     def __init__(self, shown_s: float, playout: Playout | None) -> None:
-        """shown_s: monotonic; inf: not known. playout: which tells it in place of that."""
+        """Set the end. shown_s: monotonic time at which the last sound is shown; inf: not known.
+
+        playout: while `shown_s` is inf, the run ends once this playout is over; None: it never
+        does.
+        """
         self._shown_s = shown_s
         self._playout = playout
 
     def is_over(self, now_s: float) -> bool:
-        """Whether it is, at monotonic `now_s`."""
+        """Return whether the run is over at monotonic `now_s`."""
         if self._shown_s == math.inf and self._playout is not None and self._playout.is_over:
             self._shown_s = now_s
         return now_s >= self._shown_s + _TAIL_S
 
 
 class _Run:
-    """One run while it goes on: its commands, who watches it, and how it is."""
+    """A run in progress: its command queue, its status, and the observers of its ticks."""
 
     def __init__(self, requested: RequestedFace, speech: FaceSpeech) -> None:
         self._requested = requested
@@ -167,15 +175,15 @@ class _Run:
         self._listens_on: str | None = None
 
     def serve(self, url: str | None) -> None:
-        """Serve voice agents at `url`."""
+        """Set the URL that the status reports for voice agents; None: no agents are served."""
         self._listens_on = url
 
     def status(self, bridge: Bridge) -> Status:
-        """The status of the whole face now."""
+        """Return the present status of the whole face, servos and speech."""
         return self._whole({**face_status(bridge), **self._requested.about})
 
     def describe(self, bridge: Mapping[str, object]) -> Mapping[str, object]:
-        """Return the status for JSON, given the bridge's part."""
+        """Return the whole face's status for JSON, given the servo side's status in `bridge`."""
         return self._whole(bridge).as_dict()
 
     def _whole(self, bridge: Mapping[str, object]) -> Status:
@@ -187,10 +195,11 @@ class _Run:
     def observers(
         self, bridge: Bridge, board: LiveBoard, stack: ExitStack, *, live: bool, on_time: bool
     ) -> list[TickObserver]:
-        """The observers of ticks: settings, trace, avatars, and the view where there is a terminal.
+        """Return the observers of ticks: settings, live board, trace, avatars, terminal view.
 
-        on_time: whether ticks come at their time, even when an observer is not done with the one
-        before.
+        The request decides which; those to be closed are entered on `stack`. live: draw in the
+        terminal. on_time: ticks keep real time, so the live board is written, and a thread that may
+        drop ticks writes the trace; otherwise the trace is written in the tick.
         """
         request, face = self._requested.request, self._requested.face
         observers: list[TickObserver] = [self]
@@ -219,6 +228,6 @@ class _Run:
         return observers
 
     def observe(self, _tick: StreetTick) -> None:
-        """Pass changed settings to the speech side between two ticks."""
+        """Pass settings changed since the last tick from the command queue to the speech side."""
         if changes := self.commands.take_changes():
             self._speech.side.change(changes)

@@ -1,4 +1,4 @@
-"""The speech side of a requested face, with what it was made of, and its status."""
+"""The speech side of a requested face with its recogniser and synthesiser, and its status."""
 
 from collections.abc import Callable, Mapping
 from typing import Final
@@ -22,7 +22,7 @@ _PERFORMED: Final = "performed"
 
 
 class FaceSpeech:
-    """The sound, motion and expression of a requested face, and their status."""
+    """The sound source, recogniser and speech side of a requested face, and their status."""
 
     def __init__(
         self,
@@ -34,9 +34,11 @@ class FaceSpeech:
         timer_s: Callable[[], float] | None = None,
         synthesizer: Synthesizer | None = None,
     ) -> None:
-        """source: entered. board, timer_s: None on a clock of its own, without watcher or deadline.
+        """Build recogniser, synthesiser and speech side. source: an entered audio source.
 
-        synthesizer: of what needs no recogniser; None: whom the request's motion asks for.
+        board: the live board to write to; None: none is written. timer_s: clock in seconds by which
+        the recogniser notices a lag behind its sound; None: it never checks. synthesizer: used
+        without any recogniser; None: both are made as the request's motion names them.
         """
         face, motion = requested.face, requested.request.motion
         if synthesizer is None:
@@ -63,7 +65,11 @@ class FaceSpeech:
         self._mouth_closes = None if closing is None else closing.closes
 
     def status(self, settings: Mapping[str, float], listens_on: str | None = None) -> SpeechStatus:
-        """The speech side as it is now. settings: those changed since the start, by name."""
+        """Return the present status of the speech side.
+
+        settings: settings changed since the start, by name. listens_on: URL at which voice agents
+        are served; None: none are.
+        """
         motion, source, speech = self._motion, self.source, self.side.speech
         playout = source if isinstance(source, Playout) else None
         output = None if playout is None else playout.loudspeaker

@@ -1,4 +1,4 @@
-"""How sound becomes motion: who listens, which strategy moves the mouth, and in what style."""
+"""The choice of how sound becomes motion: recogniser, motion strategy and style."""
 
 import logging
 from contextlib import suppress
@@ -61,12 +61,12 @@ _LIVE_SETTINGS = {
 
 @dataclass(frozen=True, slots=True)
 class MotionOptions:
-    """The recogniser to begin with, the strategy by name, and the style of a strategy that has one.
+    """The recogniser to begin with, the motion strategy by name, and the style of the motion.
 
-    weights: shipped ones by name, or a file; read and refused here, as a live face would fall back
-    to a lesser recogniser. recognizer_latency_s: when a phoneme is settled; sooner is less right.
-    performed: how the performance was rendered that is played; then no recogniser runs and no
-    strategy plans anything. Raises WeightsError, StyleError, PluginError.
+    weights: name of shipped weights, or a file; checked here, since a live face would silently fall
+    back to a lesser recogniser. recognizer_latency_s: seconds until a phoneme is settled; shorter
+    is less accurate. performed: how the performance being played was rendered; if not empty, no
+    recogniser runs and no strategy plans anything. Raises WeightsError, StyleError, PluginError.
     """
 
     engine: str = DEFAULT_RECOGNIZER
@@ -91,7 +91,7 @@ class MotionOptions:
 
     @property
     def style_settings(self) -> dict[str, float]:
-        """What the strategy lets its user set, by the names of the face YAML; may be empty."""
+        """The style settings of the strategy, by their names in the face YAML; may be empty."""
         if self.performed:
             return {}
         style = self.style
@@ -100,7 +100,7 @@ class MotionOptions:
         return {name: round(named[name], 6) for name in STYLES_OF[self.strategy]}
 
     def live_settings(self) -> dict[str, Setting]:
-        """The settings that may change while a face runs."""
+        """Return the style settings that may change while a face runs, by name, with limits."""
         values = self.style_settings
         return {
             name: Setting(values[name], 0.0, most)
@@ -120,7 +120,7 @@ class MotionOptions:
 
 @dataclass(frozen=True, slots=True)
 class ChosenMotion:
-    """What a user typed of `MotionOptions`; None: not typed. The names are those of the options."""
+    """The motion options that a user typed on the command line; None: not typed."""
 
     engine: str | None = None
     weights: str | None = None
@@ -135,9 +135,9 @@ class ChosenMotion:
 def motion_options(
     chosen: ChosenMotion, of_the_face: MotionSettings, folder: Path | None
 ) -> MotionOptions:
-    """What was typed before what the face's YAML says, before the defaults.
+    """Return the motion options: as typed, else as in the face's YAML, else the defaults.
 
-    folder: of the YAML, from which its weights file is named; None: a shipped face. Raises
+    folder: of the YAML, to which its weights file is relative; None: a shipped face. Raises
     UserError for an option that the strategy ignores, WeightsError and StyleError.
     """
     strategy = chosen.strategy or of_the_face.strategy or DEFAULT_STRATEGY
@@ -183,7 +183,7 @@ def motion_options(
 
 
 def _refuse_what_is_late(chosen: ChosenMotion, of_the_face: MotionSettings) -> None:
-    """Refuse options, typed or in the YAML, that --low-latency excludes. Raises UserError."""
+    """Raise UserError for an option, typed or in the YAML, that --low-latency excludes."""
     found = [] if chosen.lookahead_ms is None else ["--lookahead-ms"]
     ours = (None, LIVE_STRATEGY, UNIT_STRATEGY)
     for name, possible in (("strategy", ours), ("engine", (None, DEFAULT_RECOGNIZER))):
@@ -199,10 +199,11 @@ def _refuse_what_is_late(chosen: ChosenMotion, of_the_face: MotionSettings) -> N
 def make_synthesizer(
     face: FaceModel, options: MotionOptions, model_path: Path | None = None
 ) -> Synthesizer:
-    """One of ours, or the paper's with one of its two selections, finished as ours are.
+    """Return the synthesiser for the strategy in `options`, with its style applied.
 
-    model_path: the file that the face came from, None for the shipped one; of it is read only what
-    the strategy plays. Raises ModelError.
+    It is the live one of this project, or the published AnimPho method with one of its two
+    selections. model_path: the model file that `face` was read from, None for the shipped one; only
+    the parts that the strategy needs are read. Raises ModelError, also if the file has changed.
     """
     with open_model(model_path) as file:
         if read_face(file).checksum != face.checksum:
@@ -230,7 +231,11 @@ def make_synthesizer(
 
 
 def _soft_of(file: ModelFile, face: FaceModel, options: MotionOptions) -> SoftExpectation | None:
-    """The model's map from posteriors; other weights than it was fitted to are logged, and work."""
+    """Return the model's map from recogniser posteriors to faces; None if the file contains none.
+
+    A map fitted to other recogniser weights than those in `options` is used; the mismatch is
+    logged.
+    """
     soft = read_soft_expectation(file, face.n_components)
     fitted = file.about["provenance"].get("soft_weights")
     if soft is not None and options.engine == DEFAULT_RECOGNIZER:

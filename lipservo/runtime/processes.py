@@ -1,4 +1,4 @@
-"""A face in three processes: one owns the port, one listens and speaks, one supervises both."""
+"""A face in three processes: one drives the servos, one recognises and speaks, one supervises."""
 
 import logging
 import os
@@ -37,10 +37,10 @@ _STATUS_EVERY_S: Final = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Handed:
-    """What a process inherits from the supervisor.
+    """The descriptors and the lifeline that a child process inherits from the supervisor.
 
-    channel, board, live: descriptors of the socket of targets, of the notes that the processes
-    share, and of what watching programs may read.
+    channel: descriptor of the socket that carries servo targets. board: of the shared memory of the
+    `StatusBoard`. live: of the `LiveBoard`, which watching programs may read.
     """
 
     channel: int
@@ -58,10 +58,12 @@ def run_bridge_process(
     given_up: Mapping[int, str],
     switched_off: list[int],
 ) -> int:
-    """Own the port and drive the servos; targets come through a socket. The exit status.
+    """Drive the servos at the port by targets from a socket until stopped; return the exit status.
 
-    control: the descriptor of the face's control socket. stopped: what a person had ordered of the
-    bridge that died before this one. given_up: servos that stay limp, by index, and why.
+    control: descriptor of the face's control socket. stopped: a person's stop that was in force
+    when the previous bridge process died. given_up: reasons for servos that stay limp, by servo
+    index. switched_off: indices of servos that a person switched off. Raises UserError without a
+    port, and BusError if port or servos cannot be used.
     """
     from firmware_bridge.clock import MonotonicClock
     from firmware_bridge.loop.targets import SocketTargetChannel
@@ -111,7 +113,7 @@ def run_bridge_process(
 def _drive(
     driven: DrivenFace, lifeline: Lifeline, observers: Sequence[Callable[[TickReport], None]]
 ) -> None:
-    """Arm, and tick on the grid until a signal or the control socket ends it."""
+    """Switch torque on and tick until stopped; report ready once all servos are settled."""
     driven.life.start()
     began = False
     for time_s, late in driven.life.ticks():
@@ -126,10 +128,11 @@ def _drive(
 def run_speech_process(
     request: RunRequest, handed: Handed, agents: int | None, zero_s: float | None
 ) -> None:
-    """Hear, recognise, and publish targets through a socket, until a signal ends it.
+    """Recognise the request's sound and send servo targets through a socket until a signal arrives.
 
-    agents: the socket where voice agents connect. zero_s: monotonic time at which the sound began;
-    a file is taken up where it is by now.
+    It also ends when the supervisor dies. agents: descriptor of the socket to which voice agents
+    connect. zero_s: monotonic time at which the sound first began, None for a first start; a sound
+    file is continued at the position that it has reached by now.
     """
     from firmware_bridge.clock import MonotonicClock, ticks
     from firmware_bridge.loop.targets import SocketTargetChannel
@@ -193,11 +196,11 @@ def run_speech_process(
 
 
 def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
-    """Run bridge and speech as processes until stopped; the exit status.
+    """Run the bridge and speech processes of a face until it is stopped; return the exit status.
 
-    agents: where voice agents connect, which outlives the process that serves them.
+    agents: bound socket to which voice agents connect; it stays open when the speech process dies.
 
-    What cannot be used, sound and servos included, is refused before anything is armed.
+    Settings, sound, avatars or servos that cannot be used are refused before any torque is on.
     """
     from firmware_bridge.loop.targets import channel_pair
     from firmware_bridge.process.child import Child, HeartbeatTimeouts

@@ -1,4 +1,4 @@
-"""The face that a request asks for, unpacked once: what each of its processes makes of it."""
+"""The face that a run request names, unpacked once, with what its processes make from it."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -19,10 +19,10 @@ from lipsync.phonemes import PHONEMES
 
 
 class RequestedFace:
-    """The face of one request, in whichever process."""
+    """The settings, model, control options and boards of the face that a run request names."""
 
     def __init__(self, request: RunRequest) -> None:
-        """Raises SettingsError."""
+        """Load the settings of the request's face. Raises SettingsError."""
         settings, self._folder = load_settings(request.config)
         self.request = request
         self.settings = settings if request.port is None else settings.at_port(request.port)
@@ -31,26 +31,26 @@ class RequestedFace:
 
     @cached_property
     def face(self) -> Face:
-        """Load the face with model and calibration. Raises ModelError, CalibrationError."""
+        """The face with its model and calibration. Raises ModelError, CalibrationError."""
         return assembled_face(self.settings, self._folder, self.request.model)
 
     @property
     def speaker(self) -> Speaker:
-        """The synthesiser and voice of its texts."""
+        """The synthesiser and voice with which the face speaks texts."""
         return speaker_of(self.settings.sound, self._folder)
 
     @property
     def about(self) -> dict[str, object]:
-        """The part of every answer that is not its state."""
+        """The constant part of status answers: face name, port, config and folder of sounds."""
         about = {"name": self.settings.name, "port": self.settings.servo_port}
         return {**about_run(self.request), **about}
 
     def commands(
         self, on_change: Callable[[Mapping[str, float]], None] | None = None
     ) -> CommandQueue:
-        """The queue of commands that the face accepts while it runs.
+        """Return a new queue for the commands and settings that the face accepts while it runs.
 
-        on_change: as `CommandQueue` has it.
+        on_change: called with names and values at every change of settings; must return at once.
         """
         offset_mm, most_mm = self.settings.motion.lip_gap_offset_mm, FARTHEST_LIP_GAP_OFFSET_MM
         settings = {
@@ -68,13 +68,13 @@ class RequestedFace:
         *,
         waits: bool = False,
     ) -> ControlOptions:
-        """How it is commanded from outside. Parameters as those of `ControlOptions`."""
+        """Return the options of the face's control socket, from arguments and request."""
         return ControlOptions(
             self.control_path, commands, describe, self.about, board.fileno(), waits
         )
 
     def live_board(self) -> LiveBoard:
-        """Create a live board for it."""
+        """Create a live board with a layout for this face."""
         return LiveBoard.create(
             BoardLayout(
                 name=self.settings.name,
@@ -88,7 +88,10 @@ class RequestedFace:
         )
 
     def with_resolved_avatars(self) -> RunRequest:
-        """The request with the numbers of its avatars' hosts. Raises AvatarError."""
+        """Replace the host names of avatars in the request by IP addresses, and return the request.
+
+        Raises AvatarError.
+        """
         if self.request.avatars.is_any:
             from lipservo.runtime.avatar_stream import resolved_avatars
 
@@ -96,7 +99,7 @@ class RequestedFace:
         return self.request
 
     def trace_header(self, speech: SpeechStatus) -> dict[str, object]:
-        """Return the first line of its trace."""
+        """Return the values for the first line of a trace: face, model, delay, strategy, ..."""
         return {
             "source": speech.sound,
             "face": self.settings.name,

@@ -1,7 +1,7 @@
-"""The user's request: run this face, with this sound, this motion, these outputs.
+"""The user's request to run a face: which face, with which sound, motion and outputs.
 
 Made once, from a command's options. The processes of a supervised face receive it whole, as one
-argument of JSON: an option cannot fall out on the way.
+argument of JSON, so that no option gets lost.
 """
 
 import json
@@ -20,17 +20,18 @@ DEFAULT_MICROPHONE = "default"
 
 
 class RequestError(UserError):
-    """A request that contradicts itself, or a text that is none: one line, where and what."""
+    """A request that contradicts itself, or is not valid JSON; the message is one line."""
 
 
 @with_config(extra="forbid")
 @dataclass(frozen=True, slots=True)
 class Sound:
-    """Which sound a face is to hear, or to say.
+    """The sound that a face hears or says, as the user named it.
 
-    name: a file's path, a microphone by number or name, or the text. language: of the text.
-    phonemes: a file of phonemes and times; text: the words of a file, in English, to be found in
-    it; without both it is recognised. Raises RequestError.
+    name: a file's path, a microphone by number or name, or the text to say. language: of that text.
+    phonemes: a file with the phonemes of the sound file and their times. text: the English words of
+    the sound file, to be aligned with it. With neither of the two the sound is recognised. Raises
+    RequestError.
     """
 
     kind: Literal["clip", "file", "microphone", "silence", "text"]
@@ -63,13 +64,13 @@ DEFAULT_OUTPUT = "default"
 @with_config(extra="forbid")
 @dataclass(frozen=True, slots=True)
 class VoiceOptions:
-    """A robot that speaks by itself.
+    """The options of a robot that speaks by itself, and of the voice agents that it serves.
 
-    output: its loudspeaker, by number, name or part of a name; None: no sound, or the sender of
-    the sound plays it. token_file: whose first line clients must send; None: those of this computer
-    need none. sounds: the folder below which they may let sound files be played. queue: whether
-    they wait for their turn while another speaks, or are refused. origins: of web pages that may
-    connect, as the face's YAML lists them, with commas between.
+    output: its loudspeaker, by number, name or part of a name; None: no sound is played here.
+    token_file: the file whose first line clients must send; None: clients on this computer need no
+    token. sounds: the folder below which agents may have sound files played. queue: speech that
+    arrives while another agent speaks waits; otherwise it is refused. origins: of web pages that
+    may connect, as the face's YAML lists them, separated by commas.
     """
 
     output: str | None = None
@@ -88,12 +89,12 @@ _HIGHEST_PORT: Final = 65_535
 
 
 class AvatarError(UserError):
-    """An address of the user's that cannot be sent to; one line."""
+    """An avatar's address from the user that cannot be sent to; the message is one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Where to send datagrams. option: where the user named it, as text: `--osc HOST`."""
+    """The host and port of an avatar's program. option: as the user typed it: `--osc HOST`."""
 
     option: str
     host: str
@@ -107,12 +108,12 @@ VOWELS: Final = "/vowels"
 @with_config(extra="forbid")
 @dataclass(frozen=True, slots=True)
 class AvatarTargets:
-    """Who is sent to, each as HOST or HOST:PORT, or None: OSC of the VMC protocol, Live Link Face.
+    """The targets of avatar frames (VMC over OSC, Live Link Face), each HOST, HOST:PORT or None.
 
-    With `/vowels` behind it OSC carries the shapes A I U E O in place of ARKit's.
+    With the suffix `/vowels` OSC carries the shapes A I U E O in place of ARKit's.
 
-    Nothing is sent anywhere by default: another computer has to be named by the user. Raises
-    AvatarError for what is no address; hosts are not looked up here.
+    No frame is sent anywhere by default: another computer has to be named by the user. Raises
+    AvatarError for a malformed address; host names are not resolved here.
     """
 
     osc: str | None = None
@@ -122,7 +123,10 @@ class AvatarTargets:
         self.addresses()
 
     def addresses(self) -> tuple[Address | None, Address | None]:
-        """Of OSC and of Live Link Face; without a port that which receivers begin with."""
+        """Return the parsed addresses for (OSC, Live Link Face), None for one that is not used.
+
+        An address without a port gets the protocol's default port. Raises AvatarError.
+        """
         return (
             _address("--osc", self.osc and self.osc.removesuffix(VOWELS), _VMC_PORT),
             _address("--live-link", self.live_link, _LIVE_LINK_PORT),
@@ -130,12 +134,12 @@ class AvatarTargets:
 
     @property
     def has_vowels(self) -> bool:
-        """Whether OSC carries vowels."""
+        """Whether OSC carries vowels instead of the mouth's ARKit shapes."""
         return self.osc is not None and self.osc.endswith(VOWELS)
 
     @property
     def is_any(self) -> bool:
-        """Whether anybody is sent to."""
+        """Whether there is any target at all."""
         return self.osc is not None or self.live_link is not None
 
 
@@ -158,15 +162,15 @@ def _address(option: str, target: str | None, default_port: int) -> Address | No
 @with_config(extra="forbid")
 @dataclass(frozen=True, slots=True)
 class RunRequest:
-    """A run of one face, whole.
+    """Everything that the user requested for one run of one face.
 
     config: the face, by the name of a shipped one or the path of its YAML. model: the face model's
-    file; None: the shipped one. port: of the servos; None: where the face's YAML says. rate_hz:
-    ticks a second; None: the face's. trace: the file that every tick is written to. control: where
-    the control socket is made; None: in the runtime folder. as_json: results are printed as JSON.
-    quiet: nothing is printed for people. dry_run: servos are read and never moved. voice: of a
-    robot that speaks; None: it only listens. avatars: to whom the face is sent besides. Raises
-    RequestError.
+    file; None: the shipped one. port: of the servos; None: as the face's YAML has it. rate_hz:
+    ticks a second; None: as the face's YAML has it. trace: file to which every tick is written.
+    control: path of the control socket; None: in the runtime folder. as_json: results are printed
+    as JSON. quiet: no messages for people are printed. dry_run: servos are read and never moved.
+    voice: for a robot that speaks; None: it only listens. avatars: further receivers of the face.
+    Raises RequestError.
     """
 
     config: str
@@ -194,18 +198,21 @@ class RunRequest:
 
 
 def about_run(request: RunRequest) -> dict[str, object]:
-    """Return what every answer says of the request."""
+    """Return config and sound folder of a request by name, for every status answer."""
     sounds = None if request.voice is None else request.voice.sounds
     return {"config": request.config, "sounds": sounds}
 
 
 def request_json(request: RunRequest) -> str:
-    """Return the request as JSON on one line."""
+    """Return the request as JSON on one line, which `request_of_json` parses."""
     return json.dumps(asdict(request), default=str)
 
 
 def request_of_json(text: str) -> RunRequest:
-    """What `request_json` wrote. Raises RequestError for anything else, and for a missing field."""
+    """Parse a request from JSON on one line.
+
+    Raises RequestError for invalid JSON, and for a missing, unknown or mistyped field.
+    """
     try:
         value = json.loads(text)
         request = TypeAdapter(RunRequest).validate_python(value)
@@ -227,7 +234,10 @@ _KINDS: Final = {str: "text", bool: "true or false", float: "a number"}
 
 
 def _check_unchanged(given: Any, read: Any, where: str) -> None:
-    """Nothing was filled in, and nothing converted but a whole number. Raises RequestError."""
+    """Raise RequestError if `given` lacks a field of `read`, or has a value of another type.
+
+    A whole number where a float is expected is allowed. where: path of the value, for the message.
+    """
     if isinstance(read, dict):
         for name, value in read.items():
             if name not in given:

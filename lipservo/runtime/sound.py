@@ -1,4 +1,4 @@
-"""The sound of a face: what it listens to, and its speech besides the streams of its agents."""
+"""The sound that a face listens to, and the files and texts that it speaks itself."""
 
 import logging
 import threading
@@ -39,10 +39,10 @@ _LOG: Final = logging.getLogger(__name__)
 
 
 def open_sound(sound: Sound, start_s: float = 0.0) -> AudioSource:
-    """The sound, to be entered. Raises SoundError.
+    """Return the source of a file, clip, microphone or silence, not yet entered. Raises SoundError.
 
-    start_s: the sound time at which a file is taken up; its blocks keep the file's times. A file
-    is checked here, in a time that does not depend on its length.
+    start_s: the sound time at which a file starts; its blocks keep the file's times. A file is
+    checked here, in a time that does not depend on its length.
     """
     if sound.kind == "microphone":
         return open_microphone(sound.name)
@@ -55,7 +55,7 @@ def open_sound(sound: Sound, start_s: float = 0.0) -> AudioSource:
 
 
 def open_microphone(device: str) -> AudioSource:
-    """A microphone by number, by part of its name, or the default one. Raises SoundError."""
+    """Return a microphone source by number, part of a name, or "default". Raises SoundError."""
     from lipsync.audio.microphone import MicrophoneSource
 
     return MicrophoneSource(None if device == DEFAULT_MICROPHONE else device)
@@ -82,17 +82,16 @@ _TEXT: Final = "text"
 
 
 class QueueFullError(UserError):
-    """No room for one more; says so in one line."""
+    """The error that the speech queue has no room for another item; the message is one line."""
 
 
 @dataclass(eq=False, slots=True)
 class Spoken:
-    """Speech in one stream or in several, of which each is requested after the last.
+    """One item of speech: one stream, or several of which each is requested after the last.
 
-    pieces: every `next` does a bounded piece of work, and gives the stream that it belongs to.
-    streams: the first one; grows, and loses from its beginning what was spoken. ahead_s: so much
-    may wait to be spoken before the work goes on. duration_s: of all of it, or of the streams until
-    now.
+    pieces: a generator; each `next` does a bounded piece of work and yields the stream it belongs
+    to. streams: those not yet spoken, at first the first one alone. ahead_s: the work pauses while
+    more seconds than these wait to be spoken. duration_s: of the whole, or of the streams so far.
     """
 
     pieces: Generator[PlayoutStream, None, None]
@@ -104,17 +103,17 @@ class Spoken:
 
     @property
     def is_dropped(self) -> bool:
-        """Whether it was cut off: no more of it is spoken."""
+        """Whether the speech was cut off, so that no more of it is spoken."""
         return self.streams[-1].is_dropped
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing of it waits to be spoken any more."""
+        """Whether the speech was cut off or spoken to its end."""
         return self.is_dropped or (self.is_whole and self.streams[-1].is_over)
 
     @property
     def is_ahead(self) -> bool:
-        """Whether enough of it waits to be spoken."""
+        """Whether so much of the speech waits to be spoken that its synthesis may pause."""
         while len(self.streams) > 1 and self.streams[0].is_over:
             self.streams.popleft()
         waiting_s = sum(stream.waiting_s for stream in self.streams)
@@ -124,21 +123,21 @@ class Spoken:
 def spoken_chunks(
     chunks: Iterator[NDArray[np.float32]], stream: PlayoutStream, duration_s: float
 ) -> Spoken:
-    """Queue chunks of sound in an empty stream of their rate.
+    """Return speech that pushes chunks of sound into an empty stream of their rate.
 
     Parameters
     ----------
     chunks : Iterator[NDArray[np.float32]]
-        (n,) mono each.
+        (n,) mono samples each.
     stream : PlayoutStream
-        Empty.
+        The empty stream.
     duration_s : float
-        Of all chunks.
+        Duration of all chunks together, s.
 
     Returns
     -------
     Spoken
-        Its pieces push one chunk each.
+        Speech whose pieces push one chunk each.
     """
 
     def pieces() -> Generator[PlayoutStream, None, None]:
@@ -157,10 +156,9 @@ def spoken_file(
     start_s: float = 0.0,
     phonemes: Path | None = None,
 ) -> Spoken:
-    """A sound file from `start_s` to its end.
+    """Return speech for the queue that plays a sound file from `start_s` to its end.
 
-    name: of its stream; the file's, where there is none. phonemes: a file of timed units,
-    phonemes or words.
+    name: of its stream; empty: the file's name. phonemes: a file of timed units, phonemes or words.
     Raises SoundError, LabelError.
     """
     checked = checked_sound(path)
@@ -179,7 +177,7 @@ def spoken_file(
 def spoken_text(
     text: str, language: str, playout: Playout, speaker: "Speaker", name: str = _TEXT
 ) -> Spoken:
-    """A text; its first sentence is synthesised at once, so that a mistake is known at once.
+    """Return speech of a text for the queue; its first sentence is synthesised before returning.
 
     name: of the streams, one for each sentence. Raises SynthesisError and PluginError.
     """
@@ -215,7 +213,10 @@ def spoken_text(
 
 
 def _tell(stream: PlayoutStream, units: SpokenText, language: str) -> None:
-    """Let the words be followed in the sound; where they cannot be pronounced, it is heard."""
+    """Give a stream its words with their pronunciation; log a warning if one cannot be pronounced.
+
+    Without pronunciation the stream's sound is recognised like any other.
+    """
     from lipsync.text_to_speech.pronunciation import PronunciationError, pronounced_units
 
     try:
@@ -226,7 +227,7 @@ def _tell(stream: PlayoutStream, units: SpokenText, language: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Speaker:
-    """Who speaks a face's texts: a synthesiser by name, and what it calls one of its voices."""
+    """The synthesiser that speaks a face's texts, its voice and its default language, by name."""
 
     synthesizer: str
     voice: str = ""
@@ -234,7 +235,10 @@ class Speaker:
 
 
 def speaker_of(settings: SoundSettings, folder: Path | None) -> Speaker:
-    """The one that a face's YAML names. folder: of the YAML, in which a model may lie."""
+    """Return the synthesiser and voice that a face's YAML names.
+
+    folder: of the YAML; a voice that names a file in it becomes that file's path.
+    """
     beside = (folder or Path()) / settings.voice
     is_file = bool(settings.voice) and len(settings.voice) < _LONGEST_NAME and beside.is_file()
     voice = str(beside) if is_file else settings.voice
@@ -246,9 +250,9 @@ def _sounding_s(stream: PlayoutStream) -> float:
 
 
 class SpeechQueue:
-    """At most `MOST_WAITING`, spoken in the order in which they were added.
+    """A queue of at most `MOST_WAITING` speech items, spoken in the order of their addition.
 
-    An interruption, which is the playout's, drops all that were added before it.
+    An interruption of the playout drops all items that were added before it.
     """
 
     def __init__(self, playout: Playout) -> None:
@@ -261,7 +265,7 @@ class SpeechQueue:
         self._thread: threading.Thread | None = None
 
     def check_room(self, name: str) -> None:
-        """Raises QueueFullError. name: of what would be added."""
+        """Raise QueueFullError if the queue is full. name: of the new item, for the message."""
         with self._changed:
             self._kept = [each for each in self._kept if not each.is_over]
             if len(self._kept) >= MOST_WAITING:
@@ -271,7 +275,10 @@ class SpeechQueue:
                 )
 
     def add(self, spoken: Spoken, name: str) -> None:
-        """Queue it after all that was requested before. Raises QueueFullError."""
+        """Append an item, and request it from the playout. Raises QueueFullError.
+
+        Does nothing once the queue is closed. name: of the item, for the message.
+        """
         with self._changed:
             self.check_room(name)
             if self._closed:
@@ -286,7 +293,7 @@ class SpeechQueue:
             self._changed.notify()
 
     def close(self) -> None:
-        """Read and synthesise no more."""
+        """Stop reading and synthesising; wait up to 2 s for the thread that does it."""
         with self._changed:
             self._closed = True
             self._changed.notify()
@@ -309,7 +316,7 @@ class SpeechQueue:
                 self._finish(spoken)
 
     def _go_on(self, spoken: Spoken) -> bool:
-        """Do a piece of the work; whether there may be more of it."""
+        """Do the next piece of an item's work; return False if there is none left or it failed."""
         try:
             stream = next(spoken.pieces, None)
         except UserError as error:
@@ -335,7 +342,7 @@ class SpeechQueue:
 
 
 def known_from(path: Path, start_s: float) -> tuple[PhonemeEvent, ...]:
-    """The phonemes of a file that begin at `start_s` or later, counted from there."""
+    """Return a file's phonemes that begin at `start_s` or later, in seconds after `start_s`."""
     from lipsync.phoneme_files.reader import read_known_phonemes
 
     return tuple(
@@ -350,7 +357,10 @@ def known_from(path: Path, start_s: float) -> tuple[PhonemeEvent, ...]:
 
 
 def words_from(path: Path, start_s: float) -> tuple["TimedUnit", ...]:
-    """The words of a file that has no phonemes, those after `start_s`, counted from there."""
+    """Return a file's words that begin at `start_s` or later, in seconds after `start_s`.
+
+    Empty for a file of phonemes.
+    """
     from lipsync.phoneme_files.reader import read_words
 
     return tuple(
@@ -362,9 +372,9 @@ def words_from(path: Path, start_s: float) -> tuple["TimedUnit", ...]:
 
 @contextmanager
 def entered_sound(request: RunRequest, start_s: float = 0.0) -> Iterator[AudioSource]:
-    """The sound of a request, entered: a source that is only heard, or a `Playout`.
+    """Yield the entered sound of a request: a `Playout` if the face has a voice, else its source.
 
-    start_s: the sound time at which a file is taken up. Raises SoundError.
+    start_s: the sound time at which a file starts. Raises SoundError.
     """
     face_settings, folder = load_settings(request.config)
     settings = face_settings.sound
@@ -389,13 +399,13 @@ def entered_sound(request: RunRequest, start_s: float = 0.0) -> Iterator[AudioSo
 
 
 def check_sound(request: RunRequest) -> None:
-    """Refuse now what `entered_sound` would refuse later, without opening a device."""
+    """Raise SoundError if a request's sound file cannot be used; no device is opened."""
     if request.sound.kind == "file":
         open_sound(request.sound)
 
 
 def _of_the_face(sound: Sound, settings: SoundSettings) -> Sound:
-    """The default microphone is the one that the face's YAML names, if it names one."""
+    """Return the sound; a default microphone is replaced by that of the face's YAML, if any."""
     if (sound.kind, sound.name) != ("microphone", DEFAULT_MICROPHONE):
         return sound
     return replace(sound, name=settings.input or DEFAULT_MICROPHONE)

@@ -1,6 +1,6 @@
-"""One tick of the street: phonemes in, servo goals out; and the loop around it.
+"""The chain from sound to servos in one process, the street: one tick of it, and its making.
 
-Live running and `replay` share it; they differ in the clock and in who watches.
+Live running and `replay` share it; they differ in the clock and in the observers.
 """
 
 from firmware_bridge.bus import ServoBus
@@ -16,25 +16,25 @@ from lipsync.phonemes import SILENCE, LiveRecognizer
 
 
 class Street:
-    """Speech and bridge in one process, joined by a target channel."""
+    """The speech side and the bridge in one process, joined by a target channel."""
 
     def __init__(self, side: SpeechSide, bridge: Bridge, rest: Array) -> None:
-        """rest: the face (n_components,) of a mouth at rest."""
+        """Join the parts; nothing starts. rest: the face (n_components,) of a mouth at rest."""
         self.side = side
         self.speech = side.speech
         self.bridge = bridge
         self._rest = rest
 
     def begin(self, zero_s: float) -> None:
-        """The sound begins at monotonic `zero_s`."""
+        """Begin the sound at monotonic `zero_s`."""
         self.side.begin(zero_s)
 
     def start(self, now_s: float) -> float:
-        """The servos get torque at monotonic `now_s`; when the sound begins."""
+        """Begin when the servos get torque at monotonic `now_s`; return the sound's start time."""
         return self.side.start(now_s)
 
     def tick(self, time_s: float, late: int) -> StreetTick:
-        """Run all that is due at monotonic grid time `time_s`."""
+        """Advance speech and bridge to monotonic `time_s`; return the frame and servo report."""
         self.side.advance(time_s)
         report = self.bridge.tick(time_s, late)
         feedback = self.bridge.feedback
@@ -47,7 +47,7 @@ class Street:
         )
 
     def rest(self, time_s: float, late: int) -> StreetTick:
-        """The same once the face is stopped: nothing is heard any more, the mouth goes to rest."""
+        """Tick only the bridge as a stopped face goes to rest; return its report, mouth closed."""
         self.side.fall_silent()
         report = self.bridge.tick(time_s, late)
         sound_s = self.speech.sound_time_s(time_s)
@@ -62,7 +62,7 @@ def make_street(
     recognizer: LiveRecognizer,
     synthesizer: Synthesizer,
 ) -> Street:
-    """Everything between an entered source and an entered bus, with a recogniser in it."""
+    """Return the street from an entered source, through a recogniser, to an entered bus."""
     channel = MemoryTargetChannel()
     side = make_speech_side(
         face,

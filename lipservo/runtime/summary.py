@@ -1,4 +1,4 @@
-"""What a run amounted to: counted while it goes on, in bounded memory, printed at its end."""
+"""The summary of a run: counts made during the run in bounded memory, printed at its end."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -25,17 +25,17 @@ _OFTEN = 0.05
 
 
 class Histogram:
-    """Counts of durations, for percentiles without keeping the values."""
+    """A histogram of durations, for percentiles without keeping the values."""
 
     def __init__(self) -> None:
         self._counts = np.zeros(_N_BINS, dtype=np.int64)
 
     def add(self, duration_s: float) -> None:
-        """Count one duration; negative ones count as 0."""
+        """Count one duration; negative ones count as 0, those over 1 s as 1 s."""
         self._counts[min(max(int(duration_s / _BIN_S), 0), _N_BINS - 1)] += 1
 
     def percentile_ms(self, percent: float) -> float:
-        """Upper edge of the bin that holds the percentile, in ms; 0 when nothing was counted."""
+        """Return the upper edge of the percentile's bin in ms; 0 if no duration was counted."""
         total = self._counts.sum()
         if total == 0:
             return 0.0
@@ -47,11 +47,10 @@ class Histogram:
 class Summary:
     """The figures of one run, as `--json` prints them.
 
-    latency: from the moment a sound was captured until the face made of it is due, that is the bus
-    write that asks for it and as much later as the calibration says that servos are; measured, so
-    it may exceed the declared one; lateness: from a grid tick's time to when it was worked on;
-    speed: sound seconds in a second; recognizer: the one that listened last, after fallback_level
-    others that had failed.
+    latency: from the capture of a sound until the face made of it is due, that is the bus write
+    that sends it plus the servos' delay from the calibration; measured, so it may exceed the
+    declared one; lateness: from a grid tick's time to the start of its work; speed: sound seconds
+    in a second; recognizer: the one in use last, after fallback_level others that had failed.
     """
 
     source: str
@@ -89,7 +88,7 @@ class Summary:
 
 
 class Tally:
-    """Watches ticks and counts."""
+    """A counter of ticks, delays and limits during a run."""
 
     def __init__(self, clock: Clock, street: Street) -> None:
         self._clock = clock
@@ -104,11 +103,11 @@ class Tally:
         self.first_command_s = 0.0
 
     def begin_tick(self, time_s: float) -> None:
-        """Note how late the work on grid time `time_s` begins."""
+        """Count how late the work on grid time `time_s` begins."""
         self._lateness.add(self._clock.now() - time_s)
 
     def observe(self, tick: StreetTick) -> None:
-        """Count a finished tick."""
+        """Count a finished tick, unless torque is off."""
         if not tick.report.torque_on:
             return
         if self.frames_sent == 0:
@@ -123,7 +122,10 @@ class Tally:
             self._latency.add(self._clock.now() - tick.captured_s + actuation_s)
 
     def summary(self, status: Status, duration_s: float, seconds: float) -> Summary:
-        """The figures of a run that ended like this. seconds: of the run on a real clock."""
+        """Return the figures of the run.
+
+        status: at the end of the run; duration_s: of its sound; seconds: that the run really took.
+        """
         speech = self._street.speech
         n_frames = max(self.frames_sent, 1)
         return Summary(
@@ -164,7 +166,7 @@ def _often(names: Sequence[str], shares: Array) -> dict[str, float]:
 
 
 def peak_resident_mb() -> float:
-    """The largest resident memory of this process so far, in MB (10^6 bytes)."""
+    """Return the largest resident memory of this process so far, in MB (10^6 bytes)."""
     import resource
 
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -172,7 +174,7 @@ def peak_resident_mb() -> float:
 
 
 def resident_mb() -> float:
-    """The resident memory of this process now, in MB (10^6 bytes); its peak without /proc."""
+    """Return the resident memory of this process now in MB (10^6 bytes); without /proc its peak."""
     import os
 
     try:
@@ -183,7 +185,7 @@ def resident_mb() -> float:
 
 
 def seconds_since_process_start() -> float:
-    """How long this process has lived, interpreter start included; 0 where /proc does not tell."""
+    """Return the seconds since this process began, interpreter start included; 0 without /proc."""
     import os
     import time
 
@@ -224,7 +226,7 @@ _MEANINGS = {
 
 
 def print_summary(summary: Summary, console: Console) -> None:
-    """A table of the figures for people: what each is, and when it is good."""
+    """Print a table of the figures for people, with the meaning and good values of each."""
     table = Table(title=summary.source, show_header=False, title_justify="left", box=None)
     for name, meaning in _MEANINGS.items():
         value = getattr(summary, name)

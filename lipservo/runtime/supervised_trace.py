@@ -1,6 +1,6 @@
-"""The trace of a face in three processes, written by the one that drives the servos.
+"""The trace of a face in three processes, written by the process that drives the servos.
 
-Goals sent are known here; what was shown is read from the live board, where the speech process
+Goals sent are known in it; the frame shown is read from the live board, where the speech process
 writes it a hundred times a second.
 """
 
@@ -26,10 +26,10 @@ _END_S: Final = 2.0
 
 
 class SupervisedTrace:
-    """`observe` every tick of the bridge; ticks before the speech side is there are not traced."""
+    """A trace of every tick of the bridge, from the first status of the speech side on."""
 
     def __init__(self, requested: RequestedFace, notes: StatusBoard, live: LiveBoard) -> None:
-        """notes: where the speech side says how it is."""
+        """Prepare the trace; it opens on entry. notes: contains the status of the speech side."""
         self._requested = requested
         self._notes = notes
         self._live = live
@@ -40,7 +40,7 @@ class SupervisedTrace:
         self._shown: tuple[float, float, str, Frame] | None = None
 
     def observe(self, report: TickReport) -> None:
-        """Note one tick."""
+        """Add one tick of the bridge with the frame shown; do nothing until the trace is open."""
         if self._trace is None:
             return
         for number, shown in self._live.speech_since(self._number)[-1:]:
@@ -65,7 +65,7 @@ class SupervisedTrace:
             self._trace.__exit__(*exc)
 
     def _open(self) -> None:
-        """The header names what only the speech side knows: its delay, its recogniser."""
+        """Open the trace once the speech side has written a status, which the header needs."""
         while (speech := self._notes.speech()) is None:
             if self._closed.wait(_EVERY_S):
                 return

@@ -1,4 +1,4 @@
-"""Voice agents at a face: where they are waited for, and what they may ask."""
+"""Serving voice agents of a face: the port to which they connect, and their requests."""
 
 import logging
 from collections.abc import Iterator
@@ -34,10 +34,10 @@ _LOG = logging.getLogger(__name__)
 
 
 def bound_listener(listen: str | None, token_file: str | None) -> "socket.socket | None":
-    """Where voice agents connect.
+    """Return a socket on which voice agents can connect; None for `listen` = "none".
 
-    listen: HOST:PORT; `none`: nowhere; None: the usual port, or any that is free where another face
-    has it. Raises UserError.
+    listen: HOST:PORT; None: the default port, or any free one where another face has it. Raises
+    UserError.
     """
     if listen == "none":
         return None
@@ -56,7 +56,7 @@ def voice_agents(
     side: "SpeechSide",
     requested: RequestedFace,
 ) -> Iterator[str | None]:
-    """Serve voice agents at a listener that is bound; the address. None: no agent is served."""
+    """Serve voice agents on a bound listener; yield its URL, or None if no agent is served."""
     options = requested.request.voice
     if listener is None or side.voice is None or options is None:
         yield None
@@ -94,7 +94,7 @@ def voice_agents(
 
 
 class _Spoken:
-    """What agents let the face say besides their streams: one queue of all of it."""
+    """The texts and files that agents have the face say besides their streams, in one queue."""
 
     def __init__(self, playout: Playout, options: VoiceOptions, requested: RequestedFace) -> None:
         self._playout = playout
@@ -104,16 +104,15 @@ class _Spoken:
         self._queue = SpeechQueue(playout)
 
     def say(self, text: str, name: str) -> Spoken:
-        """A text. Raises SynthesisError, and MessageError where too much waits."""
+        """Queue a text, return its speech. Raises SynthesisError, MessageError for a full queue."""
         self._check_room("text")
         spoken = spoken_text(text, "", self._playout, self._speaker, name)
         return self._added(spoken, "text")
 
     def play(self, file: str, name: str) -> Spoken:
-        """A sound file or performance below the folder that the user allowed.
+        """Queue a sound file or performance below the allowed folder, and return its speech.
 
-        Whatever can be wrong is known before the face gets it. Raises UserError, and MessageError
-        where too much waits.
+        The file is checked first. Raises UserError, and MessageError if the queue is full.
         """
         path = (self._folder / file).resolve()
         if not path.is_relative_to(self._folder):
@@ -131,7 +130,7 @@ class _Spoken:
         return self._added(spoken, path.name)
 
     def close(self) -> None:
-        """Nothing more is read or synthesised."""
+        """Stop reading and synthesising the queued items."""
         self._queue.close()
 
     def _added(self, spoken: Spoken, name: str) -> Spoken:

@@ -1,1 +1,1 @@
-"""A face's YAML: its keys, and how an error in it is reported."""
+"""The face YAML: its settings, how it is read and edited, and how errors in it are reported."""

@@ -1,6 +1,6 @@
-"""Values written into a face YAML: comments, order and everything else of the file stay.
+"""Edits of values in a face YAML that leave comments, order and all else of the file unchanged.
 
-The text is changed in place, read back, and written only when it then says what was meant.
+The text is edited, parsed again, and written only if the parsed values are the intended ones.
 """
 
 import json
@@ -26,19 +26,23 @@ _PLAIN_KEY: Final = re.compile("[a-z][a-z0-9_]*")
 
 
 class ChangedMeanwhileError(UserError):
-    """The file is not any more what it was when it was read."""
+    """The file was changed after it was read, so it is not overwritten."""
 
 
 @dataclass(frozen=True, slots=True)
 class EditedYaml:
-    """A face YAML with other numbers, checked, and not written yet."""
+    """A face YAML with changed values, checked, and not written yet."""
 
     path: Path
     before: str
     text: str
 
     def write(self) -> None:
-        """Whole or not at all. Raises ChangedMeanwhileError, OutputError."""
+        """Write the file, whole or not at all.
+
+        Raises ChangedMeanwhileError if it was changed since it was read; SettingsError,
+        OutputError.
+        """
         with _alone(self.path):
             if read_face_text(self.path) != self.before:
                 raise ChangedMeanwhileError(f"{self.path.name}: was changed meanwhile; try again")
@@ -46,7 +50,7 @@ class EditedYaml:
 
 
 def read_face_text(path: Path) -> str:
-    """The YAML as text. Raises SettingsError."""
+    """Return the text of a YAML file. Raises SettingsError if it cannot be read or is not UTF-8."""
     try:
         return path.read_bytes().decode()
     except (OSError, UnicodeDecodeError) as error:
@@ -54,10 +58,10 @@ def read_face_text(path: Path) -> str:
 
 
 def edited(path: Path, values: Mapping[Place, float | str]) -> EditedYaml:
-    """The file at `path` with these numbers or words in it.
+    """Return the face YAML at `path` with these numbers or words set in it, not written yet.
 
-    Raises SettingsError for a file that is no face YAML or would be none with them, and UserError
-    for one that is written so that there is no safe place.
+    Raises SettingsError if the file is no face YAML or would not be one with them, and UserError if
+    its form leaves no safe position for them.
     """
     before = read_face_text(path)
     wanted = _plain_mapping(parse_face(before, path.name))
@@ -75,12 +79,12 @@ def edited(path: Path, values: Mapping[Place, float | str]) -> EditedYaml:
 
 
 def lines_by_hand(place: Place, value: float | str) -> str:
-    """Return the lines that a person should add to the YAML."""
+    """Return the YAML lines that a person should add for the value at `place` (a path of keys)."""
     return _block(list(place), _written(value), 0, "\n")
 
 
 def _written(value: float | str) -> str:
-    """As it stands in YAML: words in quotes where they would mean something else without."""
+    """Return a value as YAML text: words in quotes if they would be something else without."""
     if not isinstance(value, str):
         return f"{value:g}"
     try:
@@ -116,7 +120,7 @@ def _is_yaml(text: str) -> bool:
 
 
 def _with_value(text: str, place: Place, value: str) -> str | None:
-    """The text with a number at a place, which is made where it is absent; None: it cannot be."""
+    """Return the text with `value` at `place`, added if absent; None if that cannot be done."""
     node = yaml.compose(text, Loader=yaml.SafeLoader)
     if not isinstance(node, yaml.MappingNode) or node.flow_style:
         return None
@@ -146,7 +150,7 @@ def _with_value(text: str, place: Place, value: str) -> str | None:
 
 
 def _block(keys: list[str], value: str, column: int, end: str) -> str:
-    """What a person would write; the first line without its indent."""
+    """Return nested YAML lines for keys and a value; the first line has no indent."""
     lines = [f"{' ' * (column + 2 * n)}{_key(each)}:" for n, each in enumerate(keys)]
     return f"{end.join(lines).lstrip(' ')} {value}"
 
@@ -165,7 +169,7 @@ def _key(name: str) -> str:
 
 @contextmanager
 def _alone(path: Path) -> Iterator[None]:
-    """No other program of ours writes a face YAML in this folder meanwhile."""
+    """Lock the folder of `path`, so that no other program of lipservo writes a face YAML in it."""
     import fcntl
 
     try:

@@ -1,4 +1,4 @@
-"""Limits that a person has found by hand, as numbers of a face YAML: of pulses, and of degrees."""
+"""Limits that a person has found by hand, as values of a face YAML: pulses in us, and degrees."""
 
 import math
 from collections.abc import Mapping
@@ -29,11 +29,10 @@ _TENTHS: Final = 10.0
 
 
 def with_pulse_limit(path: Path, servo: str, limit: PulseLimit, pulse_us: float) -> EditedYaml:
-    """The face YAML with one limit of a hobby servo where it was found, not written yet.
+    """Return the face YAML with one pulse limit of a hobby servo changed, not written yet.
 
-    Its joint's `min_deg` and `max_deg` become what the pulses then allow. Raises
-    SettingsError for a servo without pulses and a pulse that cannot be this limit, and what
-    `edited` raises.
+    The joint's `min_deg` and `max_deg` become what the pulses then allow. Raises SettingsError for
+    a servo without pulses or a pulse that cannot be this limit, and what `edited` raises.
     """
     settings = parse_face(read_face_text(path), path.name).servos.get(servo)
     pulse = None if settings is None else settings.pulse
@@ -43,9 +42,10 @@ def with_pulse_limit(path: Path, servo: str, limit: PulseLimit, pulse_us: float)
 
 
 def pulse_values(pulse: JointPulse, limit: PulseLimit, pulse_us: float) -> dict[str, float]:
-    """Keys of the servo's entry, with one limit at this pulse, to a microsecond.
+    """Return a servo's new pulse and angle limits, by YAML key, with one limit at `pulse_us`.
 
-    Raises SettingsError for a pulse that leaves neutral outside of the limits.
+    Raises SettingsError for a pulse out of range, or one that leaves neutral outside the limits or
+    no range between them.
     """
     if not SHORTEST_FOUND_US <= pulse_us <= LONGEST_FOUND_US:
         raise SettingsError(
@@ -74,10 +74,10 @@ def pulse_values(pulse: JointPulse, limit: PulseLimit, pulse_us: float) -> dict[
 
 
 def range_values(least_deg: float, most_deg: float) -> dict[str, float]:
-    """Keys of a servo whose joint a hand turned from least to most, by its encoder.
+    """Return `min_deg` and `max_deg` for a joint that a hand turned from least to most, by encoder.
 
-    The limits lie `INSIDE_DEG` inside. Raises UserError for one that was not turned, or whose range
-    does not hold its neutral.
+    The limits lie `INSIDE_DEG` inside. Raises UserError for a joint that was not turned, or whose
+    range does not include its neutral, 0.
     """
     if not most_deg - least_deg >= _LEAST_TURN_DEG:
         raise UserError("was not turned")
@@ -93,9 +93,10 @@ def range_values(least_deg: float, most_deg: float) -> dict[str, float]:
 def turned_values(
     least_deg: float, most_deg: float, neutral_deg: float, zero_offset_deg: float
 ) -> dict[str, float]:
-    """The same with neutral where a hand showed it; zero_offset_deg: of the YAML until now.
+    """Return a turned joint's limits from its neutral, and `zero_offset_deg` if neutral has moved.
 
-    Raises UserError as `range_values` does.
+    zero_offset_deg: of the YAML so far. Raises UserError for a joint that was not turned, or whose
+    range does not include its neutral.
     """
     found = range_values(least_deg - neutral_deg, most_deg - neutral_deg)
     offset_deg = round(zero_offset_deg + neutral_deg, 1)
@@ -103,7 +104,7 @@ def turned_values(
 
 
 def with_ranges(path: Path, ranges: Mapping[str, Mapping[str, float]]) -> EditedYaml:
-    """The face YAML with these keys of its servos, not written yet."""
+    """Return the face YAML with these values of its servos, by servo and key, not written yet."""
     places: dict[Place, float] = {}
     for servo, values in ranges.items():
         places |= _places(servo, values)
@@ -111,7 +112,7 @@ def with_ranges(path: Path, ranges: Mapping[str, Mapping[str, float]]) -> Edited
 
 
 def own_yaml(config: str) -> Path:
-    """The file of a face that is the user's own. Raises UserError for one that is shipped."""
+    """Return the path of a user's face YAML; raise UserError if `config` names a shipped face."""
     if not (config.endswith((".yaml", ".yml")) or "/" in config):
         raise UserError(
             f"{config} is shipped with lipservo and stays as it is; make one of your own with "
@@ -121,7 +122,7 @@ def own_yaml(config: str) -> Path:
 
 
 def what_next(edit: EditedYaml) -> str:
-    """What a person must do for the new limits to count."""
+    """Return, for a person, when the new limits take effect, and whether to calibrate again."""
     before, after = (parse_face(each, edit.path.name) for each in (edit.before, edit.text))
     then = "counts from the next start"
     if before.calibration is not None and before.checksum != after.checksum:
@@ -134,7 +135,7 @@ def _places(servo: str, values: Mapping[str, float]) -> dict[Place, float]:
 
 
 def _inside(low_deg: float, high_deg: float) -> tuple[float, float]:
-    """To a tenth, never outside; + 0.0 since -0 is no limit that a person would write."""
+    """Round limits inwards to 0.1 deg, within -180..180; + 0.0 turns a -0 into 0."""
     low_deg, high_deg = max(low_deg, -180.0), min(high_deg, 180.0)
     slack = 1e-9  # 10.0 may be 9.999999999 of a division
     low_deg = math.ceil(low_deg * _TENTHS - slack) / _TENTHS + 0.0

@@ -1,6 +1,7 @@
-"""The names of strategies, and of recognisers that are compared, that a person may choose.
+"""The names and bounds that a person may choose for motion: strategies, recognisers, styles.
 
-Apart from what they name, which takes long to load: the command line and the face YAML read them.
+They are apart from what they name, which takes long to load: the command line and the face YAML
+read them.
 """
 
 from typing import Final, Literal, get_args

@@ -1,4 +1,4 @@
-"""The sections of a face YAML, and numbers and words as they may stand there, with their bounds.
+"""The sections of a face YAML, and the types of their numbers and words, with bounds.
 
 `sound:`, `access:`, `expression:`, `prevent:`, `stale:`, `tracking:` and `motion:`; servos, bus and
 the face as a whole are in `settings.py`.
@@ -51,13 +51,13 @@ OffsetMs = Annotated[float, within(LEAST_OFFSET_MS, MOST_OFFSET_MS)]
 
 
 class SoundSettings(Strict):
-    """Devices by their names, or parts of them; the command line goes before it.
+    """`sound:` of a face YAML: devices by name or part of it; the command line has precedence.
 
     output, input: None = the system's default. output_offset_ms: by device name or part of it, how
-    much later than the device says sound leaves it; `lipservo calibrate audio` finds it.
-    synthesizer: who speaks texts; voice: what it calls one of its voices, a file beside the YAML or
-    a command among them, "": its own choice. language: of texts that name none, "": en-us. volume:
-    1 is as loud as the sound is, 0 silent.
+    much later than the device reports the sound is audible; `lipservo calibrate audio` measures it.
+    synthesizer: speaks texts; voice: its name for one of its voices, a file beside the YAML or a
+    command among them, "": its own choice. language: of texts that name none, "": en-us. volume: 1
+    is as loud as the sound is, 0 silent.
     """
 
     output: Text | None = None
@@ -87,11 +87,11 @@ Origin = Annotated[str, AfterValidator(_check_origin)]
 
 
 class AccessSettings(Strict):
-    """Who may connect over TCP besides programs: docs/hardware.md.
+    """`access:` of a face YAML: which web pages may connect over TCP (docs/hardware.md).
 
     origins: of web pages whose scripts may use the agent server and the dashboard's API; they need
-    the token as everything does. queue: a second voice agent waits for its turn, else it is
-    refused.
+    the token as all clients do. queue: a second voice agent waits until the first has finished;
+    otherwise it is refused.
     """
 
     origins: Annotated[tuple[Origin, ...], Field(max_length=_MOST_ORIGINS)] = ()
@@ -104,7 +104,7 @@ class AccessSettings(Strict):
 
 
 class AvatarSettings(Strict):
-    """`avatars:` of a face YAML: HOST or HOST:PORT of the screen avatars that show the face, too.
+    """`avatars:` of a face YAML: HOST or HOST:PORT of screen avatars that show the face, too.
 
     osc: VMC protocol over OSC. live_link: Live Link Face of Unreal Engine.
     """
@@ -134,9 +134,10 @@ _LONGEST_REST_S = 86_400.0
 
 
 class ServoExpression(Strict):
-    """What part of an expression a servo shows, and how far it turns for one unit of it.
+    """`expression:` of a servo: the part of an expression it shows, and degrees for one unit.
 
-    A unit is a degree, or 1 of lids, brow and smile; a negative number turns the other way.
+    A unit is a degree, or 1 of lids, brow and smile; a negative number turns in the opposite
+    direction.
     """
 
     of: ExpressionName
@@ -144,10 +145,10 @@ class ServoExpression(Strict):
 
 
 class ExpressionSettings(Strict):
-    """amount: 0 still, 1 as measured on people. seed: of the spontaneous motion.
+    """`expression:` of a face YAML. amount: 0 still, 1 as measured on people.
 
-    eye_contact: share of the time in which the face looks at the person it speaks with.
-    rest_after_s: after so long a silence the servos are let go until a person speaks. model:
+    seed: of the spontaneous motion. eye_contact: share of the time in which the eyes are on the
+    partner. rest_after_s: after so long a silence torque is off until a person speaks. model:
     learned from tracks (`lipservo learn expression`), a file from the folder of the YAML.
     """
 
@@ -159,19 +160,19 @@ class ExpressionSettings(Strict):
 
 
 class PreventSettings(Strict):
-    """Joints that must not go there together: the sum of factor x angle stays at most `above`."""
+    """A limit on joints together: the sum of factor x angle stays at most `above`."""
 
     joints: Mapping[JointName, Factor]
     above: Factor
     because: Text
 
     def factors(self, names: Iterable[str]) -> tuple[float, ...]:
-        """One for each of these joints, 0 for one that has no part in the rule."""
+        """Return the factor of each named joint, 0 for a joint that is not in the rule."""
         return tuple(self.joints.get(name, 0.0) for name in names)
 
 
 class StaleSettings(Strict):
-    """What happens when speech falls silent; seconds since the newest target."""
+    """`stale:` of a face YAML: seconds without a target until it holds, is neutral, is limp."""
 
     hold_s: Seconds = 0.1
     neutral_s: Seconds = 1.0
@@ -188,7 +189,7 @@ class StaleSettings(Strict):
 
 
 class TrackingSettings(Strict):
-    """A servo so far from its goal for so long does not follow, and is let go.
+    """`tracking:` of a face YAML: torque goes off on a servo this far from its goal for this long.
 
     error_deg: None = by each joint's range (`firmware_bridge.gate.tracking`).
     """
@@ -198,11 +199,11 @@ class TrackingSettings(Strict):
 
 
 class MotionSettings(Strict):
-    """Every one of them may be absent; the command line goes before it.
+    """`motion:` of a face YAML: how phonemes become motion; the command line has precedence.
 
-    weights: `default`, `grid`, or a file, from the folder of the YAML. stage: 1 opens and rounds
-    the mouth for viewers at 3 m. low_latency: for puppeteers, goals within 150 ms of the sound,
-    less precise.
+    Each may be absent. weights: `default`, `grid`, or a file, from the folder of the YAML. stage: 1
+    opens and rounds the mouth for viewers at 3 m. low_latency: for puppeteers, goals within 150 ms
+    of the sound, less precise.
     """
 
     strategy: Strategy | None = None

@@ -1,4 +1,4 @@
-"""The face YAML: its schema, how it is read, and how an error in it is explained."""
+"""The face YAML: its schema, how it is read, and how its errors are explained."""
 
 import hashlib
 import json
@@ -52,9 +52,9 @@ BusName = Annotated[str, StringConstraints(pattern=BUS_NAME)]
 
 
 class ServoSettings(BusServo):
-    """One servo and the joint it drives, with the keys of its kind of bus (`face_schema`).
+    """A servo and the joint it drives, with the keys of its kind of bus (`face_schema`).
 
-    critical: without this servo the whole face stops.
+    critical: if this servo fails, the whole face stops.
     """
 
     critical: bool = False
@@ -72,7 +72,7 @@ class ServoSettings(BusServo):
 
 
 class _UnknownBus(BusSettings):
-    """`bus:` of a kind that is not installed: its other keys cannot be checked."""
+    """A `bus:` of a kind that is not installed, whose other keys cannot be checked."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -88,10 +88,10 @@ class _UnknownBus(BusSettings):
 
 
 class FaceSettings(Strict):
-    """A whole face. The order of `servos` is the order of positions everywhere.
+    """The settings of a face. The order of `servos` is the order of positions everywhere.
 
-    Which keys `bus` and its servos have is defined by the kind of the bus: `face_schema`, which
-    `model_validate` goes by.
+    The keys of `bus` and its servos depend on the kind of the bus: `model_validate` uses the schema
+    from `face_schema`.
     """
 
     #: What stands under a key whose values differ by their names, for who explains errors.
@@ -183,12 +183,12 @@ class FaceSettings(Strict):
 
     @property
     def bus_of(self) -> tuple[str, ...]:
-        """The name of each servo's bus; empty where the face has one bus."""
+        """The bus name of each servo, in order; empty strings if the face has one bus."""
         return tuple(map(bus_of, self.servos.values()))
 
     @property
     def servo_port(self) -> str | None:
-        """Where the servos are, of several buses as `port_names` has it; None: in memory."""
+        """The port of the servos, for several buses a text of `port_names`; None: in memory."""
         if self.buses:
             ports = {name: face.servo_port for name, face in self.alone.items()}
             return ports_text({name: port for name, port in ports.items() if port is not None})
@@ -196,13 +196,13 @@ class FaceSettings(Strict):
 
     @property
     def alone(self) -> Mapping[str, Self]:
-        """The servos of each bus as a face of their own, by its name; of one bus this one."""
+        """The servos of each bus as a separate face, by the bus's name; for one bus, {"": self}."""
         return {name: self.of_bus(name) for name in self.buses} or {"": self}
 
     def of_bus(self, name: str) -> Self:
-        """The servos of one bus alone, under a name of their own.
+        """Return a face with the servos of one bus only, named after both face and bus.
 
-        Raises SettingsError for a bus that there is not.
+        Raises SettingsError if there is no such bus.
         """
         if name not in self.buses:
             known = ", ".join(self.buses) or "one, without a name"
@@ -214,7 +214,7 @@ class FaceSettings(Strict):
 
     @property
     def bus_kind(self) -> BusKind:
-        """What opens, simulates and examines its bus. Raises SettingsError where it has several."""
+        """The kind of the face's bus. Raises SettingsError if the face has several buses."""
         if self.buses:
             names = ", ".join(self.buses)
             raise SettingsError(f"{self.name}: has several buses: {names}; say which: --bus NAME")
@@ -222,7 +222,7 @@ class FaceSettings(Strict):
 
     @property
     def capabilities(self) -> BusCapabilities:
-        """The capabilities of its servos."""
+        """The capabilities of the face's servos, by their buses."""
         if self.buses:
             can = {name: face.capabilities for name, face in self.alone.items()}
             return mixed_capabilities(can, self.bus_of)
@@ -230,13 +230,13 @@ class FaceSettings(Strict):
 
     @property
     def wiring(self) -> Wiring:
-        """Its servos as the bus knows them."""
+        """The bus, joints, servos and rate of the face, from which a bus is opened."""
         return Wiring(self.bus, self.joints(), tuple(self.servos.values()), self.rate_hz)
 
     def at_port(self, port: str) -> Self:
-        """The same face with its servos at a port; of several buses as `port_names` has it.
+        """Return the face with its servos at `port`; for several buses a text of `port_names`.
 
-        Raises SettingsError where no bus is named.
+        Raises SettingsError for several buses if `port` names none.
         """
         if self.buses:
             return self._at_named_ports(port)
@@ -256,7 +256,7 @@ class FaceSettings(Strict):
 
     @property
     def mouth_servos(self) -> Mapping[str, ServoSettings]:
-        """Those that speech moves, in the order of the YAML."""
+        """The servos that speech moves, by name, in the order of the YAML."""
         return {name: servo for name, servo in self.servos.items() if servo.part == "mouth"}
 
     @property
@@ -264,14 +264,14 @@ class FaceSettings(Strict):
         """16 hex digits over all that a calibration depends on: the mouth's joints and limits.
 
         Speeds, ids and mounting (`sign`, `zero_offset_deg`) may change under a calibration, which
-        speaks of joint angles only.
+        contains joint angles only.
         """
         mouth = self.mouth_servos.items()
         matter = [(name, servo.min_deg, servo.max_deg) for name, servo in mouth]
         return hashlib.sha256(json.dumps(matter).encode()).hexdigest()[:16]
 
     def joints(self) -> tuple[Joint, ...]:
-        """Return the joints in the order of the YAML."""
+        """Return a `Joint` for each servo, in the order of the YAML."""
         return tuple(
             Joint(
                 name=name,
@@ -289,9 +289,9 @@ class FaceSettings(Strict):
 
 
 def face_schema(content: Mapping[Any, Any]) -> type[FaceSettings]:
-    """What a face may hold whose YAML has this content: bus and servos as its kind of bus has them.
+    """Return the schema for a YAML's content, with the keys of its kinds of bus and their servos.
 
-    For an unknown kind, the servos are those of the default kind.
+    For an unknown kind of bus, servos are checked as those of the default kind.
     """
     buses = content.get("buses")
     if isinstance(buses, Mapping) and buses:
@@ -328,13 +328,13 @@ def _servo_of(kind: BusKind) -> Any:
 
 
 class _ServoOfUnknownBus(ServoSettings):
-    """A servo whose other keys cannot be checked."""
+    """A servo on an unknown kind of bus, whose other keys cannot be checked."""
 
     model_config = ConfigDict(extra="ignore")
 
     @property
     def address(self) -> int:
-        """Another for each."""
+        """A number that differs for each servo, in place of the unknown address."""
         return id(self)
 
 
@@ -347,7 +347,7 @@ def _kinds_of(buses: Mapping[Any, Any]) -> _Kinds:
 
 @cache
 def _servos_of_several(kinds: _Kinds) -> Mapping[Any, type[BaseModel]]:
-    """What may stand under a servo, by the name of its bus."""
+    """Return the schema of a servo for each bus, by the bus's name."""
     return {
         name: _ServoOfUnknownBus
         if kind is None
@@ -358,7 +358,7 @@ def _servos_of_several(kinds: _Kinds) -> Mapping[Any, type[BaseModel]]:
 
 @cache
 def _schema_of_several(kinds: _Kinds) -> type[FaceSettings]:
-    """Each bus as its kind has it, each servo as the kind of its bus has it."""
+    """Return the schema of a face with several buses, each bus and its servos by the bus's kind."""
     known = _servos_of_several(kinds)
 
     def servo_of(value: object) -> BaseModel:
@@ -386,7 +386,7 @@ def _schema_of_several(kinds: _Kinds) -> type[FaceSettings]:
 
 
 def _explaining(schema: type[FaceSettings], content: Mapping[Any, Any]) -> type[FaceSettings]:
-    """The schema of one content, with the keys that each of its servos and buses may have."""
+    """Return the schema of one content, with the keys allowed for each of its servos and buses."""
     buses, servos = content.get("buses"), content.get("servos")
     if not isinstance(buses, Mapping) or not isinstance(servos, Mapping):
         return schema
@@ -405,13 +405,13 @@ def _settings_of(kind: BusKind | None) -> type[BusSettings]:
 
 
 def bus_of(servo: object) -> str:
-    """What a servo, read or not, says of its bus; empty: nothing."""
+    """Return the bus name in a servo's settings or unparsed content; empty if there is none."""
     bus_name = servo.get("bus") if isinstance(servo, Mapping) else getattr(servo, "bus", None)
     return bus_name if isinstance(bus_name, str) else ""
 
 
 def _kind_of(bus: object) -> BusKind | None:
-    """The kind of a bus, read or not; None: it is not known."""
+    """Return the kind of a bus, from settings or unparsed content; None if it is unknown."""
     default = BusSettings().kind
     kind = bus.get("kind", default) if isinstance(bus, Mapping) else getattr(bus, "kind", default)
     try:
@@ -421,7 +421,7 @@ def _kind_of(bus: object) -> BusKind | None:
 
 
 def _no_bus(servo: Mapping[Any, Any], name: str, known: Sequence[str]) -> ValidationError:
-    """Of a servo that does not say its bus, or one that there is not."""
+    """Return the error for a servo whose `bus` is missing or is not one of `known`."""
     buses = f"the buses of this face: {', '.join(known)}"
     bus_name = servo.get("bus")
     why = f"is missing; {buses}" if bus_name is None else f"{shown(bus_name)} is not one of {buses}"
@@ -446,15 +446,15 @@ def load_shipped_face(name: str) -> FaceSettings:
 
 
 def shipped_faces() -> tuple[str, ...]:
-    """Names of the faces that come with lipservo."""
+    """Return the sorted names of the faces that are shipped with lipservo."""
     names = sorted(file.name for file in _shipped().iterdir() if file.name.endswith(".yaml"))
     return tuple(n.removesuffix(".yaml") for n in names if not n.endswith(_CALIBRATION_SUFFIX))
 
 
 def calibration_file(face: FaceSettings, beside: Path | None = None) -> Traversable:
-    """Find the calibration that `face` names: in the folder `beside`, else among the shipped.
+    """Return the calibration file that `face` names: in the folder `beside`, else a shipped one.
 
-    Raises SettingsError when the face names none, or none of that name is there.
+    Raises SettingsError if the face names none, or none of that name exists.
     """
     if face.calibration is None:
         raise SettingsError(
@@ -474,7 +474,7 @@ def _shipped() -> Traversable:
 
 
 def parse_face(text: str, file_name: str) -> FaceSettings:
-    """The face that a YAML text describes; `file_name` names it in errors. Raises SettingsError."""
+    """Parse a YAML text as a face; `file_name` names it in errors. Raises SettingsError."""
     content = read_mapping(text, file_name)
     schema = face_schema(content)
     try:

@@ -1,4 +1,4 @@
-"""YAML for humans who mistype: a mapping or one clear line for each error, no key given twice.
+"""Strict YAML for settings: one mapping, no key given twice, and a clear line for each error.
 
 Numbers are those of YAML 1.2 (https://yaml.org/spec/1.2.2/#1032-tag-resolution): `011` is 11 and
 `3e2` is 300, where YAML 1.1, which PyYAML reads, has 9 and a text; and a date is a text. Errors of
@@ -43,7 +43,7 @@ _LONGEST_KEY = 60
 
 
 class SettingsError(UserError):
-    """Settings that cannot be used; one line for each error: where, what, what is allowed."""
+    """Settings that cannot be used; one line for each error: key, fault, and what is allowed."""
 
 
 class _Loader(yaml.SafeLoader):
@@ -83,8 +83,8 @@ _Loader.add_implicit_resolver(
 def read_mapping(text: str, file_name: str) -> dict[object, object]:
     """Parse `text`, which came from `file_name`, as one mapping of plain values.
 
-    Raises SettingsError when it is empty, not YAML, not a mapping, or gives a key twice: PyYAML
-    would silently keep the last one.
+    Raises SettingsError if the text is empty, not YAML, nested too deep, not a mapping, or gives a
+    key twice, of which PyYAML would silently keep the last.
     """
     try:
         if is_nested_deeper(text, _DEEPEST):
@@ -112,7 +112,7 @@ def _found(content: object) -> str:
 
 
 def _repeated_keys(node: yaml.Node, where: str, seen: set[int]) -> Iterator[str]:
-    """Describe keys given twice anywhere below `node`; `seen` ends the walk on a YAML alias."""
+    """Yield a line for each key given twice at or below `node`; `seen` ends loops of aliases."""
     if id(node) in seen:
         return
     seen.add(id(node))
@@ -144,7 +144,7 @@ def _explain(error: Exception, file_name: str) -> str:
 
 
 def explain(error: ValidationError, schema: type[BaseModel], file_name: str) -> list[str]:
-    """Say each error in one line: path from the file down, what is wrong, what is allowed."""
+    """Return a line for each error: path from the file down, what is wrong, what is allowed."""
     lines = [
         f"{_path(file_name, detail)}: {line}"
         for detail in error.errors(include_url=False)
@@ -155,7 +155,7 @@ def explain(error: ValidationError, schema: type[BaseModel], file_name: str) -> 
 
 
 def _path(file_name: str, detail: ErrorDetails) -> str:
-    """Join file and keys with dots; pydantic marks a bad mapping key by a last part "[key]"."""
+    """Join file and keys with dots; leave out "[key]", pydantic's mark for a bad mapping key."""
     return ".".join(
         [file_name, *(str(part)[:_LONGEST_KEY] for part in detail["loc"] if part != "[key]")]
     )
@@ -189,7 +189,7 @@ def _nearest(key: str, known: list[str]) -> str:
 
 
 def _keys_at(path: tuple[int | str, ...], kind: object) -> list[str]:
-    """List the settings known at `path` below `kind`: a model, or a mapping or tuple of them."""
+    """Return the settings known at `path` below `kind`: a model, or a mapping or tuple of them."""
     if not (isinstance(kind, type) and issubclass(kind, BaseModel)):
         return _keys_at(path[1:], next(each for each in get_args(kind)[::-1] if each is not ...))
     if not path:

@@ -1,1 +1,1 @@
-"""What a person at a terminal sees and presses."""
+"""The output to a person's terminal, and the keys read from it."""

@@ -1,4 +1,4 @@
-"""Keys and lines from a person at a terminal, or from a script that plays one.
+"""Keys and lines from a person at a terminal, or from a script on stdin.
 
 `read_key` and `read_line` wait; `PressedKeys` gives keys while a program goes on.
 """
@@ -31,7 +31,7 @@ class NoAnswerError(UserError):
 
 
 def read_key() -> str:
-    """One key; arrows as w, s, d, a; q at the end of a script."""
+    """Wait for a key and return it; arrows as w, s, d, a; q at the end of the input."""
     if sys.stdin.isatty():
         key = _terminal_key(sys.stdin.fileno())
     else:
@@ -45,7 +45,7 @@ def read_key() -> str:
 
 
 def read_line(question: str) -> str:
-    """Read one line. Raises NoAnswerError at the end of a script."""
+    """Print a question and return the line read. Raises NoAnswerError at the input's end."""
     sys.stderr.write(f"{question}: ")
     sys.stderr.flush()
     line = sys.stdin.readline()
@@ -56,7 +56,7 @@ def read_line(question: str) -> str:
 
 
 def _terminal_key(terminal: int) -> str:
-    """One key without Enter, unseen; "" when the terminal is gone. Ctrl-C stays a signal."""
+    """Read a key without Enter or echo; "" if the terminal is gone. Ctrl-C stays a signal."""
     before = termios.tcgetattr(terminal)
     try:
         tty.setcbreak(terminal, termios.TCSANOW)  # the default forgets keys typed ahead
@@ -71,10 +71,10 @@ def _terminal_key(terminal: int) -> str:
 
 
 class PressedKeys:
-    """Single keys without Enter, unseen. Use it as a context manager: it holds the terminal.
+    """Single keys without Enter or echo; a `with` block sets the terminal's mode and restores it.
 
-    A script's keys come one at a time, line ends left out; at its end comes `end`. Keys that are
-    more than a character, arrows for one, are no keys here.
+    A script's keys come one at a time, line ends left out; at its end comes `end`. Keys of more
+    than one character, such as arrows, are ignored.
     """
 
     def __init__(self, end: str = "q") -> None:
@@ -83,7 +83,7 @@ class PressedKeys:
         self._before: list[Any] | None = None
 
     def next_key(self, timeout_s: float, wake: Any = None) -> str | None:
-        """The next key in lower case, or None after so long, or once `wake` is readable."""
+        """Return the next key in lower case; None after `timeout_s` or once `wake` is readable."""
         sources = [self._input] if wake is None else [self._input, wake]
         if self._input not in select.select(sources, [], [], timeout_s)[0]:
             return None

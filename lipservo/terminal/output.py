@@ -1,4 +1,4 @@
-"""How results, messages and progress leave the program."""
+"""The output of results, messages and progress to stdout and stderr."""
 
 import contextlib
 import json
@@ -25,14 +25,17 @@ _CONTROLS: Final = dict.fromkeys(map(ord, "\a\b\v\f\r"))
 
 
 class _LazyConsole:
-    """A console of rich, made when one is needed: a plain line of `lipservo stop` needs none."""
+    """A console of rich, created on first need: a plain line of `lipservo stop` needs none."""
 
     def __init__(self, *, stderr: bool) -> None:
         self._stderr = stderr
         self._made: Console | None = None
 
     def print(self, *objects: object, **options: Any) -> None:
-        """As `rich.console.Console.print`; the terminal breaks lines that are too long for it."""
+        """Print as `rich.console.Console.print`; the terminal breaks lines that are too long.
+
+        With `--log-json` a line for stderr becomes a log line.
+        """
         is_line = len(objects) == 1 and type(objects[0]) is str
         options = {"soft_wrap": is_line, **options}
         is_plain = not any(value for name, value in options.items() if name != "soft_wrap")
@@ -69,7 +72,7 @@ MESSAGES = cast("Console", _LazyConsole(stderr=True))
 
 
 def complain(text: str) -> None:
-    """Why the program ends, on stderr; in vain where the terminal is gone."""
+    """Print to stderr why the program ends; ignore a terminal that is gone."""
     if os.environ.get(LOG_JSON):
         _LOG.error("%s", text)
         return
@@ -79,12 +82,12 @@ def complain(text: str) -> None:
 
 
 def print_json(result: Mapping[str, object]) -> None:
-    """One object on one line of stdout."""
+    """Print an object as one line of JSON on stdout."""
     sys.stdout.write(json.dumps(result) + "\n")
 
 
 def say_simulated() -> None:
-    """Tell a person that nothing real moves: a command moves servos that are only simulated."""
+    """Print a warning that the command moves simulated servos only."""
     MESSAGES.print(
         "SIMULATED: no real servo moves; --port, or `bus:` in the face's YAML, names real ones",
         style="bold yellow",
@@ -98,7 +101,7 @@ def machine_class() -> str:
 
 @contextmanager
 def progress_bar(*, quiet: bool) -> Iterator[Advance]:
-    """A function (what, how many are done, of how many) that draws bars on stderr."""
+    """Yield a function (what, how many are done, of how many) that draws bars on stderr."""
     from rich.progress import Progress, TimeRemainingColumn
 
     columns = (*Progress.get_default_columns()[:-1], TimeRemainingColumn())

@@ -1,7 +1,8 @@
-"""A step that a page leads: it tells JSON lines on stdout, and takes orders as such on stdin.
+"""The connection of a step with the web page that leads it: JSON lines on stdout and stdin.
 
-The page's server is another process, which may hang or die at any moment. So a thread of its own
-writes, and what waits to be written is bounded; another reads. What moves servos waits for neither.
+The step writes events and reads orders. The page's server is another process, which may hang or die
+at any time. So a thread of its own writes, with a bounded queue, and another reads. The code that
+moves servos waits for neither.
 """
 
 import contextlib
@@ -24,7 +25,7 @@ _PATIENCE_S: Final = 1.0
 
 
 class PageLine:
-    """Both ways between a step and the page that leads it."""
+    """The connection of a step with the page that leads it: events to the page, orders from it."""
 
     def __init__(self) -> None:
         self._pending_lines: queue.Queue[str] = queue.Queue(_MOST_WAITING)
@@ -33,7 +34,7 @@ class PageLine:
             threading.Thread(target=work, name="page", daemon=True).start()
 
     def tell(self, event: str, **content: Any) -> None:
-        """Send one event; where the page reads no more, the oldest one waiting makes room."""
+        """Queue an event for the page; drop the oldest waiting one if the page reads no more."""
         line = json.dumps({"event": event, **content})
         while True:
             with contextlib.suppress(queue.Full):
@@ -43,13 +44,13 @@ class PageLine:
                 self._pending_lines.task_done()
 
     def finish(self) -> None:
-        """Wait until all lines are written, a second at most."""
+        """Wait until all events are written, a second at most."""
         until_s = time.monotonic() + _PATIENCE_S
         while self._pending_lines.unfinished_tasks and time.monotonic() < until_s:
             time.sleep(0.01)
 
     def next_order(self, timeout_s: float | None = None) -> Order | None:
-        """The next order; None: none came in time."""
+        """Return the next order; None if none comes within `timeout_s` (None: wait forever)."""
         with contextlib.suppress(queue.Empty):
             return self._orders.get(timeout=timeout_s)
         return None

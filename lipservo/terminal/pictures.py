@@ -1,4 +1,4 @@
-"""Pictures that commands draw with matplotlib, the extra `plots`."""
+"""Checks and writing of pictures that commands draw with matplotlib, the extra `plots`."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -16,20 +16,20 @@ _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 class PictureError(UserError):
-    """Pictures that cannot be drawn."""
+    """A path at which pictures cannot be drawn."""
 
 
 def check_picture(path: Path, inputs: Iterable[Path] = ()) -> None:
-    """See before the work that a picture can be drawn there; only a picture is replaced.
+    """Check before the work that a picture can be written to `path`; only a picture is replaced.
 
-    Raises MissingExtraError or OutputError.
+    inputs: files that it must not overwrite. Raises MissingExtraError or OutputError.
     """
     check_extra("matplotlib", "drawing pictures")
     check_output(path, replaces=is_picture, kind="PNG picture", inputs=inputs)
 
 
 def check_folder(folder: Path, names: Iterable[str]) -> None:
-    """See before the work that pictures of these names can be drawn in a folder, new or not.
+    """Check before the work that pictures of these names can be written to a folder, new or not.
 
     Raises PictureError, MissingExtraError or OutputError.
     """
@@ -45,19 +45,19 @@ def check_folder(folder: Path, names: Iterable[str]) -> None:
 
 
 def without_screen() -> None:
-    """Draw into files alone, whatever the computer can show. Call before pyplot is imported."""
+    """Make matplotlib draw into files only, without a screen. Call before pyplot is imported."""
     import matplotlib as mpl
 
     mpl.use("Agg")
 
 
 def save_picture(figure: "Figure", path: Path) -> None:
-    """Write a figure as PNG, whole or not at all; its folder is made. Raises OutputError."""
+    """Write a figure as PNG, whole or not at all, and create its folder. Raises OutputError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with written_whole(path) as partial:
         figure.savefig(partial, dpi=_DOTS_PER_INCH, format="png")
 
 
 def is_picture(head: bytes) -> bool:
-    """Whether a file that begins so is a PNG picture."""
+    """Return whether a file with these first bytes is a PNG picture."""
     return head.startswith(_SIGNATURE)

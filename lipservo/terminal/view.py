@@ -1,8 +1,8 @@
-"""The live terminal view: which phoneme, how open the mouth, where each servo stands.
+"""The live terminal view: the current phoneme, the mouth's opening, each servo's angle.
 
-The lips are a line drawing in Braille dots or plain characters: how far each lip marker has gone
-from rest, on a mouth that is closed, straight and as wide on the left as on the right: no speaker's
-own mouth is, nor is a head held quite level.
+The lips are a line drawing in Braille dots or plain characters: each lip marker's motion from rest
+is drawn on a mouth that is closed, straight and as wide on the left as on the right, since no
+speaker's own mouth is so, nor is a head held quite level.
 """
 
 import threading
@@ -58,18 +58,18 @@ _LAST_PICTURE_S = 0.5
 def draw_mouth(
     markers_mm: Array, rest_mm: Array, layout: PointLayout, *, ascii_only: bool = False
 ) -> list[str]:
-    """Draw both lips from the front in text; of the layout those lips that it has.
+    """Draw the lips from the front as text: both, or those that the layout has.
 
     Parameters
     ----------
     markers_mm : Array
-        (n_points, 3).
+        (n_points, 3) mm.
     rest_mm : Array
-        (n_points, 3), the same speaker's closed mouth.
+        (n_points, 3) mm, the closed mouth of that speaker.
     layout : PointLayout
-        Of the points.
+        Layout of the points.
     ascii_only : bool
-        No Braille.
+        Whether to draw without Braille.
 
     Returns
     -------
@@ -86,28 +86,28 @@ def draw_mouth(
 
 
 def lip_loops_mm(markers_mm: Array, rest_mm: Array, layout: PointLayout) -> list[Array]:
-    """Return each lip that the layout has, outer first, as seen from the front.
+    """Return the points of each lip that the layout has, outer first, as seen from the front.
 
-    At rest both are of one mouth that is even.
+    At rest the lips are drawn closed and symmetric; motion from rest is added.
 
     Parameters
     ----------
     markers_mm,rest_mm : Array
-        (n_points, 3), as `draw_mouth`.
+        (n_points, 3) mm; the closed mouth of that speaker.
     layout : PointLayout
-        Of the points.
+        Layout of the points.
 
     Returns
     -------
     list[Array]
-        (n, 2) each, y upwards.
+        (n, 2) mm each, y upwards, from the middle of the mouth.
     """
     moved_mm = (markers_mm - rest_mm)[:, :2]
     return [at_rest_mm + moved_mm[loop] for loop, at_rest_mm in _neutral_lips(rest_mm, layout)]
 
 
 def _neutral_lips(rest_mm: Array, layout: PointLayout) -> list[tuple[list[int], Array]]:
-    """Each lip's markers, and where they are drawn at rest: (n, 2), from the middle of the mouth.
+    """Return each lip's markers and their positions drawn at rest, (n, 2) from the mouth's middle.
 
     The mean of the mouth and its mirror image, with the inner lips in one straight line.
     """
@@ -126,7 +126,10 @@ def _neutral_lips(rest_mm: Array, layout: PointLayout) -> list[tuple[list[int], 
 
 
 def _symmetric(places_mm: Array) -> Array:
-    """(n, 2): round a lip, the marker k from one corner mirrors the one k from the other."""
+    """Return the mean of a lip and its mirror image, (n, 2).
+
+    Marker k from one corner, round the lip, mirrors marker k from the other corner.
+    """
     n = len(places_mm)
     mirrored = places_mm[(n // 2 - np.arange(n)) % n]
     return np.stack(
@@ -148,7 +151,7 @@ def _ascii(cell: int) -> str:
 
 
 def _draw_line(canvas: Canvas, start: Array, end: Array) -> None:
-    """start, end: (2,) mm from the middle of the canvas, y up; what falls outside is left out."""
+    """Draw a line into the canvas from start to end, (2,) mm from its middle, y up; clip it."""
     dots = np.stack([start, end]) * [1.0, -1.0] / _MM_PER_DOT + [MOUTH_COLUMNS, 2 * MOUTH_ROWS]
     n_steps = int(np.abs(dots[1] - dots[0]).max() * _STEPS_PER_DOT) + 2
     for x, y in np.floor(np.linspace(dots[0], dots[1], n_steps)).astype(int):
@@ -171,9 +174,9 @@ _ASCII = _Signs("#", ".", "-", "o")
 
 
 class TerminalView:
-    """Keeps the newest tick; a thread of rich draws it ten times a second.
+    """A live view of the newest tick, which a thread of rich draws ten times a second.
 
-    At a regular end the last picture is the mouth at rest, which is where the face has been led.
+    At a regular end the last picture is the mouth at rest, to which the face has been moved.
     """
 
     def __init__(
@@ -183,7 +186,7 @@ class TerminalView:
         joints: Sequence[Joint],
         model: FaceModel,
     ) -> None:
-        """status: of the face; called once a second, by the caller of `observe`."""
+        """Prepare the view. status: returns the face's status; `observe` calls it once a second."""
         self._ask_status = status
         self._status = status()
         self._status_at_s = 0.0
@@ -200,7 +203,7 @@ class TerminalView:
         )
 
     def observe(self, tick: StreetTick) -> None:
-        """Show this tick at the next refresh."""
+        """Store a tick to be shown at the next refresh."""
         if abs(tick.sound_s - self._status_at_s) >= _STATUS_EVERY_S:
             self._status_at_s = tick.sound_s
             self._status = self._ask_status()
@@ -259,7 +262,7 @@ class TerminalView:
         return head
 
     def _face(self, tick: StreetTick) -> RenderableType:
-        """Mouth and servos beside each other, or the servos alone where there is no room."""
+        """Return mouth and servos side by side, or the servos alone if the terminal is narrow."""
         name_width = max(len(joint.name) for joint in self._joints)
         room = self._console.width - name_width - _ANGLE_COLUMNS
         with_mouth = room - MOUTH_COLUMNS - 2
@@ -274,7 +277,11 @@ class TerminalView:
         return face
 
     def _servos(self, tick: StreetTick, room: int) -> Table:
-        """A line each. room: columns for a space and a scale; without it names may be cut."""
+        """Return a table with a line for each servo.
+
+        room: columns for a space and a scale; with too few of them the scale is left out and names
+        may be cut.
+        """
         width = min(room - 1, _WIDEST_BAR)
         n_letters = max(self._console.width - _ANGLE_COLUMNS, _FEWEST_LETTERS)
         servos = Table.grid(padding=(0, 1))
@@ -288,12 +295,12 @@ class TerminalView:
         return servos
 
     def _bar(self, share: float, width: int) -> Text:
-        """Filled from the left; share 0..1."""
+        """Return a bar of `width` characters, filled from the left by `share`, 0..1."""
         n = round(min(max(share, 0.0), 1.0) * max(width, 0))
         return Text(self._signs.full * n + self._signs.empty * (width - n), style="red")
 
     def _scale(self, share: float, width: int) -> Text:
-        """One mark on a scale of `width` characters; share 0..1."""
+        """Return a scale of `width` characters with a mark at `share`, 0..1."""
         n = round(min(max(share, 0.0), 1.0) * (width - 1))
         text = Text(self._signs.line * n, style="dim")
         text.append(self._signs.mark, style="green")

@@ -1,1 +1,1 @@
-"""Traces of what a face did: written while it runs, read, compared and drawn afterwards."""
+"""Traces of a face's motion: written while it runs; then read, compared and drawn."""

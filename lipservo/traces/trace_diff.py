@@ -1,7 +1,7 @@
-"""Where two traces differ in motion: degrees of servos, millimetres of lips, ms; and a picture.
+"""The difference in motion between two traces: degrees of servos, mm of lips, ms; and a picture.
 
-Both are laid over one another by sound time, so that another delay alone is no difference. The
-picture needs matplotlib, the extra `plots`.
+Both are aligned by sound time, so that another delay alone is no difference. The picture needs
+matplotlib, the extra `plots`.
 """
 
 from dataclasses import dataclass
@@ -35,12 +35,12 @@ _SUFFIXES = (".png", ".svg")
 
 
 class IncomparableError(UserError):
-    """Two traces that have nothing to compare."""
+    """Two traces that cannot be compared."""
 
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """One bad moment. lips_mm: rms over the lip markers; off_deg: of the servo named."""
+    """A time of large difference. lips_mm: rms over lip markers; off_deg: of the servo named."""
 
     sound_s: float
     phonemes: tuple[str, str]
@@ -52,14 +52,13 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """What `b` does otherwise than `a`, over the time that both show.
+    """What trace `b` does otherwise than `a`, over the time that both contain.
 
     lips_mm: rms over the lip markers; gap_mm: of the inner lips' distance; servo_deg: (n_servos,)
-    largest and rms; all are the largest of any tick unless they say rms.
-    lag_s: how much later b moves as a whole; None where nothing moves. closure_shifts_s: of
-    those that both have, by how much each begins later in b; the others by the sound time at which
-    they begin. ends_apart_s: how much of the sound only one
-    of them shows, beyond a tick.
+    largest and rms; all are the largest of any tick unless their names contain rms. lag_s: how much
+    later b moves as a whole; None if nothing moves. closure_shifts_s: of closures in both, how much
+    later each begins in b; lost_closures_s, new_closures_s: sound times at which those begin that
+    only a, only b has. ends_apart_s: how much of the sound only one trace contains, beyond a tick.
     """
 
     overlap_s: tuple[float, float]
@@ -78,7 +77,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """What may differ: lips and gap in mm, servos in degrees, lag and closures in seconds."""
+    """The allowed difference: lips and gap in mm, servos in deg, lag and closures in seconds."""
 
     mm: float
     deg: float
@@ -87,10 +86,10 @@ class Tolerance:
 
 @dataclass(frozen=True, slots=True)
 class Overlay:
-    """Two traces on the first one's times within their overlap, n ticks; for numbers and pictures.
+    """Two traces at the first one's times within their overlap, n ticks; for numbers and pictures.
 
-    gaps_mm: two (n,); lips_mm: (n,), rms over the lip markers of how far they are apart;
-    sent_deg: two (n, n_servos). own: sound times and lip gaps of each on its own ticks, (n_own,).
+    gaps_mm: two (n,); lips_mm: (n,), rms over the lip markers of their distance; sent_deg: two (n,
+    n_servos). own: sound times and lip gaps of each trace at its own ticks, (n_own,).
     """
 
     sound_s: Array
@@ -102,7 +101,7 @@ class Overlay:
 
 
 def overlay(a: Trace, b: Trace, models: tuple[FaceModel, FaceModel]) -> Overlay:
-    """Lay b over a; models: of each. Raises IncomparableError, one line, for what cannot be."""
+    """Align two traces by sound time; models: of each. Raises IncomparableError with one line."""
     if a.servos != b.servos:
         only = sorted(set(a.servos) ^ set(b.servos))
         what = f"only one of them has {only[0]}" if only else "in another order"
@@ -140,9 +139,9 @@ def overlay(a: Trace, b: Trace, models: tuple[FaceModel, FaceModel]) -> Overlay:
 
 
 def compare(a: Trace, b: Trace, laid: Overlay, *, margin_mm: float, n_worst: int = 5) -> Difference:
-    """Every figure of the difference.
+    """Return all figures of the difference between two traces.
 
-    margin_mm: a closure that the other trace misses by less is not called lost.
+    laid: their overlay. margin_mm: a closure that the other trace misses by less is not lost.
     """
     apart_deg = np.abs(laid.sent_deg[1] - laid.sent_deg[0])
     gap_a, gap_b = laid.gaps_mm
@@ -164,7 +163,7 @@ def compare(a: Trace, b: Trace, laid: Overlay, *, margin_mm: float, n_worst: int
 
 
 def excesses(servos: tuple[str, ...], found: Difference, tolerance: Tolerance) -> list[str]:
-    """What is beyond the tolerance, a line each; empty = nothing is."""
+    """Return a line for each figure that exceeds the tolerance; empty if none does."""
     lines = []
     if found.lips_mm > tolerance.mm:
         lines.append(f"lips are up to {found.lips_mm:.2f} mm apart, {tolerance.mm:g} allowed")
@@ -192,21 +191,21 @@ def excesses(servos: tuple[str, ...], found: Difference, tolerance: Tolerance) -
 
 
 def motion_lag_s(times_s: Array, first: Array, second_s: Array, second: Array) -> float | None:
-    """Return how much later the second curve moves: where their cross-correlation is largest.
+    """Return how much later the second curve moves: the maximum of their cross-correlation.
 
-    A quarter of a second at most, refined by a parabola.
+    The lag is a quarter of a second at most, refined by a parabola.
 
     Parameters
     ----------
     times_s,first : Array
-        (n,).
+        (n,) seconds and values of the first curve.
     second_s,second : Array
-        (m,), at times of its own.
+        (m,) seconds and values of the second curve.
 
     Returns
     -------
     float | None
-        Seconds; None where either stands still or they hardly overlap.
+        Seconds; None if either hardly moves or they hardly overlap.
     """
     if min(first.std(), second.std()) < _STILL_MM:
         return None
@@ -234,14 +233,14 @@ def motion_lag_s(times_s: Array, first: Array, second_s: Array, second: Array) -
 
 @dataclass(frozen=True, slots=True)
 class _Closure:
-    """Closed from `start_s` on; times_s: its ticks."""
+    """A closure of the lips that begins at `start_s`. times_s: its ticks."""
 
     start_s: float
     times_s: Array
 
 
 def _closures(times_s: Array, gaps_mm: Array) -> list[_Closure]:
-    """When the lips close, between ticks, and how long they stay so."""
+    """Return each closure of the lips: its start, interpolated between ticks, and its ticks."""
     closed = gaps_mm < CLOSED_GAP_MM
     found = []
     for start in (np.flatnonzero(closed[1:] & ~closed[:-1]) + 1).tolist():
@@ -257,7 +256,7 @@ def _closures(times_s: Array, gaps_mm: Array) -> list[_Closure]:
 def _match_closures(
     laid: Overlay, margin_mm: float
 ) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
-    """Shifts of those that both have; those that only the first, only the second has."""
+    """Return the shifts of closures in both traces, and the starts of those in only one of them."""
     span_s = laid.sound_s[0], laid.sound_s[-1]
     ours, theirs = (
         [each for each in _closures(*own) if span_s[0] <= each.start_s <= span_s[1]]
@@ -279,7 +278,7 @@ def _match_closures(
 
 
 def _open(own: tuple[Array, Array], closure: _Closure, margin_mm: float) -> bool:
-    """Whether the lips stay open all through another trace's closure, by more than a hair."""
+    """Return whether the lips stay open by more than `margin_mm` all through a closure."""
     return bool(np.interp(closure.times_s, *own).min() > CLOSED_GAP_MM + margin_mm)
 
 
@@ -288,7 +287,7 @@ def _own_gaps(trace: Trace, model: FaceModel) -> tuple[Array, Array]:
 
 
 def _worst(a: Trace, laid: Overlay, apart_deg: Array, n_worst: int) -> tuple[Moment, ...]:
-    """By how far the lips are apart; servos decide where these are alike."""
+    """Return the `n_worst` ticks of largest lip distance, then servo difference, 0.3 s apart."""
     badness = laid.lips_mm + 1e-3 * apart_deg.max(axis=1)
     left = badness.copy()
     found: list[Moment] = []
@@ -310,7 +309,7 @@ def _worst(a: Trace, laid: Overlay, apart_deg: Array, n_worst: int) -> tuple[Mom
 
 
 def _ends_apart_s(a: Trace, b: Trace) -> float:
-    """Before sound time 0 there is nothing to show."""
+    """Return by how many s starts or ends differ, beyond a tick; time before 0 does not count."""
     tick_s = max(float(np.diff(trace.sound_s).min()) for trace in (a, b))
     starts_s, ends_s = (
         [max(0.0, float(trace.sound_s[end])) for trace in (a, b)] for end in (0, -1)
@@ -320,12 +319,12 @@ def _ends_apart_s(a: Trace, b: Trace) -> float:
 
 
 def _at(from_s: Array, values: Array, times_s: Array) -> Array:
-    """(n, k) at other times, on straight lines."""
+    """Interpolate values (n, k) linearly at other times."""
     return np.stack([np.interp(times_s, from_s, column) for column in values.T], axis=1)
 
 
 def check_plot(path: Path) -> None:
-    """See that there is something to draw with, and a place for it.
+    """Check that the picture of a difference can be drawn and written to `path`.
 
     Raises UserError for another kind of picture, OutputError, MissingExtraError.
     """
@@ -340,7 +339,7 @@ def _is_drawing(head: bytes) -> bool:
 
 
 def draw_difference(path: Path, first: Trace, second: Trace, laid: Overlay) -> None:
-    """Lip gaps, how far lips are apart, and the servos that differ most, against sound time."""
+    """Write a picture of lip gaps, lip distance and the most different servos over sound time."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -371,7 +370,7 @@ def draw_difference(path: Path, first: Trace, second: Trace, laid: Overlay) -> N
 
 
 def _name_phonemes(axis: "Axes", laid: Overlay) -> None:
-    """Those of the first trace above the axis, on two lines in turn."""
+    """Write the first trace's phonemes above the axis, alternating between two lines."""
     place = axis.get_xaxis_transform()
     before, n = "", 0
     for time_s, (phoneme, _) in zip(laid.sound_s.tolist(), laid.phonemes, strict=True):

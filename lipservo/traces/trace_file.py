@@ -1,8 +1,8 @@
-"""What happened at every tick, on disk: JSON lines, one header, one line a tick, one last line.
+"""Trace files, with a line for every tick: JSON lines, one header, one line a tick, one last line.
 
-The file appears under its name when it is complete; until then it is `NAME.partial`. It holds no
-wall-clock time, so that two replays of one file give the same bytes. What is read may be whole or
-cut short, plain or `.gz`.
+The file gets its name when it is complete; until then it is `NAME.partial`. It contains no
+wall-clock time, so that two replays of one file give the same bytes. A file that is read may be
+whole or cut short, plain or `.gz`.
 """
 
 import gzip
@@ -37,21 +37,21 @@ _MOST_BYTES = 8_000_000_000
 
 
 class TraceError(UserError):
-    """A trace that broke off."""
+    """A trace that could not be written to its end, or cannot be read."""
 
 
 def is_trace(head: bytes) -> bool:
-    """Whether a file that begins so is a trace."""
+    """Return whether a file with these first bytes is a trace."""
     return head.startswith(f'{{"{_MARK}":'.encode())
 
 
 class TraceFile:
-    """Writes each tick at once. For `replay`, where no loop waits for a tick."""
+    """A trace file that each tick is written to at once: for `replay`, where no loop waits."""
 
     def __init__(self, path: Path, header: Mapping[str, object]) -> None:
-        """header: what a reader needs to know first, such as the servo names.
+        """Open the file and write `header`, what a reader needs first, such as the servo names.
 
-        Raises OutputError where it cannot be written; only a trace is written over.
+        Raises OutputError if it cannot be written; only a trace is overwritten.
         """
         check_output(path, replaces=is_trace, kind="trace")
         self._path = path
@@ -62,14 +62,14 @@ class TraceFile:
         self._write({_MARK: TRACE_VERSION, **header})
 
     def observe(self, tick: StreetTick) -> None:
-        """Write one tick. Raises TraceError where the disk is full; no file is left then."""
+        """Write one tick. Raises TraceError if the disk is full, and then leaves no file."""
         self._write(_record_of(self._n_ticks, tick))
         self._n_ticks += 1
 
     def close(self, dropped: int = 0) -> None:
-        """Complete the file and give it its name; `dropped` ticks were never written.
+        """Complete the file and give it its name; `dropped` is the number of ticks not written.
 
-        Raises OutputError where that fails; does nothing to an abandoned file.
+        Raises OutputError if that fails; does nothing to a closed or abandoned file.
         """
         if self._file.closed:
             return
@@ -77,7 +77,7 @@ class TraceFile:
             self._write({"ticks": self._n_ticks, "dropped": dropped})
 
     def abandon(self) -> None:
-        """Leave no file: it could not be completed."""
+        """Remove the unfinished file, as it cannot be completed."""
         with suppress(OutputError), self._whole:
             raise OutputError("abandoned")
 
@@ -101,13 +101,13 @@ class TraceFile:
 
 
 class BackgroundTrace:
-    """Hands ticks to a thread that writes them: the tick itself touches no file.
+    """A trace written by a thread, so that a tick itself writes to no file.
 
-    When the disk is a minute behind, ticks are dropped and the last line says how many.
+    When the disk is a minute behind, ticks are dropped, and the last line has their number.
     """
 
     def __init__(self, file: TraceFile) -> None:
-        """When it breaks off, that is logged, and raised at the end."""
+        """Start the thread; an error in writing is logged, and raised when the block ends."""
         self._file = file
         self._queue: queue.Queue[StreetTick | None] = queue.Queue(_QUEUE_LENGTH)
         self._error: TraceError | None = None
@@ -116,7 +116,7 @@ class BackgroundTrace:
         self._thread.start()
 
     def observe(self, tick: StreetTick) -> None:
-        """Queue one tick."""
+        """Queue one tick to be written; count it as dropped if the queue is full."""
         try:
             self._queue.put_nowait(tick)
         except queue.Full:
@@ -171,9 +171,9 @@ def _rounded(values: Sequence[float]) -> list[float]:
 class Trace:
     """The motion of one run, tick by tick, n ticks in order of time.
 
-    sound_s: (n,), the sound time that each tick shows; coefficients: (n, n_components);
-    sent_deg: (n, n_servos); model: checksum of the face model. notes: what a reader should know,
-    such as that it was cut short. complete: it has its last line.
+    sound_s: (n,), sound time of the frame at each tick; coefficients: (n, n_components); sent_deg:
+    (n, n_servos); model: checksum of the face model. notes: cautions for a reader, such as that it
+    was cut short. complete: whether it has its last line.
     """
 
     name: str
@@ -190,7 +190,7 @@ class Trace:
 
 
 def read_trace(path: Path) -> Trace:
-    """The trace in a file. Raises TraceError, one line, for what is none."""
+    """Read a trace file. Raises TraceError with one line if it is no trace or is damaged."""
     lines = _lines(path)
     head = _parsed(lines[0]) if lines else None
     if head is None or head.get("lipservo_trace") != TRACE_VERSION:
@@ -256,7 +256,7 @@ def _trace(
 
 
 def _lines(path: Path) -> list[bytes]:
-    """Without empty ones; what is left of a packed file that was cut short counts."""
+    """Return the file's non-empty lines, unpacked; a `.gz` file cut short gives those it has."""
     try:
         if path.suffix != ".gz":
             return [line for line in path.read_bytes().split(b"\n") if line]

@@ -1,4 +1,4 @@
 """The AnimPho method (Wei and Deng, "A Practical Model for Live Speech-Driven Lip-Sync").
 
-Units (data), selection, blending, and the synthesiser that joins them.
+Modules: the units (data), their selection, their blending, and the synthesiser that joins these.
 """

@@ -1,12 +1,12 @@
-"""Which AnimPho plays the next phoneme: the paper's two strategies, and one guided by a target.
+"""Selection of the AnimPho for the next phoneme: the paper's two strategies, and a guided one.
 
-The paper's strategies do not look ahead. What a strategy remembers is in the `Choice` it returned
-last, so that it can be taken back without a trace.
+The paper's strategies do not look ahead. They keep no state: what they need to remember is in the
+`Choice` that they returned last, so that a choice can be undone.
 
-They ask for connected and for smooth, and hear of the mouth only through the phonemes.
-`GuidedSelection` asks first for near: it is given a target at five times of what is left of the
-phone. An AnimPho says how the mouth moves and the target where: both are compared about their own
-means.
+They ask for a connected and smooth motion, and know of the mouth only through the phonemes.
+`GuidedSelection` asks first for nearness to a target, which is given at five times of the rest of
+the phone. An AnimPho tells how the mouth moves and the target tells where: both are compared about
+their own means.
 """
 
 from dataclasses import dataclass
@@ -24,10 +24,11 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The AnimPho taken for a phoneme.
+    """The AnimPho selected for a phoneme p_t, after the AnimPho a_{t-1}.
 
-    chain_lengths: (m,), the priorities v_i of eq. (2), 0 outside L(p_t); empty for strategies
-    without. missed: the AnimPho is not in L(p_t) and T(a_{t-1}) both. A first phoneme never misses.
+    animpho: its index. missed: it is not both in L(p_t), the phoneme's AnimPhos, and in T(a_{t-1}),
+    the successors; never so for a first phoneme. chain_lengths: (m,), the priorities v_i of eq.
+    (2), 0 outside L(p_t); empty for strategies without priorities.
     """
 
     animpho: int
@@ -36,17 +37,17 @@ class Choice:
 
 
 class SelectionStrategy(Protocol):
-    """Picks AnimPhos phoneme by phoneme. Phonemes must be known to them."""
+    """A strategy that selects one AnimPho per phoneme; it accepts only known phonemes."""
 
     @property
     def name(self) -> str:
-        """Its name on the command line."""
+        """The name of the strategy on the command line."""
 
     def first(self, units: AnimPhoUnits, phoneme: str) -> Choice:
-        """The start of a chain, out of the closed mouth."""
+        """Return the choice for the first phoneme of a chain, which begins at the closed mouth."""
 
     def following(self, units: AnimPhoUnits, phoneme: str, previous: Choice) -> Choice:
-        """The next link after `previous`."""
+        """Return the choice for the next phoneme of the chain, after the choice `previous`."""
 
 
 def smoothness_energy(units: AnimPhoUnits, previous: int, candidates: Indices) -> Array:
@@ -57,43 +58,43 @@ def smoothness_energy(units: AnimPhoUnits, previous: int, candidates: Indices) -
     units : AnimPhoUnits
         All AnimPhos.
     previous : int
-        Number of the AnimPho before.
+        Index of the AnimPho played before.
     candidates : Indices
-        (k,) numbers.
+        (k,) indices of AnimPhos.
 
     Returns
     -------
     Array
-        (k,).
+        (k,) distances between the end of `previous` and the start of each candidate.
     """
     end = units.samples[previous, -1]
     return np.asarray(np.linalg.norm(units.samples[candidates, 0] - end, axis=1))
 
 
 def nearest_to_rest(units: AnimPhoUnits, candidates: Indices) -> int:
-    """The AnimPho that starts nearest the closed mouth; the paper is silent on the first one."""
+    """Return the candidate's index that starts nearest the closed mouth; the paper has no rule."""
     distance = np.linalg.norm(units.samples[candidates, 0] - units.rest, axis=1)
     return int(candidates[np.argmin(distance)])
 
 
 def chain_lengths(units: AnimPhoUnits, candidates: Indices, previous: Array) -> Array:
-    """Return v_i for each AnimPho: 0 outside `candidates`, else Wei and Deng, eq. (2).
+    """Return each AnimPho's chain length v_i: 0 outside `candidates`, else Wei and Deng, eq. (2).
 
-    The longest chain through a predecessor is its v_j + 1, and 0 + 1 = 1 where there is none.
+    A candidate's v_i is the largest v_j of its predecessors plus 1; 1 where it has no predecessor.
 
     Parameters
     ----------
     units : AnimPhoUnits
         m AnimPhos.
     candidates : Indices
-        (k,) numbers.
+        (k,) indices of the AnimPhos of the phoneme.
     previous : Array
         (m,), the v_j of the phoneme before, 0 outside L(p_{t-1}).
 
     Returns
     -------
     Array
-        (m,).
+        (m,) chain lengths v_i.
     """
     before = units.predecessors
     # reduceat needs a non-empty stretch for every row: the appended 0 serves AnimPhos without any.
@@ -106,16 +107,23 @@ def chain_lengths(units: AnimPhoUnits, candidates: Indices, previous: Array) -> 
 
 
 class NaiveSelection:
-    """The smoothest of L(p_t) and T(a_{t-1}); of all AnimPhos when none is in both."""
+    """Strategy: the smoothest AnimPho that belongs to the phoneme and follows the last AnimPho.
+
+    If there is none, the smoothest of all AnimPhos.
+    """
 
     name = "naive"
 
     def first(self, units: AnimPhoUnits, phoneme: str) -> Choice:
-        """The AnimPho of the phoneme that starts nearest the closed mouth."""
+        """Choose the AnimPho of the phoneme that starts nearest the closed mouth."""
         return Choice(nearest_to_rest(units, units.of_phoneme(phoneme)), False, np.empty(0))
 
     def following(self, units: AnimPhoUnits, phoneme: str, previous: Choice) -> Choice:
-        """Eq. (1) over phi."""
+        """Choose, by eq. (1), the smoothest AnimPho of the phoneme that follows `previous`.
+
+        If no AnimPho of the phoneme is a successor of `previous`, choose the smoothest of all
+        AnimPhos, with `missed` set.
+        """
         connected = np.intersect1d(
             units.of_phoneme(phoneme), units.successors[previous.animpho], assume_unique=True
         )
@@ -126,19 +134,26 @@ class NaiveSelection:
 
 
 class PrioritySelection:
-    """The end of the longest chain that spells the phonemes so far; then connected; then smooth."""
+    """Strategy: the AnimPho that ends the longest chain which spells the phonemes so far.
+
+    Among equals one that follows the last AnimPho in training, then the smoothest.
+    """
 
     name = "priority"
 
     def first(self, units: AnimPhoUnits, phoneme: str) -> Choice:
-        """All priorities are 1; the AnimPho that starts nearest the closed mouth."""
+        """Choose the phoneme's AnimPho that starts nearest the closed mouth; all priorities: 1."""
         candidates = units.of_phoneme(phoneme)
         lengths = np.zeros(len(units))
         lengths[candidates] = 1.0
         return Choice(nearest_to_rest(units, candidates), False, lengths)
 
     def following(self, units: AnimPhoUnits, phoneme: str, previous: Choice) -> Choice:
-        """Highest v_i of eq. (2); among equals one connected with a_{t-1}; then eq. (1)."""
+        """Choose the AnimPho of the phoneme with the highest chain length v_i of eq. (2).
+
+        Among equals a successor of a_{t-1}, the AnimPho of `previous`; then the smoothest by eq.
+        (1).
+        """
         candidates = units.of_phoneme(phoneme)
         lengths = chain_lengths(units, candidates, previous.chain_lengths)
         best = candidates[lengths[candidates] == lengths[candidates].max()]
@@ -156,11 +171,11 @@ STRATEGIES: dict[str, SelectionStrategy] = {
 
 @dataclass(frozen=True, slots=True)
 class SelectionCosts:
-    """What a candidate is charged beside its mean squared distance from the target.
+    """Weights of the costs that are added to a candidate's mean squared distance from the target.
 
-    position: for the squared distance between its start and the mouth as it is; speed_s2: for the
-    squared difference of their speeds, s^2; unconnected: for not being in T(a_{t-1}), in squared
-    units of the components. Chosen on inner splits (decisions/0028).
+    position: of the squared distance between its start and the mouth's position now; speed_s2: of
+    the squared difference of their speeds, in s^2; unconnected: cost of not being in T(a_{t-1}), in
+    squared units of the components. Chosen on inner splits (decisions/0028).
     """
 
     position: float = 0.02
@@ -170,11 +185,11 @@ class SelectionCosts:
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """Where a new stretch takes over.
+    """The mouth's state at the time within a phone at which a new stretch of motion begins.
 
-    share: how much of the phone is over, from 0 to below 1; position, speed: (n_components,) each,
-    of the mouth as it is, speed per second; spacing_s: between two of the five samples of what is
-    left; previous: a_{t-1}, None out of rest.
+    share: fraction of the phone that is over, from 0 to below 1; position, speed: (n_components,)
+    each, of the mouth now, speed per second; spacing_s: seconds between two of the five samples of
+    the rest of the phone; previous: index of the AnimPho a_{t-1}, None after rest.
     """
 
     share: float
@@ -186,9 +201,10 @@ class Joint:
 
 @dataclass(frozen=True, slots=True)
 class _Candidates:
-    """L(p): samples (k, 5 n_components) about their means, as where an AnimPho lies costs nothing.
+    """The AnimPhos L(p) of a phoneme: indices (k,), samples (k, 5 n_components) minus their means.
 
-    products: (k, 25), of the samples with each other over the components.
+    The means are removed because an AnimPho's position costs nothing. products: (k, 25), of the
+    samples with each other over the components.
     """
 
     indices: Indices
@@ -197,7 +213,7 @@ class _Candidates:
 
 
 class GuidedSelection:
-    """The AnimPho of a phoneme that costs least.
+    """Selection of the AnimPho of a phoneme that costs least against a target motion.
 
     All costs are squares of what is linear in the samples x (5, n_components) of an AnimPho, so
     their sum is x' M x + v x, with one M (5, 5) and one v for all candidates: two products.
@@ -213,21 +229,21 @@ class GuidedSelection:
         self._candidates = {p: _candidates(units, p) for p in units.known_phonemes}
 
     def choose(self, phoneme: str, target: Array, joint: Joint) -> int:
-        """Choose the AnimPho of a known phoneme for the rest of a phone.
+        """Return the index of the AnimPho of a phoneme that costs least for the rest of a phone.
 
         Parameters
         ----------
         phoneme : str
-            Of the model's.
+            One of the model's known phonemes.
         target : Array
-            (5, n_components), from now until the phone's end.
+            (5, n_components), the wanted face at even times from now until the phone's end.
         joint : Joint
-            What the AnimPho continues.
+            State of the mouth that the AnimPho continues.
 
         Returns
         -------
         int
-            Its number.
+            Index of the AnimPho.
         """
         candidates = self._candidates[phoneme]
         centre = target.mean(axis=0)

@@ -1,8 +1,8 @@
 """The published live method, end to end: phonemes in, face coefficients at any time out.
 
-A phoneme is planned once, when its first instant is due; frames already shown never change.
-The caller shows sound `longest_phone_s` late, so that the end of every phoneme up to that length
-is known by then; a longer one plays for that long and is then held.
+A phoneme is planned once, when its first instant is due; frames already shown never change. The
+caller shows the face `longest_phone_s` after the sound arrives, so that the end of every phoneme up
+to that length is known by then; a longer one plays for that long and is then held.
 """
 
 import math
@@ -42,10 +42,10 @@ _KEPT = 16
 
 @dataclass(frozen=True, slots=True)
 class _Stretch:
-    """One planned piece of motion.
+    """One planned piece of motion, which another piece replaces at `until_s`.
 
-    until_s: when the next piece takes over. Infinite while it rests: then the first known event
-    that starts after `after_s` ends it.
+    until_s: sound time; infinite while the mouth rests: then the first known event that starts
+    after `after_s` ends the piece.
     """
 
     trajectory: Trajectory
@@ -83,13 +83,13 @@ class PublishedSynthesizer:
 
     @property
     def track(self) -> PhonemeTrack:
-        """The phonemes as they are believed now, end to end; for parts wrapped around this one."""
+        """The phonemes known now, joined end to end; for synthesizers that wrap this one."""
         if self._track is None:
             self._track = track_of(self._timeline.events)
         return self._track
 
     def reset(self) -> None:
-        """Forget everything; the mouth is closed and the stream begins anew at sound time 0."""
+        """Forget all phonemes and motion: the mouth is closed, and sound time begins at 0."""
         rest = self._units.rest
         closed = ease(0.0, SETTLE_S, rest, np.zeros_like(rest), rest)
         self._timeline = PhonemeTimeline()
@@ -101,12 +101,12 @@ class PublishedSynthesizer:
         self.misses = 0
 
     def push(self, update: PhonemeUpdate) -> None:
-        """Take a revision of the phonemes; what has been shown stays as it is."""
+        """Apply a revision to the known phonemes; motion already planned is not changed."""
         self._timeline.apply(update)
         self._track = None
 
     def frame_at(self, time_s: float) -> Frame:
-        """The frame at sound time `time_s`; the same time gives the same frame.
+        """Return the frame at sound time `time_s`; equal times give equal frames.
 
         Times may step back by a few phonemes, not more.
         """
@@ -124,23 +124,23 @@ class PublishedSynthesizer:
         Parameters
         ----------
         frame : Frame
-            The newest.
+            The newest frame.
         times_s : Array
-            (k,).
+            (k,) later sound times in seconds; only their number is used.
 
         Returns
         -------
         Array
-            (k, n_components).
+            (k, n_components), the frame's coefficients repeated.
         """
         return np.tile(frame.coefficients, (len(times_s), 1))
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
-        """The phoneme at a time as known now, for displays."""
+        """Return the phoneme known now at a sound time, for displays; None if none is."""
         return self._timeline.event_at(time_s)
 
     def _end_of_plan_s(self) -> float:
-        """When the newest stretch gives way to a phoneme that is already known."""
+        """Return the sound time at which the next motion begins; inf while no event is known."""
         newest = self._stretches[-1]
         if math.isfinite(newest.until_s):
             return newest.until_s
@@ -151,7 +151,10 @@ class PublishedSynthesizer:
         return math.inf
 
     def _plan(self, start_s: float) -> None:
-        """Decide the motion from `start_s` on, for the phoneme that is heard there."""
+        """Append the motion from sound time `start_s` on, for the phoneme at that time.
+
+        A pause closes the mouth; a rest of a phoneme below 20 ms is held; else AnimPhos are played.
+        """
         event = self._timeline.event_at(start_s)
         end_s = math.inf if event is None or event.end_s is None else event.end_s
         remaining_s = end_s - start_s
@@ -170,13 +173,13 @@ class PublishedSynthesizer:
         return duration_s > PAUSE_S or SILENCE not in self._known
 
     def _rest(self, start_s: float, event: PhonemeEvent | None, position: Array) -> None:
-        """Settle at a position until the next event."""
+        """Append an easing to `position`, held until the first event that starts after `event`."""
         after_s = -math.inf if event is None else event.start_s
         trajectory = ease(start_s, SETTLE_S, *self._state_at(start_s), position)
         self._stretches.append(_Stretch(trajectory, math.inf, after_s))
 
     def _speak(self, phoneme: str, start_s: float, duration_s: float) -> None:
-        """Play a phoneme, or its stand-ins one after the other in equal shares."""
+        """Append motion for a phoneme: its AnimPho, or its stand-ins' in equal shares of time."""
         parts = stand_in(phoneme, self._known)
         share_s = duration_s / len(parts)
         for number, part in enumerate(parts):
@@ -205,5 +208,5 @@ class PublishedSynthesizer:
         self.misses += chosen.missed
 
     def _state_at(self, time_s: float) -> tuple[Array, Array]:
-        """Position and velocity per second at the end of what is planned."""
+        """Return position and velocity per second of the newest stretch at a sound time."""
         return self._stretches[-1].trajectory.at(time_s)

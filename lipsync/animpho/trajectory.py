@@ -1,4 +1,4 @@
-"""Samples of AnimPhos joined to the motion so far, and the curve through them.
+"""Functions that join an AnimPho's samples to the motion so far, and the curve through the samples.
 
 Samples are numbered 1..5 as in the paper in the formulas, 0..4 in the code.
 """
@@ -12,9 +12,10 @@ from lipsync.arrays import Array
 
 
 def choose_connected(units: AnimPhoUnits, previous: int, chosen: int) -> int:
-    """b_t: the AnimPho that really follows a_{t-1} and moves most like a_t. Wei and Deng, eq. (3).
+    """Return b_t: the AnimPho that follows a_{t-1} in training and moves most like a_t.
 
-    a_t itself when it follows a_{t-1}, or when nothing does (the last AnimPho of a sentence).
+    Wei and Deng, eq. (3). It is a_t (`chosen`) itself when that follows a_{t-1} (`previous`), or
+    when no AnimPho does (the last one of a sentence).
     """
     followers = units.successors[previous]
     if len(followers) == 0 or chosen in followers:
@@ -29,30 +30,30 @@ def translate(animpho: Array, start: Array) -> Array:
     Parameters
     ----------
     animpho : Array
-        (5, n_components).
+        (5, n_components) samples.
     start : Array
-        (n_components,).
+        (n_components,) position.
 
     Returns
     -------
     Array
-        (5, n_components).
+        (5, n_components) moved samples.
     """
     return np.asarray(animpho + (start - animpho[0]))
 
 
 def left_samples(share: float) -> Array:
-    """Return weights that resample the rest of an AnimPho after a share of it, linearly.
+    """Return weights that linearly resample the rest of an AnimPho, after a share of it has passed.
 
     Parameters
     ----------
     share : float
-        0 to below 1.
+        Fraction that has passed, 0 to below 1.
 
     Returns
     -------
     Array
-        (5, 5): new samples by the AnimPho's own.
+        (5, 5): each row holds one new sample's weights on the AnimPho's five samples.
     """
     at = np.linspace(share, 1.0, SAMPLES_PER_ANIMPHO) * (SAMPLES_PER_ANIMPHO - 1)
     return np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(SAMPLES_PER_ANIMPHO)))
@@ -66,12 +67,12 @@ def blend(connected: Array, chosen: Array, joined_by: float = 1.0) -> Array:
     connected,chosen : Array
         (5, n_components): b'_t and a_t.
     joined_by : float
-        0 to 1: by which share of it m_t has become a_t; in the paper at its end.
+        Above 0 to 1: fraction of m_t after which it equals a_t; the paper's is 1.
 
     Returns
     -------
     Array
-        (5, n_components).
+        (5, n_components) samples of m_t.
     """
     weight = np.linspace(0.0, 1.0, SAMPLES_PER_ANIMPHO)[:, None]
     weight = np.minimum(1.0, weight / joined_by)
@@ -79,19 +80,19 @@ def blend(connected: Array, chosen: Array, joined_by: float = 1.0) -> Array:
 
 
 def sample_derivatives(samples: Array, first: Array) -> Array:
-    """Return d_t per sample spacing. Wei and Deng, eq. (5).
+    """Return the derivatives d_t at the samples, per sample spacing. Wei and Deng, eq. (5).
 
     Parameters
     ----------
     samples : Array
-        (5, n_components).
+        (5, n_components) samples.
     first : Array
-        (n_components,), the derivative carried over.
+        (n_components,), derivative at the first sample, carried over from the motion before.
 
     Returns
     -------
     Array
-        (5, n_components).
+        (5, n_components) derivatives.
     """
     derivatives = np.empty_like(samples)
     derivatives[0] = first
@@ -106,7 +107,7 @@ _ROUNDING_S = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """Cubic Hermite curve through evenly spaced samples; it rests at its last one afterwards.
+    """Cubic Hermite curve through evenly spaced samples; after its end it rests at the last sample.
 
     samples, derivatives: (n, n_components), derivatives per sample spacing; n >= 2.
     """
@@ -118,12 +119,12 @@ class Trajectory:
 
     @property
     def end_s(self) -> float:
-        """Time of the last sample."""
+        """Sound time of the last sample, in seconds."""
         return self.start_s + self.duration_s
 
     @property
     def spacing_s(self) -> float:
-        """Time between two samples."""
+        """Seconds between two samples."""
         return self.duration_s / (len(self.samples) - 1)
 
     def at(self, time_s: float) -> tuple[Array, Array]:
@@ -132,12 +133,12 @@ class Trajectory:
         Parameters
         ----------
         time_s : float
-            At least start_s; past the end: the last sample at rest.
+            At least start_s; past the end, the last sample at rest is returned.
 
         Returns
         -------
         tuple[Array, Array]
-            (n_components,), and (n_components,) per second.
+            Position (n_components,), and derivative (n_components,) per second.
         """
         if time_s > self.end_s + _ROUNDING_S:
             return self.samples[-1], np.zeros_like(self.samples[-1])
@@ -159,21 +160,21 @@ class Trajectory:
 def ease(
     start_s: float, duration_s: float, position: Array, velocity: Array, to: Array
 ) -> Trajectory:
-    """Return the trajectory from a moving position to rest.
+    """Return the trajectory from a moving position to rest at another one.
 
     Parameters
     ----------
     start_s,duration_s : float
-        Seconds.
+        Start and length in seconds.
     position,to : Array
-        (n_components,).
+        (n_components,) first and last position.
     velocity : Array
-        (n_components,) per second.
+        (n_components,) per second, at the start.
 
     Returns
     -------
     Trajectory
-        From `position` to `to`, with the end of `duration_s` seconds at rest.
+        From `position` to `to`, at rest after `duration_s` seconds.
     """
     return Trajectory(
         start_s,

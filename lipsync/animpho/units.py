@@ -1,11 +1,11 @@
-"""AnimPhos, the animation units of Wei and Deng: five frames each, and what follows what.
+"""AnimPhos, the animation units of Wei and Deng: five frames each, and which may follow which.
 
-Their tables of zeros and ones are `IndexLists`: which AnimPhos follow one, which belong to a
-phoneme.
+The paper's tables of zeros and ones are `IndexLists`: the AnimPhos that follow each AnimPho, and
+the AnimPhos of each phoneme.
 
-`in_layout` shows a face at other points than it was trained with: robots are calibrated at 47
-named markers. A model of more points has them among its own; where one has no inner lips, they are
-taken to move with the outer ones: a lip keeps its thickness, and both meet half-way between the
+`in_layout` gives a face at other points than it was trained with: robots are calibrated at 47 named
+markers. A model of more points has them among its own; where one has no inner lips, they are
+assumed to move with the outer ones: a lip keeps its thickness, and both meet half-way between the
 outer lips when the mouth is at rest.
 """
 
@@ -37,7 +37,7 @@ class IndexLists:
 
     @classmethod
     def from_pairs(cls, rows: Indices, columns: Indices, n_rows: int) -> "IndexLists":
-        """From the table's non-zero places, given in any order and any number of times."""
+        """Return the lists of a table's non-zero (row, column) pairs; duplicates are merged."""
         pairs = np.unique(np.stack([rows, columns], axis=1), axis=0).astype(np.int64)
         starts = np.searchsorted(pairs[:, 0], np.arange(n_rows + 1)).astype(np.int64)
         return cls(starts, np.ascontiguousarray(pairs[:, 1]))
@@ -49,11 +49,11 @@ class IndexLists:
         return self.indices[self.starts[row] : self.starts[row + 1]]
 
     def transposed(self, n_rows: int) -> "IndexLists":
-        """Return the table read by columns; n_rows is the number of columns here."""
+        """Return the table with rows and columns swapped; n_rows: the new number of rows."""
         return IndexLists.from_pairs(self.indices, self.rows(), n_rows)
 
     def rows(self) -> Indices:
-        """The row of every stored index."""
+        """Return the row number of every stored index, (len(indices),)."""
         return np.repeat(np.arange(len(self)), np.diff(self.starts))
 
 
@@ -66,9 +66,9 @@ SAMPLES_PER_ANIMPHO = 5
 class AnimPhoUnits:
     """All AnimPhos of a speaker and the paper's two tables.
 
-    rest: (n_components,), the closed mouth, out of which a chain of AnimPhos begins.
-    samples: (m, 5, n_components). successors: T of the paper, `successors[i]` = T(a_i).
-    phoneme_table: L of the paper, a row for each of `PHONEMES`.
+    rest: (n_components,), the closed mouth, from which a chain of AnimPhos begins. samples: (m, 5,
+    n_components). successors: T of the paper, `successors[i]` = T(a_i). predecessors: `successors`
+    transposed. phoneme_table: L of the paper, a row for each of `PHONEMES`.
     """
 
     rest: Array
@@ -82,51 +82,51 @@ class AnimPhoUnits:
 
     @property
     def known_phonemes(self) -> frozenset[str]:
-        """The phonemes that training heard; others are played by a stand-in."""
+        """The phonemes that have AnimPhos, as they occurred in training; others need a stand-in."""
         return frozenset(p for i, p in enumerate(PHONEMES) if len(self.phoneme_table[i]))
 
     @property
     def mean_successors(self) -> float:
-        """How many AnimPhos follow one on average; the paper: 3.45."""
+        """The mean number of AnimPhos that follow one; 3.45 in the paper."""
         return len(self.successors.indices) / len(self.samples)
 
     @property
     def frames(self) -> Array:
-        """Every sample of every AnimPho: faces that speech makes.
+        """Every sample of every AnimPho, as the faces that occur in speech.
 
         Returns
         -------
         Array
-            (5 m, n_components).
+            Face coefficients, shape (5 m, n_components).
         """
         return self.samples.reshape(-1, self.samples.shape[2])
 
     def of_phoneme(self, phoneme: str) -> Indices:
-        """L(p): the AnimPhos of a phoneme."""
+        """Return L(p): the indices of the AnimPhos of a phoneme; empty if training had none."""
         return self.phoneme_table[PHONEMES.index(phoneme)]
 
 
 @dataclass(frozen=True, slots=True)
 class FaceWithAnimPhos(FaceModel):
-    """A face and the AnimPhos of the same speaker: what a calibration is fitted to."""
+    """A face model and the AnimPhos of its speaker; a robot's calibration is fitted to both."""
 
     animphos: AnimPhoUnits
 
 
 def load_face_with_animphos(path: Path | None = None) -> FaceWithAnimPhos:
-    """Both parts of a model file; None: the shipped one. Raises ModelError."""
+    """Read the face and the AnimPhos of a model file; None: the shipped one. Raises ModelError."""
     with open_model(path) as file:
         face = read_face(file)
         return FaceWithAnimPhos(**face_fields(face), animphos=read_animphos(file, face))
 
 
 def face_fields(face: FaceModel) -> dict[str, Any]:
-    """What a face is made of, to make one of with more to it."""
+    """Return the field values of a `FaceModel` by name, to build an instance of a subclass."""
     return {field.name: getattr(face, field.name) for field in fields(FaceModel)}
 
 
 def read_animphos(file: ModelFile, face: FaceModel) -> AnimPhoUnits:
-    """The AnimPhos of an open model file, for its face. Raises ModelError."""
+    """Return the AnimPhos of an open model file whose face is `face`. Raises ModelError."""
 
     def assemble(arrays: Mapping[str, NDArray[np.generic]]) -> AnimPhoUnits:
         samples = np.asarray(arrays["samples"], dtype=np.float64)
@@ -141,7 +141,7 @@ def read_animphos(file: ModelFile, face: FaceModel) -> AnimPhoUnits:
 
 
 def animpho_arrays(units: AnimPhoUnits) -> dict[str, NDArray[np.generic]]:
-    """Return the arrays that a file keeps of AnimPhos; the rest pose is the face's.
+    """Return the arrays that a model file stores for AnimPhos; the face's part has the rest pose.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def _lists(starts: NDArray[np.generic], indices: NDArray[np.generic]) -> IndexLi
 def _check(
     samples: Array, successors: IndexLists, phoneme_table: IndexLists, n_components: int
 ) -> None:
-    """Raises ValueError unless tables and samples fit together."""
+    """Raise ValueError unless tables and samples fit together and all samples are finite."""
     m = len(samples)
     if samples.shape != (m, SAMPLES_PER_ANIMPHO, n_components):
         raise ValueError(
@@ -199,21 +199,22 @@ _OUTER_OF_INNER = {
 
 @dataclass(frozen=True, slots=True)
 class FaceInOtherLayout(FaceWithAnimPhos):
-    """The same face at other points: the same coefficients, AnimPhos and checksum.
+    """A face model at another layout's points; its coefficients and AnimPhos are unchanged.
 
-    The rows of its basis are no longer orthonormal: it makes markers, and reads none.
+    The rows of its basis are no longer orthonormal: it can compute markers from coefficients, but
+    no coefficients from markers. own_checksum: checksum of the original model.
     """
 
     own_checksum: str
 
     @property
     def checksum(self) -> str:
-        """Checksum of the model that it was made from."""
+        """Checksum of the model from which this one was derived."""
         return self.own_checksum
 
 
 def in_layout(model: FaceWithAnimPhos, layout: PointLayout) -> FaceWithAnimPhos:
-    """The face at the points of a layout.
+    """Return the face at the points of a layout; `model` itself if it has that layout already.
 
     Raises LayoutError for a point that cannot be computed.
     """

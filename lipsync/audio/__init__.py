@@ -1,4 +1,4 @@
-"""Where sound comes from: files, microphones, silence.
+"""Sound input and output: files, microphones, loudspeakers, silence, and the timeline of speech.
 
-Every source hands out `AudioBlock`s whose times are counted in samples; nothing here knows words.
+Every source returns `AudioBlock`s whose times are counted in samples; nothing here knows words.
 """

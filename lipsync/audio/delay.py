@@ -1,6 +1,6 @@
-"""The delay of a loudspeaker: clicks are played, and looked for in a recording of a microphone.
+"""Measurement of a loudspeaker's delay: clicks are played and found in a microphone's recording.
 
-The devices' time stamps are compared with what was heard.
+The times at which they are found are compared with those expected from the devices' time stamps.
 """
 
 import math
@@ -42,7 +42,7 @@ _LEAST_PEAK: Final = 0.001
 
 @dataclass(frozen=True, slots=True)
 class Delay:
-    """How late clicks were heard, in seconds: the median, and the farthest of them from it."""
+    """A measured delay in seconds: median over the clicks found, and the largest deviation."""
 
     median_s: float
     spread_s: float
@@ -51,7 +51,7 @@ class Delay:
 
 
 def click_train(sample_rate_hz: int) -> Samples:
-    """All clicks (n,), ending with the last."""
+    """Return the test signal of all clicks (n,) at `CLICKS_S`; it ends with the last click."""
     click = _click(sample_rate_hz)
     train = np.zeros(round(CLICKS_S[-1] * sample_rate_hz) + len(click), dtype=np.float32)
     for begins_s in CLICKS_S:
@@ -61,10 +61,10 @@ def click_train(sample_rate_hz: int) -> Samples:
 
 
 def find_delay(recorded: Samples, expected_s: Seconds) -> Delay:
-    """How late the clicks are in a recording (n,) at 16 kHz.
+    """Return how late the clicks are in a recording (n,) at 16 kHz.
 
-    expected_s: (n_clicks,) when each would be heard without a delay, in seconds from the first
-    sample. Raises SoundError, in one line, where no delay can be measured.
+    expected_s: (n_clicks,) times at which they would be heard without a delay, in seconds from the
+    first sample. Raises SoundError, in one line, where no delay can be measured.
     """
     if np.max(np.abs(recorded), initial=0.0) < _LEAST_PEAK:
         raise SoundError("the microphone heard nothing: is it the right one, is either muted?")
@@ -101,10 +101,10 @@ def _click(sample_rate_hz: int) -> Samples:
 
 
 def _matched(recorded: Samples) -> tuple[Seconds, Seconds]:
-    """Both (n,): how strong a click begins at each sample, and how like a click that stretch is.
+    """Return two arrays (n,): a click's strength at each sample, and the likeness to a click.
 
-    The second is 0 to 1, whatever the level. An echo that stands alone is more like the click than
-    the click that it follows, but weaker. Polarity is of no account.
+    The likeness is 0 to 1, whatever the level. An echo that stands alone is more like the click
+    than the click that it follows, but weaker. Polarity is of no account.
     """
     click = _click(SAMPLE_RATE_HZ).astype(np.float64)
     click /= np.linalg.norm(click)
@@ -125,7 +125,7 @@ def _largest_near(values: Seconds, reach: int) -> Seconds:
 
 
 def _at(values: Seconds, times_s: Seconds) -> Seconds:
-    """Values at these times; 0 before the first and after the last."""
+    """Return the values, sampled at 16 kHz, at times in s; 0 at times outside the values."""
     places = np.round(times_s * SAMPLE_RATE_HZ).astype(np.int64)
     is_there = (places >= 0) & (places < len(values))
     found: Seconds = np.where(is_there, values[np.where(is_there, places, 0)], 0.0)
@@ -135,7 +135,10 @@ def _at(values: Seconds, times_s: Seconds) -> Seconds:
 def _one_delay(
     matched: Seconds, likeness: Seconds, expected_s: float, coarse_s: float
 ) -> float | None:
-    """One click's own delay, near the one that fits all; None where no click is heard."""
+    """Return the delay in s of the click due at `expected_s`, within 12 ms of `coarse_s`.
+
+    None if the recording does not reach that far or no stretch there is like a click.
+    """
     first = max(0, round((expected_s + coarse_s - _AROUND_S) * SAMPLE_RATE_HZ))
     window = matched[first : first + round(2.0 * _AROUND_S * SAMPLE_RATE_HZ)]
     if len(window) == 0:
@@ -158,11 +161,11 @@ _NEAR_S: Final = 0.25
 
 
 class Microphone(AudioSource, Protocol):
-    """A source that says when its sound was captured."""
+    """A sound source that reports when its sound was captured."""
 
     @property
     def captured(self) -> tuple[float, float] | None:
-        """(monotonic seconds, sound time captured then)."""
+        """(monotonic seconds, sound time captured then), the newest; None before the first."""
 
 
 def measure_delay(
@@ -171,10 +174,11 @@ def measure_delay(
     clock: Callable[[], float],
     sleep: Callable[[float], None],
 ) -> Delay:
-    """How much later than the loudspeaker says its sound is heard. Both are open; takes 7 s.
+    """Play clicks and return how much later they are heard than the loudspeaker reports; takes 7 s.
 
-    The error of the microphone's own time stamps is in it, and the way through the air: 3 ms a
-    metre. Raises SoundError where the clicks are not heard well enough, or nothing plays.
+    Both devices must be open. The error of the microphone's own time stamps is included, and the
+    sound's travel through the air: 3 ms a metre. Raises SoundError where the clicks are not heard
+    well enough, or the loudspeaker plays nothing, or the microphone delivers nothing.
     """
     train = np.concatenate((click_train(speaker.rate_hz), np.zeros(speaker.rate_hz, np.float32)))
     begun_s = clock()
@@ -207,10 +211,10 @@ def measure_delay(
 
 
 def _expected_s(left: Reports, captured: Reports) -> NDArray[np.float64]:
-    """The sound time of the microphone at which each click is heard if it is not late.
+    """Return the microphone's sound time at which each click is heard if it is not late, (n,).
 
     By the time stamps near each click alone: while it wakes up, a device may lose sound without
-    saying so (a PulseAudio monitor 0.2 s of it).
+    reporting it (a PulseAudio monitor 0.2 s of it).
     """
     expected_s = []
     for click_s in CLICKS_S:
@@ -220,7 +224,11 @@ def _expected_s(left: Reports, captured: Reports) -> NDArray[np.float64]:
 
 
 def _zero_s(reports: Reports, distance_s: NDArray[np.float64]) -> float:
-    """When time 0 was, by the reports (n, 2) of clock and position that are near, or nearest."""
+    """Return the clock time of position 0 in s, the median over the reports near a click.
+
+    reports: (n, 2) clock and position; distance_s: (n,) of each from the click. Near is within 0.25
+    s; if no report is, the nearest counts.
+    """
     nearest_s = float(np.min(np.abs(distance_s)))
     is_near = np.abs(distance_s) <= max(_NEAR_S, nearest_s)
     return float(np.median(reports[is_near, 0] - reports[is_near, 1]))

@@ -1,9 +1,10 @@
-"""Sound devices, through PortAudio: which there are, opening one, and opening a lost one again.
+"""Sound devices through PortAudio: list them, open one, and reopen a lost one.
 
-sounddevice is imported only when a device is used: a robot that plays files to a face without
-a loudspeaker needs no PortAudio.
+sounddevice is imported only when a device is used: a robot that plays files to a face without a
+loudspeaker needs no PortAudio.
 
-A lost device is opened again by name, in a thread of its own: who plays or listens never waits.
+A lost device is reopened by name, in a thread of its own: the code that plays or records never
+waits for it.
 """
 
 import contextlib
@@ -27,9 +28,9 @@ _CARD_NUMBER: Final = re.compile(r"\s*\(hw:\d+,\d+\)$")
 
 @dataclass(frozen=True, slots=True)
 class SoundDevice:
-    """A device that can be listened to, or played on; `sample_rate_hz` is the rate it likes best.
+    """A microphone or loudspeaker known to PortAudio; `sample_rate_hz` is its preferred rate.
 
-    n_channels: the most it has in the direction of use.
+    n_channels: the most channels that it has in the direction of use.
     """
 
     index: int
@@ -40,37 +41,37 @@ class SoundDevice:
 
     @property
     def lasting_name(self) -> str:
-        """Its name without ALSA's card number: the same whenever it is plugged in."""
+        """The device's name without ALSA's card number, unchanged by plugging it in again."""
         return _CARD_NUMBER.sub("", self.name)
 
 
 class OpenStream(Protocol):
-    """What is used of a `sounddevice` stream."""
+    """The part of a `sounddevice` stream's interface that this package uses."""
 
     @property
     def active(self) -> bool:
-        """Whether its callback is being called."""
+        """Whether the stream is running, so that its callback is being called."""
 
     @property
     def latency(self) -> float:
-        """What the device claims, in seconds, when it is opened."""
+        """The latency in seconds that the device reports when it is opened."""
 
     @property
     def time(self) -> float:
-        """The clock of its time stamps, in seconds."""
+        """The time in seconds now, on the clock of the stream's time stamps."""
 
     def start(self) -> None:
-        """Start the stream's callbacks."""
+        """Start the stream, so that its callback is called."""
 
     def abort(self) -> None:
-        """End at once, whatever waits to be played; errors are ignored."""
+        """End the stream at once, without playing what is buffered; errors are ignored."""
 
     def close(self) -> None:
-        """Give the device back; errors are ignored."""
+        """Close the stream and free its device; errors are ignored."""
 
 
 def import_sounddevice() -> ModuleType:
-    """The sounddevice module, or SoundError when it or its PortAudio library is missing."""
+    """Return the sounddevice module. Raises SoundError if it or PortAudio's library is missing."""
     try:
         import sounddevice
     except ImportError as error:
@@ -87,11 +88,12 @@ def import_sounddevice() -> ModuleType:
 
 
 def quiet_alsa() -> None:
-    """Let ALSA print nothing: a slow computer would fill a log with its lines on underruns.
+    """Stop ALSA from printing: a slow computer would fill a log with its lines on underruns.
 
-    They are counted by the flags of each callback, and what cannot be opened is a SoundError. ALSA
-    calls its handler in the thread that plays, which must not wait for Python or a terminal: `abs`
-    of the C library takes what it is given and does nothing. Without ALSA nothing happens.
+    Underruns are counted by the flags of each callback, and a device that cannot be opened is a
+    SoundError. ALSA calls its handler in the thread that plays, which must not wait for Python or a
+    terminal: so `abs` of the C library, which does nothing, is the handler. Without ALSA nothing
+    happens.
     """
     with contextlib.suppress(OSError, AttributeError):
         nothing = ctypes.cast(ctypes.CDLL(None).abs, ctypes.c_void_p)
@@ -99,7 +101,7 @@ def quiet_alsa() -> None:
 
 
 def sound_devices(direction: Direction) -> tuple[SoundDevice, ...]:
-    """All devices with at least one channel in it; SoundError when there is no PortAudio."""
+    """Return all devices with a channel in `direction`. Raises SoundError without PortAudio."""
     sounddevice = import_sounddevice()
     default_index = sounddevice.default.device[0 if direction == "input" else 1]
     channels = f"max_{direction}_channels"
@@ -117,9 +119,10 @@ def sound_devices(direction: Direction) -> tuple[SoundDevice, ...]:
 
 
 def find_device(wanted: str | int | None, direction: Direction) -> SoundDevice:
-    """The device of this number, of this name or of the one name it is part of; None: the default.
+    """Return the device of this number, of this name, or of the one name that contains it.
 
-    Raises SoundError, which lists those there are.
+    None: the system's default. Raises SoundError, which lists the devices, if none or several
+    match.
     """
     sounddevice = import_sounddevice()
     devices = sound_devices(direction)
@@ -141,21 +144,21 @@ def find_device(wanted: str | int | None, direction: Direction) -> SoundDevice:
 
 
 def is_number(device: str | int | None) -> bool:
-    """Whether a device is meant by its number, which may be another's after the next plug."""
+    """Return whether `device` is a number, which may be another device's after the next plug."""
     return isinstance(device, int) or (device is not None and device.isdecimal())
 
 
 def offset_ms_of(device: str, offsets_ms: Mapping[str, float]) -> float:
-    """What a face says of a device of this name: by its whole name, else by the longest part of it.
+    """Return the offset, ms, that a face configures for a device; 0 if none fits.
 
-    0 where none is given.
+    It is that of the longest name in `offsets_ms` which is the device's name or part of it.
     """
     named = [name for name in offsets_ms if name in device]
     return offsets_ms[max(named, key=len)] if named else 0.0
 
 
 class _OpenStreams:
-    """How many streams this process has open: while any is, PortAudio must not start again."""
+    """The number of streams that this process has open: above 0 PortAudio must not be restarted."""
 
     def __init__(self) -> None:
         self.lock = threading.RLock()
@@ -167,18 +170,18 @@ _STREAMS: Final = _OpenStreams()
 
 @contextmanager
 def opening() -> Iterator[None]:
-    """Around finding a device, making its stream and starting it: one thread at a time.
+    """Lock PortAudio while a device is found and its stream made and started: one thread at a time.
 
-    Meanwhile no other makes the list anew, which would end a stream that is made and not counted.
+    Meanwhile no other thread restarts PortAudio, which would end a stream that is not counted yet.
     """
     with _STREAMS.lock:
         yield
 
 
 def start_stream(stream: OpenStream) -> None:
-    """Start a stream that was made while `opening`, and count it. Raises PortAudioError; closes it.
+    """Start a stream that was made within `opening` and count it as open; close it on failure.
 
-    Takes as long as the device takes: never in a tick.
+    Raises PortAudioError. Takes as long as the device takes: never call it in a tick.
     """
     with _STREAMS.lock:
         _STREAMS.n_open += 1
@@ -190,7 +193,7 @@ def start_stream(stream: OpenStream) -> None:
 
 
 def close_stream(stream: OpenStream) -> None:
-    """Close a started stream, whatever has become of its device. Never in a tick."""
+    """Close a started stream, even of a lost device, and uncount it. Never call it in a tick."""
     try:
         stream.abort()  # a device that is gone would be waited for until its buffers have drained
         stream.close()
@@ -200,10 +203,9 @@ def close_stream(stream: OpenStream) -> None:
 
 
 def list_anew() -> bool:
-    """Make PortAudio look for devices again, which it does only when it starts.
+    """Restart PortAudio so that it lists the devices again; return whether it was restarted.
 
-    Starting again ends every open stream of the process: while there is one, nothing is done, and
-    the list stays as it was. Gives whether it is new.
+    A restart ends every open stream of the process: while one is open, nothing is done.
     """
     sounddevice = import_sounddevice()
     with _STREAMS.lock:
@@ -226,11 +228,11 @@ LOOK_S: Final = 0.1
 
 
 class DeviceWatch:
-    """Keeps one stream open.
+    """A watch that keeps one stream open: it notices when the device is lost, and reopens it.
 
-    `open_stream` finds the device by the names that there are now and starts a stream of it; it
-    raises SoundError where that cannot be done. The stream's callback reports each
-    of its calls to `note_call`.
+    `open_stream` finds the device by the names that exist now and starts a stream of it; it raises
+    SoundError where that cannot be done. The stream's callback reports each of its calls to
+    `note_call`.
     """
 
     def __init__(self, open_stream: Callable[[], OpenStream], clock: Callable[[], float]) -> None:
@@ -244,32 +246,32 @@ class DeviceWatch:
 
     @property
     def is_lost(self) -> bool:
-        """Whether no stream is open, or the open one has stopped."""
+        """Whether no stream is open: the device was lost, or never opened."""
         return self._stream is None
 
     @property
     def n_losses(self) -> int:
-        """How often the device was lost so far."""
+        """The number of times that the device was lost so far."""
         return self._n_losses
 
     @property
     def stream(self) -> OpenStream | None:
-        """The stream; None while the device is lost."""
+        """The open stream; None while the device is lost."""
         return self._stream
 
     def open(self) -> None:
-        """Open the device for the first time, here and now. Raises SoundError."""
+        """Open the device for the first time, in the caller's thread. Raises SoundError."""
         with opening():
             self._start()
 
     def start(self) -> None:
-        """Look after it from now on, in a thread of its own."""
+        """Start a thread that calls `look` every 0.1 s until `close`."""
         self._ending.clear()
         self._thread = threading.Thread(target=self._run, name="sound device", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Stop looking, and close what is open; waits for an opening that is under way."""
+        """Stop the watching thread and close the stream; waits for an opening that is under way."""
         self._ending.set()
         if self._thread is not None:
             self._thread.join()
@@ -277,11 +279,11 @@ class DeviceWatch:
         self._close()
 
     def note_call(self, now_s: float) -> None:
-        """The stream's callback was called at monotonic `now_s`. Any thread; never waits."""
+        """Note that the callback was called at monotonic `now_s`. Any thread; never waits."""
         self._called_s = now_s
 
     def look(self) -> None:
-        """Notice a loss; open what is lost, when the last try is long enough ago."""
+        """Close the stream if its device is lost; reopen a lost one, at most once a second."""
         now_s = self._clock()
         stream = self._stream
         if stream is not None and self._has_stopped(stream, now_s):

@@ -3,9 +3,9 @@
 Samples are mixed to mono by averaging the channels. Float files may hold samples outside [-1, 1];
 they are clipped there, as any converter to a loudspeaker would.
 
-What is checked when: the header and the first minute of sound before anything moves, the rest as
-it is played. So the first block of a file of hours comes as soon as that of a file of a minute,
-and a file of up to a minute, which most are, is refused before it plays if anything is wrong.
+The header and the first minute of sound are checked before anything moves, the rest while it is
+played. So the first block of a file of hours comes as soon as that of a file of a minute, and a
+file of up to a minute, as most are, is refused before it plays if anything is wrong.
 
 Opening and checking the header decodes no sound: its time does not depend on the file's length.
 """
@@ -46,10 +46,10 @@ _CUT_SHORT = re.compile(r"^\s*(?:data|SSND) : (\d+) \(should be (\d+)\)", re.MUL
 
 
 def open_sound(path: Path) -> soundfile.SoundFile:
-    """The file, ready to decode. Raises SoundError for what is missing or no sound file.
+    """Open a sound file, ready to decode. Raises SoundError if it is missing or no sound file.
 
-    A pipe or a device is refused without being opened: to open one can take for ever. So are
-    sample rates outside 4 to 192 kHz and more than 32 channels.
+    A pipe or a device is refused without being opened: to open one can take for ever. Refused, too,
+    are sample rates outside 4 to 192 kHz and more than 32 channels.
     """
     _refuse_other_than_files(path)
     try:
@@ -68,9 +68,9 @@ def open_sound(path: Path) -> soundfile.SoundFile:
 
 
 def promised_s(sound: soundfile.SoundFile) -> float | None:
-    """How long the header says that the sound is, where the file ends before; None where not.
+    """Return the length in s that the header promises, if the file is cut short; otherwise None.
 
-    Known of WAV and AIFF; of other kinds only decoding tells.
+    Detected for WAV and AIFF only; for other formats only decoding shows it.
     """
     found = _CUT_SHORT.search(sound.extra_info)
     if found is None:
@@ -82,7 +82,7 @@ def promised_s(sound: soundfile.SoundFile) -> float | None:
 
 
 def reason_of(error: soundfile.LibsndfileError) -> str:
-    """What libsndfile says, or its error's number where it has no words for it."""
+    """Return libsndfile's message for an error, or its number where the message is empty."""
     return str(error.error_string).strip().rstrip(".:") or f"libsndfile error {error.code}"
 
 
@@ -140,15 +140,15 @@ _RUN_IN_S = 0.25
 
 @lru_cache(maxsize=256)
 def log_once(line: str) -> None:
-    """Warn of a file, unless the line is empty: once, although most files are opened again."""
+    """Log a line as a warning, only once for equal lines; nothing is logged for an empty line."""
     if line:
         _LOG.warning("%s", line)
 
 
 def read_sound(path: str | PathLike[str]) -> tuple[Samples, int]:
-    """The whole file as samples (n,) float32 mono in [-1, 1], and its own sample rate in hertz.
+    """Return a whole file as samples (n,) float32 mono in [-1, 1], and its sample rate in hertz.
 
-    Logs a line where the file is shorter than its header says. Raises SoundError for what
+    Logs a line where the file is shorter than its header promises. Raises SoundError for whatever
     `FileSource` refuses, here wherever in the file it is.
     """
     path = Path(path)
@@ -162,9 +162,9 @@ def read_sound(path: str | PathLike[str]) -> tuple[Samples, int]:
 
 @dataclass(frozen=True, slots=True)
 class CheckedSound:
-    """A file's own sample rate, and its length, to the nearest sample at 16 kHz.
+    """A file's own sample rate, and its length in seconds, to the nearest sample at 16 kHz.
 
-    warning: a line where it is shorter than its header says, else empty.
+    warning: a line where the file is shorter than its header promises, else empty.
     """
 
     sample_rate_hz: int
@@ -173,7 +173,10 @@ class CheckedSound:
 
 
 def checked_sound(path: Path) -> CheckedSound:
-    """Decode a file's beginning, as `FileSource` does. Raises SoundError."""
+    """Decode and check a file's first 60 s; return its rate, length and warning.
+
+    Raises SoundError if it is damaged there, empty, silent as a whole, too short or too long.
+    """
     n_frames, has_sound = 0, False
     with open_sound(path) as sound:
         for chunk in _mono_chunks(path, sound):
@@ -198,9 +201,9 @@ def checked_sound(path: Path) -> CheckedSound:
 
 
 def sound_chunks(path: str | PathLike[str], start_s: float = 0.0) -> Iterator[Samples]:
-    """The file from `start_s` on, mono (n,) at its own rate, in pieces of `CHUNK_S`.
+    """Yield a file's sound from `start_s` on, mono (n,) at its own rate, in pieces of `CHUNK_S` s.
 
-    Raises SoundError where it is damaged or holds what is no number.
+    Raises SoundError where it is damaged or holds NaN or infinite samples.
     """
     path = Path(path)
     with open_sound(path) as sound:
@@ -213,20 +216,20 @@ class FileSource:
 
     Raises SoundError for a file that is missing, a directory, a pipe, a device, empty, not sound,
     of impossible settings, shorter than 25 ms or longer than 1,000 hours; and, within its first
-    minute, for damage, samples that are no numbers, and a whole file of nothing but zeros. What is
-    no number later is played as silence, as is all that follows later damage, so that a face at
-    work goes on; it counts as lost blocks.
+    minute, for damage, samples that are NaN or infinite, and a whole file of nothing but zeros.
+    Later NaN or infinite samples are played as silence, as is all that follows later damage, so
+    that a face in motion goes on; this sound counts as lost blocks.
     """
 
     is_live = False
 
     def __init__(self, path: str | PathLike[str], *, start_s: float = 0.0) -> None:
-        """Begin at the block that holds sound time `start_s`; times stay those of the file.
+        """Begin at the block that contains sound time `start_s`; times stay those of the file.
 
-        The samples are those of a source that began at 0 (to rounding, where it is resampled); what
-        lies before is passed over without decoding, but for Ogg and MP3, which have to be decoded.
-        Logs a line where the file is shorter than its header says, now, and what was wrong with
-        the sound that was played, when the source is left.
+        The samples are those of a source that began at 0 (to rounding, where it is resampled); the
+        sound before `start_s` is skipped without decoding, except for Ogg and MP3, which have to be
+        decoded. Logs a line now if the file is shorter than its header promises, and one on
+        `__exit__` if sound was played that could not be decoded.
         """
         self._path = Path(path)
         checked = checked_sound(self._path)
@@ -248,16 +251,16 @@ class FileSource:
 
     @property
     def duration_s(self) -> float:
-        """Length of the sound in seconds, to the nearest sample at 16 kHz."""
+        """Length of the whole file in seconds, to the nearest sample at 16 kHz."""
         return self._duration_s
 
     @property
     def lost_blocks(self) -> int:
-        """Blocks' worth of sound that could not be decoded so far, rounded up."""
+        """The amount of sound that could not be decoded so far, in blocks, rounded up."""
         return -(-self._n_lost // BLOCK_SAMPLES)
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
-        """The blocks not handed out before that end at or before sound time `until_s`."""
+        """Return the blocks not returned before that end at or before sound time `until_s`."""
         while self._chunks is not None and self._cutter.held_until_s < until_s:
             if self._n_left == 0:
                 self._chunks = None
@@ -278,14 +281,17 @@ class FileSource:
             log_once(f"{self._path}: {self._trouble}")
 
     def _speech_chunks(self, first: int) -> Iterator[Samples]:
-        """From sample `first` at 16 kHz on, in pieces (n,) of any length, and silence for ever."""
+        """Yield pieces (n,) at 16 kHz from sample `first` on, then endless silence."""
         with open_sound(self._path) as sound:
             yield from _resampled(self._played_chunks(sound, first), sound.samplerate, first)
         while True:
             yield np.zeros(SAMPLE_RATE_HZ, np.float32)
 
     def _played_chunks(self, sound: soundfile.SoundFile, first: int) -> Iterator[Samples]:
-        """The file mono at its own rate; what cannot be decoded is counted and left out."""
+        """Yield the file's sound mono (n,) at its own rate, until its end or the first damage.
+
+        Samples that are NaN or infinite become 0; these and all after damage are counted as lost.
+        """
         try:
             _go_to(self._path, sound, _first_frame(sound.samplerate, first))
             for chunk in _chunks(self._path, sound):
@@ -305,7 +311,7 @@ class FileSource:
 
 
 def _resampled(chunks: Iterator[Samples], rate_hz: int, first: int) -> Iterator[Samples]:
-    """Chunks that begin at `_first_frame`, at 16 kHz from sample `first` on."""
+    """Yield chunks, which begin at `_first_frame`, resampled to 16 kHz from sample `first` on."""
     if rate_hz == SAMPLE_RATE_HZ:
         yield from chunks
         return
@@ -324,9 +330,9 @@ def _resampled(chunks: Iterator[Samples], rate_hz: int, first: int) -> Iterator[
 
 
 def _first_frame(rate_hz: int, first: int) -> int:
-    """Where in a file to begin for sample `first` at 16 kHz.
+    """Return the file's frame at which decoding must begin for sample `first` at 16 kHz.
 
-    Early enough for the resampler, and where a frame and a sample at 16 kHz fall together.
+    It is 0.25 s early, for the resampler, and where a frame and a sample at 16 kHz coincide.
     """
     if rate_hz == SAMPLE_RATE_HZ:
         return first
@@ -336,7 +342,7 @@ def _first_frame(rate_hz: int, first: int) -> int:
 
 
 def _go_to(path: Path, sound: soundfile.SoundFile, frame: int) -> None:
-    """Let the next sample decoded be number `frame`."""
+    """Move the file's position so that the next sample decoded is number `frame`."""
     try:
         if sound.format in _SEEKS_EXACTLY:
             sound.seek(frame)
@@ -349,7 +355,7 @@ def _go_to(path: Path, sound: soundfile.SoundFile, frame: int) -> None:
 
 
 def _chunks(path: Path, sound: soundfile.SoundFile) -> Iterator[Samples]:
-    """The rest of `sound` as it is, in pieces (n, n_channels) of `CHUNK_S`."""
+    """Yield the undecoded rest of `sound` in pieces (n, n_channels) of `CHUNK_S` seconds."""
     n_chunk = round(CHUNK_S * sound.samplerate)
     while True:
         try:
@@ -371,7 +377,7 @@ def _damaged(
 
 
 def _mono_chunks(path: Path, sound: soundfile.SoundFile) -> Iterator[Samples]:
-    """`_chunks` mixed to mono (n,) in [-1, 1]; SoundError when one holds what is no number."""
+    """Yield the rest of a file mixed to mono (n,) in [-1, 1]; SoundError for NaN or inf samples."""
     n_read = 0
     chunks = _chunks(path, sound)
     for chunk in chunks:
@@ -420,7 +426,7 @@ def _refuse_nothing(path: Path, duration_s: float, has_sound: bool) -> None:
 
 
 def read_speech(path: Path) -> NDArray[np.float32]:
-    """Read a sound file as mono at 16 kHz. Raises as `read_sound` does.
+    """Return a sound file as mono at 16 kHz. Raises SoundError for a file that is refused.
 
     Parameters
     ----------

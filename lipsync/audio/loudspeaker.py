@@ -1,8 +1,8 @@
-"""A loudspeaker, through PortAudio: plays a timeline, and says what of it is heard when.
+"""A loudspeaker through PortAudio: it plays a timeline and reports which position is heard when.
 
 Samples wait in a ring between the live loop, which writes them, and the device, which takes them.
-Neither waits for the other and neither needs a lock: each counts what it has done in a number that
-only it changes, and all counts are of the timeline's samples, from the first that was ever written.
+Neither waits for the other and neither needs a lock: each counts its samples in a number that only
+it changes, and all counts are of the timeline's samples, from the first that was ever written.
 """
 
 import time
@@ -35,14 +35,14 @@ FADE_S: Final = 0.005
 
 
 class SampleRing:
-    """About two seconds of the timeline. What is not taken in time is lost, the oldest first.
+    """A ring buffer of two seconds of the timeline; the oldest samples not taken in time are lost.
 
-    The timeline stays right whatever happens: where samples were lost it goes on behind them, and
-    where none are ready it stands still.
+    The timeline stays right whatever happens: where samples were lost it continues after them, and
+    where none are ready it does not advance.
     """
 
     def __init__(self, rate_hz: int) -> None:
-        """rate_hz: samples a second, a multiple of 100."""
+        """Create an empty ring. rate_hz: samples a second, a multiple of 100."""
         self.rate_hz = rate_hz
         self._ring: Samples = np.zeros((round(RING_S * rate_hz), 1), dtype=np.float32)
         self._n_written = 0  # the writer's
@@ -56,35 +56,35 @@ class SampleRing:
 
     @property
     def n_written(self) -> int:
-        """Samples of the timeline that were written so far."""
+        """The number of samples of the timeline that were written so far."""
         return self._n_written
 
     @property
     def n_taken(self) -> int:
-        """Samples of the timeline that were taken so far, lost ones among them."""
+        """The number of samples of the timeline that were taken or lost so far."""
         return self._n_taken
 
     @property
     def n_lost(self) -> int:
-        """Samples that were overwritten before they could be taken."""
+        """The number of samples that were overwritten before they could be taken."""
         return self._n_lost
 
     @property
     def n_underruns(self) -> int:
-        """How often sound ran out while the loudspeaker needed more."""
+        """The number of times that sound ran out while the loudspeaker needed more."""
         return self._n_underruns
 
     def write(self, samples: Samples) -> None:
-        """The next samples (n,) of the timeline; n is at most the ring's length."""
+        """Write the next samples (n,) of the timeline; n is at most the ring's length."""
         here, from_start = self._parts(self._n_written, self._n_written + len(samples))
         here[:, 0] = samples[: len(here)]
         from_start[:, 0] = samples[len(here) :]
         self._n_written += len(samples)
 
     def take_into(self, frames: Samples) -> int:
-        """Fill frames (n, channels) with the next samples, each on every channel, then with zeros.
+        """Fill frames (n, channels) with the next samples, equal on each channel, then with zeros.
 
-        Gives how many samples of the timeline there were.
+        Return how many samples of the timeline were taken.
         """
         size = len(self._ring)
         n_ready = self._n_written - self._n_taken
@@ -104,10 +104,10 @@ class SampleRing:
         return n
 
     def silence_rest(self, n_untouched: int) -> int:
-        """Fade out, then zeros, in place of all that is written and not taken; by the writer.
+        """Replace the samples not taken yet by a fade-out and zeros; called by the writer.
 
-        n_untouched: the next so many samples stay: the taker may be taking them just now. Gives
-        the sample of the timeline from which on it is silent.
+        n_untouched: the next so many samples stay: the taker may be taking them just now. Return
+        the timeline's sample from which on it is silent.
         """
         oldest = max(self._n_taken, self._n_written - len(self._ring))
         cut = min(oldest + n_untouched, self._n_written)
@@ -122,7 +122,7 @@ class SampleRing:
         return max(cut + n_fade, min(self._n_taken, self._n_written))
 
     def _parts(self, first: int, end: int) -> tuple[Samples, Samples]:
-        """Where a stretch of the timeline lies: up to the ring's end, and from its beginning."""
+        """Return a stretch as two views of the ring: up to its end, and from its beginning."""
         size = len(self._ring)
         n_here = min(end - first, size - first % size)
         return self._ring[first % size :][:n_here], self._ring[: end - first - n_here]
@@ -130,9 +130,9 @@ class SampleRing:
 
 @dataclass(frozen=True, slots=True)
 class PositionReport:
-    """A block's first sample leaves the loudspeaker at `leaves_s`; after `ends_s` all has left.
+    """A device's report on a block: its first sample is heard at `leaves_s`, its last at `ends_s`.
 
-    Both on the monotonic clock. position_s, end_position_s: the timeline at these two.
+    Both on the monotonic clock. position_s, end_position_s: the timeline's seconds at these times.
     """
 
     leaves_s: float
@@ -141,10 +141,9 @@ class PositionReport:
     end_position_s: float
 
     def at(self, now_s: float) -> tuple[float, float]:
-        """(monotonic seconds, timeline seconds that leave then), as far as is known at `now_s`.
+        """Return (monotonic seconds, timeline seconds heard then), as far as known at `now_s`.
 
-        A device that has not taken more by the time that all has left stands still, and its
-        position with it.
+        After `ends_s` the position stays at the block's end, because the device has no more sound.
         """
         if now_s > self.ends_s:
             return now_s, self.end_position_s
@@ -162,16 +161,16 @@ _FARTHEST_S: Final = 2.0
 
 
 class LoudspeakerOutput:
-    """A `lipsync.audio.playout.Loudspeaker`; it plays from `__enter__` to `__exit__`.
+    """A `lipsync.audio.source.Loudspeaker`; it plays from `__enter__` to `__exit__`.
 
     The timeline is what was written, sample by sample. Where nothing is ready zeros are played and
-    the timeline stands still, so that the mouth, which follows `position`, waits for the sound.
+    the timeline does not advance, so that the mouth, which follows `position`, waits for the sound.
 
     `device`: a number, (part of) a name, or None for the system's default. `offsets_ms`: by device
-    name or part of it, how much later than the device says sound leaves it (Bluetooth: 250).
-    Raises SoundError for no PortAudio, no or unknown device, and one that cannot be opened. One
-    that is lost later is looked for again once a second, by name, in a thread of its own; then the
-    timeline goes on where it stopped.
+    name or part of it, how much later than the device reports sound is heard (Bluetooth: 250).
+    Raises SoundError without PortAudio, for no or an unknown device, and for one that cannot be
+    opened. A device that is lost later is searched for once a second, by name, in a thread of its
+    own; then the timeline continues where it stopped.
     """
 
     def __init__(
@@ -183,7 +182,10 @@ class LoudspeakerOutput:
         clock: Callable[[], float] = time.monotonic,
         is_watched: bool = True,
     ) -> None:
-        """volume: 0 to 1, of the samples. is_watched: False: the caller calls `watch.look`."""
+        """Find the device, without opening it. volume: factor on samples, 0 to 1.
+
+        is_watched: False where the caller calls `watch.look` from time to time.
+        """
         self._sounddevice = import_sounddevice()
         with opening():
             self._device = find_device(device, "output")
@@ -204,12 +206,12 @@ class LoudspeakerOutput:
 
     @property
     def name(self) -> str:
-        """The device's own name."""
+        """The name of the loudspeaker in use."""
         return self._device.name
 
     @property
     def lasting_name(self) -> str:
-        """Its name as a face's YAML should have it: the same after the next plug."""
+        """The device's name without ALSA's card number, which changes; for a face's YAML."""
         return self._device.lasting_name
 
     @property
@@ -219,15 +221,15 @@ class LoudspeakerOutput:
 
     @property
     def output_offset_ms(self) -> float:
-        """How much later than it reports sound leaves this device, ms, as configured."""
+        """The configured ms by which sound is heard later than this device reports."""
         return offset_ms_of(self._device.name, self._offsets_ms)
 
     @property
     def latency_s(self) -> float:
-        """From the device's taking a sample to its being heard: the lead must be at least this.
+        """Seconds from the device's taking a sample to its being heard; the lead must be as long.
 
-        Else it finds nothing written when it asks. The larger of what the device claims and has
-        shown so far, a block of 10 ms, and the offset.
+        With a shorter lead the device finds nothing written when it asks. The larger of the latency
+        that the device claims and that seen so far, plus a block of 10 ms and the offset.
         """
         stream = self.watch.stream
         claimed_s = 0.0 if stream is None else stream.latency
@@ -235,51 +237,51 @@ class LoudspeakerOutput:
 
     @property
     def claimed_latency_s(self) -> float:
-        """What the device has shown of it by its own time stamps: without the offset."""
+        """The largest latency in s by the device's own time stamps so far, without the offset."""
         return self._ahead_s
 
     @property
     def is_lost(self) -> bool:
-        """The device is gone: nothing is played, and `position` stays."""
+        """Whether the device is gone: nothing is played, and `position` stays."""
         return self.watch.is_lost
 
     @property
     def n_losses(self) -> int:
-        """How often the device was lost so far."""
+        """The number of times that the device was lost so far."""
         return self.watch.n_losses
 
     @property
     def n_underruns(self) -> int:
-        """How often nothing was written in time while the device needed more."""
+        """The number of times that too little was written when the device needed more."""
         return self._ring.n_underruns
 
     @property
     def n_device_underruns(self) -> int:
-        """How often the device itself had nothing to play: the computer was too slow for it."""
+        """The number of underruns inside the device: the computer was too slow for it."""
         return self._n_device_underruns
 
     @property
     def n_lost_samples(self) -> int:
-        """Samples that were written and never taken: more than two seconds waited."""
+        """The number of samples overwritten before they reached the device: over 2 s waited."""
         return self._ring.n_lost
 
     def write(self, samples: Samples) -> None:
-        """The next samples (n,) float32 mono of the timeline."""
+        """Write the next samples (n,) float32 mono of the timeline, scaled by the volume."""
         self._ring.write(samples if self._volume == 1.0 else samples * self._volume)
 
     def silence_rest(self) -> float:
-        """Play silence in place of all that is written and not on its way to the device.
+        """Play silence in place of everything written that is not on its way to the device.
 
-        Gives the timeline position, in seconds, from which on it is silent: 15 ms after what the
-        device has taken, a block that it may be taking just now and a fade of 5 ms.
+        Return the timeline position, in seconds, from which on it is silent: 15 ms after the last
+        sample that the device has taken, a block that it may be taking just now and a fade of 5 ms.
         """
         return self._ring.silence_rest(round(_BLOCK_S * self.rate_hz)) / self.rate_hz
 
     def position(self) -> tuple[float, float] | None:
-        """(monotonic seconds, timeline seconds that leave the loudspeaker then); None at first.
+        """Return (monotonic seconds, timeline seconds heard then); None before the first report.
 
-        The device's newest report, usually of a moment still to come. A device that is lost, or
-        late, stands still here too: all that it has is heard, and then its position stays.
+        The device's newest report, usually of a time still to come. When a device is lost or late,
+        the position goes on to the end of the sound that it has, and then stays.
         """
         report = self._report  # one object, which the callback replaces: never torn
         return None if report is None else report.at(self._clock())
@@ -313,7 +315,10 @@ class LoudspeakerOutput:
         return self._stream
 
     def _rate_and_channels(self, rates_hz: tuple[int, ...]) -> tuple[int, int]:
-        """The best rate, and as few channels as the device allows. Raises SoundError."""
+        """Return the first rate in Hz that the device accepts, and the fewest channels there.
+
+        Raises SoundError if it accepts none.
+        """
         failure: Exception | None = None
         for rate_hz in rates_hz:
             for n_channels in sorted({1, 2, self._device.n_channels}):
@@ -331,7 +336,10 @@ class LoudspeakerOutput:
         raise _cannot_open(self._device, failure)
 
     def _play(self, frames: Samples, _n_frames: int, timing: "_Timing", status: "_Status") -> None:
-        """PortAudio's thread: the next samples into frames (n, channels), and when they leave."""
+        """Fill frames (n, channels) with the next samples and note when they are heard.
+
+        PortAudio calls it in its own thread.
+        """
         called_s, stream_s = self._clock(), self._stream.time
         position_s = self._ring.n_taken / self.rate_hz
         taken_s = self._ring.take_into(frames) / self.rate_hz
@@ -344,10 +352,11 @@ class LoudspeakerOutput:
         self._report = PositionReport(leaves_s, position_s, ends_s, position_s + taken_s)
 
     def _ahead_of(self, stream_s: float, dac_s: float) -> float:
-        """How long after `stream_s` the frames leave the device, if its clock makes sense.
+        """Return the seconds from `stream_s` until the frames leave the device at `dac_s`.
 
         The stream's clock is not the monotonic one (with ALSA it is the time of day, which may be
-        set): only a difference is used, to its reading at the beginning of the callback.
+        set): only a difference is used, to its reading at the beginning of the callback. Where the
+        clock makes no sense, the stream's claimed latency is returned.
         """
         ahead_s = dac_s - stream_s
         is_usable = dac_s > self._dac_s and 0.0 <= ahead_s < _FARTHEST_S
@@ -359,13 +368,13 @@ class LoudspeakerOutput:
 
 
 class _Timing(Protocol):
-    """What is used of PaStreamCallbackTimeInfo, in seconds of the stream's clock."""
+    """The part of PaStreamCallbackTimeInfo that is used, in seconds of the stream's clock."""
 
     outputBufferDacTime: float  # noqa: N815 - PortAudio's name
 
 
 class _Status(Protocol):
-    """What is used of `sounddevice.CallbackFlags`."""
+    """The part of `sounddevice.CallbackFlags` that is used."""
 
     output_underflow: bool
 

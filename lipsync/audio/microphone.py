@@ -1,4 +1,4 @@
-"""A microphone, through PortAudio."""
+"""A microphone through PortAudio, as a live source of sound."""
 
 import time
 from collections import deque
@@ -38,12 +38,12 @@ RESAMPLING: Final = "LQ"
 class MicrophoneSource:
     """A live `AudioSource`; it listens from `__enter__` to `__exit__`.
 
-    `device`: an index, (part of) a name, or None for the system's default. What is lost, because
-    the computer read too late or the device overran, becomes silence of the same length, so
-    that sound time goes on being right. Sound that has arrived counts, not the clock: pass
-    `until_s=inf` to `blocks` for all of it. Raises SoundError for no PortAudio, no or unknown
-    device, and one that refuses to open. A device that is lost later is silent as long as it is
-    away; it is looked for once a second, by name, in a thread of its own.
+    `device`: an index, (part of) a name, or None for the system's default. Sound that is lost,
+    because the computer read too late or the device overran, becomes silence of equal length, so
+    that sound time stays right. The sound that has arrived counts, not the clock: pass
+    `until_s=inf` to `blocks` for all of it. Raises SoundError without PortAudio, for no or an
+    unknown device, and for one that refuses to open. A device that is lost later is silent as long
+    as it is away; it is searched for once a second, by name, in a thread of its own.
     """
 
     duration_s: float | None = None
@@ -56,7 +56,10 @@ class MicrophoneSource:
         clock: Callable[[], float] = time.monotonic,
         is_watched: bool = True,
     ) -> None:
-        """is_watched: False where the caller calls `watch.look` from time to time."""
+        """Find the device, without opening it.
+
+        is_watched: False where the caller calls `watch.look` from time to time.
+        """
         self._sounddevice = import_sounddevice()
         with opening():
             self._device = find_device(device, "input")
@@ -69,34 +72,34 @@ class MicrophoneSource:
 
     @property
     def name(self) -> str:
-        """The device's own name."""
+        """The name of the microphone in use."""
         return self._device.name
 
     @property
     def lost_blocks(self) -> int:
-        """Blocks' worth of sound replaced by silence so far, rounded up at each loss."""
+        """The amount of sound replaced by silence so far, in blocks, rounded up at each loss."""
         return self._lost_blocks + -(-self._n_away // BLOCK_SAMPLES)
 
     @property
     def n_losses(self) -> int:
-        """How often the device was lost so far: unplugged, or it stopped."""
+        """The number of times that the device was unplugged or stopped so far."""
         return self.watch.n_losses
 
     @property
     def is_lost(self) -> bool:
-        """The device is gone, and looked for."""
+        """Whether the device is gone, and being searched for."""
         return self.watch.is_lost
 
     @property
     def captured(self) -> tuple[float, float] | None:
-        """(monotonic seconds, sound time captured then) by the device's own newest time stamp.
+        """(monotonic seconds, sound time captured then) by the device's newest time stamp.
 
-        Of what `blocks` has seen; None before the first.
+        Of the sound that `blocks` has taken so far; None before the first.
         """
         return self._captured
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
-        """The blocks not handed out before that end at or before sound time `until_s`."""
+        """Return the blocks not returned before that end at or before sound time `until_s`."""
         now_s = self._clock()
         while self._captures:
             capture = self._captures[0]
@@ -155,7 +158,7 @@ class MicrophoneSource:
         return capture.stream
 
     def _rate_and_channels(self) -> tuple[int, int]:
-        """16 kHz mono if the device can, else its own rate and as few channels as it allows."""
+        """Return (16000, 1) if the device can, else its own rate with 1 or else all channels."""
         own_rate_hz, all_channels = self._device.sample_rate_hz, self._device.n_channels
         for rate_hz, n_channels in ((SAMPLE_RATE_HZ, 1), (own_rate_hz, 1)):
             try:
@@ -171,7 +174,7 @@ class MicrophoneSource:
         return own_rate_hz, all_channels
 
     def _take(self, capture: "_Capture", arrival: "_Arrival") -> None:
-        """What one callback brought, after silence for what is missing before it."""
+        """Push the samples of one callback, after silence for those missing before them."""
         if capture.begins_s is None:
             if self.n_losses:  # the device was away
                 self._be_silent(arrival.called_s - len(arrival.samples) / capture.rate_hz)
@@ -187,11 +190,11 @@ class MicrophoneSource:
         self._captured = (arrival.captured_s, sound_s)
 
     def _end(self, capture: "_Capture") -> None:
-        """The last of what a device that is gone had brought."""
+        """Push the last samples that the resampler of a lost device has held back."""
         self._push(capture.rest())
 
     def _be_silent(self, until_s: float) -> None:
-        """Silence in place of a device that is away, to that moment of the clock."""
+        """Push silence for a device that is away, up to the clock time `until_s`."""
         n = max(0, round((until_s - self._until_s) * SAMPLE_RATE_HZ))
         self._until_s += n / SAMPLE_RATE_HZ
         self._n_away += n
@@ -204,10 +207,11 @@ class MicrophoneSource:
 
 @dataclass(frozen=True, slots=True)
 class _Arrival:
-    """What one callback brought.
+    """The samples that one callback of the device delivered.
 
-    first_sample: of this opening of the device, at its rate. captured_s, called_s: when the first
-    sample was captured, and when the callback came, on the monotonic clock.
+    first_sample: its number since this opening of the device, at the device's rate. captured_s,
+    called_s: when the first sample was captured, and when the callback came, on the monotonic
+    clock.
     """
 
     first_sample: int
@@ -217,7 +221,7 @@ class _Arrival:
 
 
 class _Capture:
-    """One opening of the device: its callback queues, `MicrophoneSource.blocks` takes."""
+    """One opening of the device: its callback queues sound that `MicrophoneSource.blocks` takes."""
 
     def __init__(
         self,
@@ -226,7 +230,7 @@ class _Capture:
         clock: Callable[[], float],
         watch: DeviceWatch,
     ) -> None:
-        """make_stream: makes the stream, which is not started, with this `callback`."""
+        """Make the stream by `make_stream(callback=...)`, without starting it."""
         self.rate_hz = rate_hz
         self.arrived: deque[_Arrival] = deque(maxlen=round(QUEUE_S / BLOCK_S))
         #: The reader's: sound time of the first sample, and samples taken so far.
@@ -247,18 +251,19 @@ class _Capture:
         self.stream = make_stream(callback=self.hear)
 
     def begin(self, sound_s: float) -> None:
-        """The reader's: the first sample lies at this sound time."""
+        """Set the sound time of the first sample; called by the thread that reads."""
         self.begins_s = sound_s
 
     def sound_s(self, sample: int) -> float:
-        """The sound time of a sample, by its number, once it has begun."""
+        """Return the sound time of a sample by its number; `begin` must have been called."""
         assert self.begins_s is not None
         return self.begins_s + sample / self.rate_hz
 
     def hear(self, frames: Samples, n_frames: int, timing: "_Timing", status: "_Status") -> None:
-        """PortAudio's thread: note what was lost before these frames (n, channels), queue a copy.
+        """Queue a copy of the frames (n, channels) mixed to mono, in PortAudio's thread.
 
-        A full queue drops its oldest entry; the reader sees the hole in the sample count.
+        Samples lost before them are counted. A full queue drops its oldest entry; the reader sees
+        the gap in the sample count.
         """
         called_s, adc_s = self._clock(), timing.inputBufferAdcTime
         # The stream's clock is not the monotonic one: only a difference is used.
@@ -275,7 +280,7 @@ class _Capture:
         self._watch.note_call(called_s)
 
     def convert(self, samples: Samples) -> Samples:
-        """The next samples, at 16 kHz; some are held back until more has come."""
+        """Return the next samples resampled to 16 kHz; some are held back until more come."""
         self.n_taken += len(samples)
         if self._resampler is None:
             return samples
@@ -283,7 +288,7 @@ class _Capture:
         return converted
 
     def rest(self) -> Samples:
-        """Return once the sound that was held back when the device went."""
+        """Return, once, the samples at 16 kHz that the resampler has held back; then empty."""
         if self._resampler is None:
             return np.zeros(0, dtype=np.float32)
         rest: Samples = self._resampler.resample_chunk(np.zeros(0, np.float32), last=True)
@@ -291,18 +296,21 @@ class _Capture:
         return rest
 
     def _n_lost(self, adc_s: float, n_frames: int) -> int:
-        """Samples lost before a buffer taken at `adc_s`; one buffer when the clock does not say."""
+        """Return how many samples were lost before a buffer captured at `adc_s`.
+
+        One buffer's n_frames where the clock shows no gap or one above 10 s.
+        """
         gap_s = 0.0 if self._next_adc_s is None else adc_s - self._next_adc_s
         return round(gap_s * self.rate_hz) if 0.0 < gap_s <= LONGEST_GAP_S else n_frames
 
 
 class _Timing(Protocol):
-    """What is used of PaStreamCallbackTimeInfo, in seconds of the stream's clock."""
+    """The part of PaStreamCallbackTimeInfo that is used, in seconds of the stream's clock."""
 
     inputBufferAdcTime: float  # noqa: N815 - PortAudio's name
 
 
 class _Status(Protocol):
-    """What is used of `sounddevice.CallbackFlags`."""
+    """The part of `sounddevice.CallbackFlags` that is used."""
 
     input_overflow: bool

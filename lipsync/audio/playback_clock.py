@@ -1,11 +1,11 @@
-"""Between the monotonic clock and sound time: the one place that knows where a sound has got to.
+"""Conversion between the monotonic clock and sound time, the position in a sound.
 
 Sound time s is heard at `monotonic_s(s)`, and its face is shown there a declared delay later.
 
-The sound of a device lags the clock (`ArrivalLag`): a card that says 16 kHz delivers some 0.01 %
+The sound of a device lags the clock (`ArrivalLag`): a card that claims 16 kHz delivers some 0.01 %
 more or less, a third of a second in an hour, and its first samples come a buffer late. Sound that
-stops for a moment and then comes all at once is late only once: when for a second or two nothing
-has been as late any more, the lag goes back as quickly as it came.
+stops briefly and then comes all at once is late only once: when for a second or two nothing has
+been as late any more, the lag goes back as quickly as it came.
 """
 
 import math
@@ -29,7 +29,7 @@ _JITTER_S = 0.02
 
 
 class ArrivalLag:
-    """Follows how late sound comes; `lag_s` stays near the latest that it usually is."""
+    """Estimator of how late sound arrives; `lag_s` stays near the largest usual lateness, in s."""
 
     def __init__(self) -> None:
         self.lag_s = 0.0
@@ -39,9 +39,10 @@ class ArrivalLag:
         self._latest_s = self._latest_before_s = math.inf
 
     def observe(self, now_s: float, behind_s: float) -> None:
-        """At monotonic `now_s` the newest sound is `behind_s` behind the clock, or before it.
+        """Update `lag_s`: at monotonic `now_s` the newest sound is `behind_s` behind the clock.
 
-        `lag_s` changes by at most half of the time since the last call, whatever comes.
+        A negative `behind_s` is ahead of the clock. `lag_s` changes by at most half of the time
+        since the last call, whatever comes.
         """
         elapsed_s = 0.0 if self._observed_s is None else max(0.0, now_s - self._observed_s)
         self._observed_s = now_s
@@ -71,55 +72,55 @@ _FOLLOWING_S = 0.2
 
 
 class PlaybackClock(Protocol):
-    """When a sound time is heard. Ask in order of time."""
+    """A clock that converts between sound time and monotonic time; query it in order of time."""
 
     def begin(self, zero_s: float) -> None:
-        """Sound time 0 is heard at monotonic `zero_s`."""
+        """Start the sound: sound time 0 is heard at monotonic `zero_s`."""
 
     def sound_s(self, now_s: float) -> float:
-        """The sound time that is heard at monotonic `now_s`; negative before the sound begins.
+        """Return the sound time heard at monotonic `now_s`; negative before the sound begins.
 
         It never decreases while `now_s` does not.
         """
 
     def monotonic_s(self, sound_s: float) -> float:
-        """When a sound time is heard, on the monotonic clock, as far as is known now."""
+        """Return when a sound time is heard, on the monotonic clock, as far as is known now."""
 
     def arrived(self, now_s: float, until_s: float) -> None:
-        """At monotonic `now_s` the sound up to sound time `until_s` was there."""
+        """Note that at monotonic `now_s` the sound up to sound time `until_s` had arrived."""
 
     def captured_s(self, sound_s: float) -> float | None:
-        """When a sound time was captured, on the monotonic clock; None if none that late was."""
+        """Return the monotonic time at which a sound time was captured; None if it is not known."""
 
 
 class SteadyClock:
-    """For a file, silence, or a script: sound is there whenever it is due."""
+    """A `PlaybackClock` for a file, silence, or a script: sound is ready whenever it is due."""
 
     def __init__(self) -> None:
         self._zero_s = 0.0
 
     def begin(self, zero_s: float) -> None:
-        """Sound time 0 is heard at monotonic `zero_s`."""
+        """Start the sound: sound time 0 is heard at monotonic `zero_s`."""
         self._zero_s = zero_s
 
     def sound_s(self, now_s: float) -> float:
-        """The sound time that is heard at monotonic `now_s`."""
+        """Return the sound time that is heard at monotonic `now_s`."""
         return now_s - self._zero_s
 
     def monotonic_s(self, sound_s: float) -> float:
-        """When a sound time is heard, on the monotonic clock."""
+        """Return when a sound time is heard, on the monotonic clock."""
         return self._zero_s + sound_s
 
     def arrived(self, now_s: float, until_s: float) -> None:
         """Do nothing: sound that no device captures is never late."""
 
     def captured_s(self, sound_s: float) -> float:
-        """The sound of a file counts as captured when it would be heard."""
+        """Return when a sound time is heard: a file's sound counts as captured at that time."""
         return self.monotonic_s(sound_s)
 
 
 class ArrivalClock:
-    """For a microphone or a stream: sound comes late, in pieces, and at a rate of its own."""
+    """A `PlaybackClock` for a microphone or stream, whose sound arrives late and in pieces."""
 
     def __init__(self) -> None:
         self._zero_s = 0.0
@@ -128,32 +129,36 @@ class ArrivalClock:
         self._arrivals: deque[tuple[float, float]] = deque(maxlen=_ARRIVALS)
 
     def begin(self, zero_s: float) -> None:
-        """Sound time 0 is captured at monotonic `zero_s`, or later."""
+        """Start the sound: sound time 0 is captured at monotonic `zero_s`, or later."""
         self._zero_s = zero_s
 
     def sound_s(self, now_s: float) -> float:
-        """The sound time that is heard at monotonic `now_s`: what has come, smoothed."""
+        """Return the sound time at monotonic `now_s`: the clock's minus the smoothed lateness."""
         return now_s - (self._zero_s + self._lag.lag_s)
 
     def monotonic_s(self, sound_s: float) -> float:
-        """When a sound time is heard, on the monotonic clock, as late as sound comes now."""
+        """Return when a sound time is heard, on the monotonic clock, by the lateness known now."""
         return self._zero_s + self._lag.lag_s + sound_s
 
     def arrived(self, now_s: float, until_s: float) -> None:
-        """At monotonic `now_s` the sound up to sound time `until_s` was there."""
+        """Note that at monotonic `now_s` the sound up to sound time `until_s` had arrived."""
         self._lag.observe(now_s, now_s - self._zero_s - until_s)
         if not self._arrivals or self._arrivals[-1][0] < until_s:
             self._arrivals.append((until_s, now_s - until_s))
 
     def captured_s(self, sound_s: float) -> float | None:
-        """A device hands over what it captured until that moment. Ask in order."""
+        """Return the monotonic time at which a sound time was captured; None if none so late was.
+
+        A device is assumed to deliver the sound that it captured until then. Query in order of
+        time.
+        """
         while self._arrivals and self._arrivals[0][0] < sound_s:
             self._arrivals.popleft()
         return sound_s + self._arrivals[0][1] if self._arrivals else None
 
 
 class OwnPlaybackClock:
-    """For sound that this program plays itself, by a device that reports its position.
+    """A `PlaybackClock` for sound that this program plays on a device that reports its position.
 
     The recogniser gets the sound `lead_s` before it leaves the loudspeaker; with the declared delay
     as the lead, lips and loudspeaker agree.
@@ -168,13 +173,16 @@ class OwnPlaybackClock:
         self._since_s = self._queried_s = 0.0
 
     def begin(self, zero_s: float) -> None:
-        """The recogniser gets sound time 0 at monotonic `zero_s`; it is played a lead later."""
+        """Start the sound: the recogniser gets sound time 0 at monotonic `zero_s`.
+
+        The loudspeaker plays it `lead_s` later.
+        """
         self._zero_s = zero_s
         self._lag_s = self._wanted_s = 0.0
         self._since_s = self._queried_s = zero_s
 
     def played(self, now_s: float, position_s: float) -> None:
-        """At monotonic `now_s` sound time `position_s` left the loudspeaker.
+        """Note that at monotonic `now_s` sound time `position_s` left the loudspeaker.
 
         Positions may be in error and reports may come late or out of order: a report counts from
         the last time that was queried, so that no earlier answer changes.
@@ -184,23 +192,26 @@ class OwnPlaybackClock:
         self._wanted_s = now_s - self._zero_s - (position_s + self.lead_s)
 
     def sound_s(self, now_s: float) -> float:
-        """The sound time that the recogniser may hear at monotonic `now_s`."""
+        """Return the sound time up to which the recogniser gets sound at monotonic `now_s`."""
         self._queried_s = max(self._queried_s, now_s)
         return now_s - (self._zero_s + self._lag_at(now_s))
 
     def monotonic_s(self, sound_s: float) -> float:
-        """When the recogniser gets a sound time, as far as the reports so far tell."""
+        """Return when the recogniser gets a sound time, by the reports so far."""
         return self._zero_s + self._lag_at(self._queried_s) + sound_s
 
     def arrived(self, now_s: float, until_s: float) -> None:
-        """Changes nothing: the position is what counts."""
+        """Do nothing: only the reported position of the loudspeaker counts."""
 
     def captured_s(self, sound_s: float) -> float:
-        """Sound that no device captures: the time at which the recogniser gets it."""
+        """Return when the recogniser gets a sound time, as no device captures this sound."""
         return self.monotonic_s(sound_s)
 
     def _lag_at(self, now_s: float) -> float:
-        """The lag on its way to what the last report says: at a bounded rate, then ever slower."""
+        """Return the lag in s at `now_s`, moving to the last report's lag at a bounded rate.
+
+        Near that lag it approaches it exponentially.
+        """
         elapsed_s = max(0.0, now_s - self._since_s)
         missing_s = self._wanted_s - self._lag_s
         rate = _MOST_RISE if missing_s > 0.0 else _MOST_FALL
@@ -214,5 +225,5 @@ class OwnPlaybackClock:
 
 
 def clock_for(source: AudioSource) -> PlaybackClock:
-    """The clock that goes with a source: a live device has its own, the rest has the computer's."""
+    """Return a new clock for a source: ArrivalClock for a live device, SteadyClock for others."""
     return ArrivalClock() if source.is_live else SteadyClock()

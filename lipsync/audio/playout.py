@@ -1,9 +1,9 @@
 """What the robot says, on one timeline: streams of speech one after the other, silence between.
 
-The live loop takes blocks as sound time passes. A block is *committed* then: the recogniser
-gets it at once, the loudspeaker plays it a declared delay later. So the loudspeaker always holds
-that delay in sound, and lips and sound meet. Where a stream has nothing ready, silence is
-committed, and the stream goes on when more has come.
+The live loop requests blocks as sound time passes; a block is *committed* then: the recogniser gets
+it at once, the loudspeaker plays it a declared delay later. So the loudspeaker always holds that
+delay in sound, and lips and sound agree. Where a stream has nothing ready, silence is committed,
+and the stream continues when more has come.
 
 Other threads only append to `requests` and take from `events`; all is decided in the loop.
 
@@ -68,26 +68,26 @@ _MOST_ON_WAY: Final = 1000
 
 
 class ListenedMicrophone:
-    """The blocks of a microphone on another's timeline: one for each call."""
+    """A microphone whose sound is taken in blocks of 10 ms, one per call, at the caller's pace."""
 
     def __init__(self, microphone: AudioSource) -> None:
-        """microphone: entered, and live."""
+        """Create the queue of blocks. microphone: live, already entered as a context manager."""
         self._microphone = microphone
         self._blocks: deque[Samples] = deque(maxlen=_MOST_BLOCKS)
         self._is_primed = False
 
     @property
     def name(self) -> str:
-        """The device's own name."""
+        """The name of the microphone."""
         return self._microphone.name
 
     @property
     def lost_blocks(self) -> int:
-        """Blocks that the device or the computer dropped."""
+        """The number of blocks that the device or the computer dropped."""
         return self._microphone.lost_blocks
 
     def take(self) -> Samples | None:
-        """The next 10 ms (160,) at 16 kHz; None while too little has come."""
+        """Return the next 10 ms (160,) at 16 kHz; None while too little has come."""
         for block in self._microphone.blocks(float("inf")):
             if len(block.samples) == BLOCK_SAMPLES:
                 self._blocks.append(block.samples)
@@ -97,14 +97,14 @@ class ListenedMicrophone:
         return self._blocks.popleft() if self._blocks else None
 
     def discard(self) -> None:
-        """Discard what was captured until now."""
+        """Discard all sound that the microphone has captured until now."""
         self._microphone.blocks(float("inf"))
         self._blocks.clear()
         self._is_primed = False
 
 
 class Playout:
-    """An `AudioSource` without end, of what the robot says; see the module."""
+    """An endless `AudioSource` of what the robot says: queued streams of speech, else silence."""
 
     duration_s: float | None = None
     is_live = False
@@ -114,9 +114,10 @@ class Playout:
         loudspeaker: Loudspeaker | None = None,
         microphone: ListenedMicrophone | None = None,
     ) -> None:
-        """loudspeaker: None where no sound is played, or the sender of the stream plays it.
+        """Create an empty timeline; `begin` starts it.
 
-        microphone: heard, not played, while the robot is silent.
+        loudspeaker: None where no sound is played, or the sender of a stream plays it. microphone:
+        its sound goes to the recogniser while the robot is silent; it is not played.
         """
         self.loudspeaker = loudspeaker
         self._microphone = microphone
@@ -152,12 +153,12 @@ class Playout:
 
     @property
     def name(self) -> str:
-        """The name of the sound that is heard while the robot is silent."""
+        """The name of the sound that the recogniser gets while the robot is silent."""
         return "own voice" if self._microphone is None else self._microphone.name
 
     @property
     def lost_blocks(self) -> int:
-        """Blocks that the microphone lost.
+        """The number of blocks that the microphone lost; 0 without one.
 
         Blocks of speech are never lost: they are played later.
         """
@@ -165,51 +166,51 @@ class Playout:
 
     @property
     def output_rate_hz(self) -> int:
-        """The rate that new streams are made for."""
+        """The sample rate in Hz of the loudspeaker, for which new streams must be made."""
         return 100 * len(self._played_silence)
 
     @property
     def latency_s(self) -> float:
-        """How long after it was committed a block is heard at the earliest, one period included."""
+        """Seconds from committing a block to its being heard, at the least; 0: no loudspeaker."""
         return 0.0 if self.loudspeaker is None else self.loudspeaker.latency_s + BLOCK_S
 
     @property
     def n_underruns(self) -> int:
-        """How often there was nothing to play in time: of a stream, or in the loudspeaker."""
+        """The number of times that a stream or the loudspeaker had nothing to play in time."""
         return self._n_underruns + (self.loudspeaker.n_device_underruns if self.loudspeaker else 0)
 
     @property
     def committed_s(self) -> float:
-        """The timeline is settled until then."""
+        """The timeline position in seconds up to which blocks have been committed."""
         return self._n_blocks * BLOCK_S
 
     @property
     def position_s(self) -> float:
-        """The timeline position that leaves the loudspeaker, in s, as of the last `advance`."""
+        """The timeline position in s that leaves the loudspeaker, as of the last `advance`."""
         return self._position_s
 
     @property
     def is_over(self) -> bool:
-        """Whether no sound is played or heard, and nothing waits or was announced."""
+        """Whether no stream plays or waits, and no request waits or was announced."""
         return not (self.announced or self.requests or self._playing)
 
     @property
     def speaking(self) -> str | None:
-        """The name of the stream that is being played."""
+        """The name of the first stream that plays or waits; None if there is none."""
         return self._playing[0].stream.name if self._playing else None
 
     def n_played(self, stream: str) -> int | None:
-        """Samples of a stream, at its own rate, that were heard so far; None: it does not play."""
+        """Return the samples of a stream, at its own rate, heard so far; None: it does not play."""
         for playing in self._playing:
             if playing.stream.name == stream:
                 return playing.n_played(self._position_s)
         return None
 
     def begin(self, lead_s: float, quiet_s: float = 0.0) -> None:
-        """The timeline begins now, and is played `lead_s` after it was committed.
+        """Begin the timeline now, so that it is played `lead_s` seconds after it was committed.
 
-        What the loudspeaker does not hold back by itself is filled with silence. quiet_s: nothing
-        Nothing is played for so long, in s.
+        The part of the lead that the loudspeaker does not hold back by itself is filled with
+        silence. quiet_s: no speech is played before this position of the timeline, in s.
         """
         self._quiet_s = quiet_s
         if self.loudspeaker is None:
@@ -220,13 +221,14 @@ class Playout:
         self.preroll_s = max(0, n_blocks) * BLOCK_S
 
     def be_quiet(self, for_s: float) -> None:
-        """Play nothing for `for_s` seconds, then go on."""
+        """Play no speech for the next `for_s` seconds, then continue."""
         self._quiet_s = max(self._quiet_s, self.committed_s + for_s)
 
     def report(self) -> tuple[float, float] | None:
-        """(monotonic seconds, position on the timeline then), the newest that is known.
+        """Return (monotonic seconds, position on the timeline then), the newest that is known.
 
-        Of the speech that plays now: by its sender, or by the loudspeaker. None: not known.
+        The report comes from the sender that plays the current speech itself, else from the
+        loudspeaker. None: no report is there.
         """
         while self.reports:
             now_s, stream, n_samples = self.reports.popleft()
@@ -243,7 +245,7 @@ class Playout:
         return report[0], report[1] - self.preroll_s
 
     def stream_at(self, timeline_s: float) -> tuple[PlayoutStream, float] | None:
-        """Return the stream that plays there, and seconds since its first sample; None: none."""
+        """Return the stream at a timeline position and the seconds since its start; None: none."""
         for playing in self._playing:
             for segment in playing.segments:
                 if segment.start_s <= timeline_s < segment.end_s:
@@ -253,9 +255,9 @@ class Playout:
         return None
 
     def advance(self, position_s: float) -> bool:
-        """Do what was requested, and tell what was heard; whether sound was cut off just now.
+        """Carry out the requests and append the events due; return whether streams were cut off.
 
-        position_s: on the timeline, what leaves the loudspeaker now.
+        position_s: the timeline position in s that leaves the loudspeaker now.
         """
         self._position_s = max(self._position_s, position_s)
         is_cut = False
@@ -276,30 +278,31 @@ class Playout:
         return is_cut
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
-        """Commit the timeline until then; the new blocks as the recogniser is to hear them."""
+        """Commit the timeline up to `until_s`; return the new blocks for the recogniser."""
         return [block for block, _ in self.commit(until_s)]
 
     def commit(self, until_s: float) -> list[tuple[AudioBlock, AudioBlock]]:
-        """Commit the timeline until then; each new block for the recogniser, and as it is spoken.
+        """Commit the timeline up to `until_s`; return pairs of new blocks.
 
-        The two differ where phonemes are known: the recogniser gets silence there.
+        The first of a pair is for the recogniser, the second is the sound as it is spoken. They
+        differ where phonemes are known: the recogniser gets silence there.
         """
         return list(self._commit(int(samples_before(max(0.0, until_s))) // BLOCK_SAMPLES))
 
     def known_phonemes(self, from_s: float) -> list[KnownStretch]:
-        """Stretches of the timeline that end after `from_s` and whose phonemes are known."""
+        """Return the timeline's stretches of known phonemes that end after `from_s`, in order."""
         return self._known.after(from_s)
 
     def take_words(self) -> list[StartedWords]:
-        """Return, once each, the words where the timeline is settled, in its seconds."""
+        """Remove and return the newly committed words of the streams, in timeline seconds."""
         started = list(self._started_words)
         self._started_words.clear()
         return started
 
     def timed_words(self) -> tuple[tuple[str, ...], int] | None:
-        """Words around the one that is heard now, and which of them it is, by their times.
+        """Return the words around the one heard now, and that one's index among them.
 
-        None where nothing is heard whose words have times.
+        None where no stream is playing whose words have times.
         """
         playing = self._playing[0] if self._playing else None
         words = None if playing is None else playing.stream.spoken.get("word")
@@ -312,7 +315,7 @@ class Playout:
         return tuple(unit.label for unit in around), number - first
 
     def known_kind(self, timeline_s: float) -> Literal["phonemes", "visemes"] | None:
-        """Return the kind of units known of the sound there; None: none, or nothing plays."""
+        """Return the kind of units known at a timeline position; None if none, or nothing plays."""
         if not any(start_s <= timeline_s < end_s for start_s, end_s, _ in self._known.after(0.0)):
             return None
         if (found := self.stream_at(timeline_s)) is None:
@@ -324,7 +327,7 @@ class Playout:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """Release nothing: the loudspeaker is closed by its opener."""
+        """Do nothing: the loudspeaker is closed by the caller that opened it."""
 
     def _commit(self, n_until: int) -> Iterator[tuple[AudioBlock, AudioBlock]]:
         while self._n_blocks < n_until:
@@ -336,7 +339,7 @@ class Playout:
             yield AudioBlock(heard, start_s), AudioBlock(spoken, start_s)
 
     def _next(self, start_s: float) -> tuple[Samples, Samples, Samples]:
-        """The next 10 ms for the recogniser, for the loudspeaker, and for the prosody tracker."""
+        """Return 10 ms of sound for the recogniser, the loudspeaker, and the prosody tracker."""
         waiting = (each for each in self._playing if not each.stream.is_over)
         may_speak = start_s >= self._quiet_s and not self._is_paused
         playing = next(waiting, None) if may_speak else None
@@ -358,7 +361,7 @@ class Playout:
         return heard, played, block.heard
 
     def _tell_words(self, playing: PlayingStream, start_s: float) -> None:
-        """Pass on the words that came since the last block for the stream at `start_s`."""
+        """Queue the words of the stream that came since its last block, with timeline times."""
         is_other = playing is not self._telling
         if is_other:
             self._forget_words()
@@ -379,13 +382,17 @@ class Playout:
             self._started_words.append(StartedWords(passed.kind, words, passed.is_new, behind_s))
 
     def _forget_words(self) -> None:
-        """Drop the words of the last stream that were not spoken."""
+        """Queue a message that cancels the words of the last stream that were not spoken yet."""
         if self._telling is not None and self._telling.is_followed:
             self._started_words.append(StartedWords("text", (), is_new=True))
         self._telling = None
 
     def _listened(self, start_s: float) -> Samples:
-        """10 ms of the microphone; silence while the robot speaks, and until its echo is over."""
+        """Return 10 ms (160,) of the microphone.
+
+        Silence without a microphone, while too little has come, while the robot speaks, and until
+        its echo is over.
+        """
         is_speaking = bool(self._playing) or self._position_s < self._quiet_from_s
         if self._microphone is None or is_speaking:
             # Nobody need hear that it is silent: the mouth closes a tenth of a second sooner.
@@ -407,7 +414,7 @@ class Playout:
         self.events.append(PlayoutEvent("underrun", name, self._position_s, n_played))
 
     def _interrupt(self) -> bool:
-        """End all streams; return whether any was playing."""
+        """Drop all streams and silence the loudspeaker; return whether any stream was queued."""
         if not self._playing:
             return False
         cut_s = self._silenced()
@@ -425,7 +432,7 @@ class Playout:
         return True
 
     def _pause(self) -> bool:
-        """Hold all streams; return whether any was playing.
+        """Silence the loudspeaker and hold all streams; return whether any was held.
 
         A block that has begun to be heard counts as heard: up to 10 ms of it never are.
         """
@@ -447,7 +454,7 @@ class Playout:
             self._tell_all("resumed")
 
     def _silenced(self) -> float:
-        """Where on the timeline the loudspeaker falls silent; events until then are reported."""
+        """Silence the loudspeaker, report events until then, return the silence's position in s."""
         if self.loudspeaker is not None:
             silent_s = self.loudspeaker.silence_rest() - self.preroll_s
             self._position_s = max(self._position_s, silent_s)
@@ -455,7 +462,7 @@ class Playout:
         return self._position_s
 
     def _note_silence(self, cut_s: float) -> None:
-        """Report that nothing committed after `cut_s` is heard."""
+        """Note that silence is heard from `cut_s` on, after an echo of 0.3 s."""
         self._quiet_from_s = cut_s + _ECHO_S
         self._known.cut(cut_s)
         if cut_s < self.committed_s:
@@ -467,7 +474,7 @@ class Playout:
             self.events.append(PlayoutEvent(kind, name, self._position_s, n_played))
 
     def _clear(self) -> None:
-        """Drop all that is not committed; what is committed is still heard."""
+        """Drop all speech that is not committed; what is committed is still heard."""
         for playing in self._playing:
             if playing.stream.is_over:
                 continue
@@ -478,7 +485,7 @@ class Playout:
             self.events.append(PlayoutEvent("cleared", name, self._position_s, n_played, n_dropped))
 
     def _tell(self) -> None:
-        """Starts, marks and ends that the position has passed."""
+        """Append events for the starts, marks and ends of streams that the position has passed."""
         while self._on_way and self._on_way[0][0] < self._position_s:
             self._on_way.popleft()
         while self._playing:
@@ -512,7 +519,7 @@ def _start_sample(unit: SpokenUnit) -> int:
 
 
 def _is_ready(playing: PlayingStream) -> bool:
-    """Whether a stream has enough sound to begin, or to go on."""
+    """Return whether a stream has enough sound to begin, or to continue after it ran dry."""
     stream = playing.stream
     is_going_on = bool(playing.segments) and not playing.is_starved
     return is_going_on or stream.ended or stream.is_filled or stream.waiting_s >= _WAITING_S

@@ -1,8 +1,8 @@
-"""Streams of speech that the robot is to say, and where they and their phonemes lie in time.
+"""Streams of speech that the robot is to say, and their positions and phonemes on the timeline.
 
-Samples come at any rate and pace: the sender pushes them, the live loop takes blocks of 10 ms.
-All that costs time, resampling and cutting, is done by the sender in its own thread. Between the
-two stands a deque: no lock, no waiting.
+Samples come at any rate and pace: the sender pushes them, the live loop takes blocks of 10 ms. All
+that costs time, resampling and cutting, is done by the sender in its own thread. The two exchange
+blocks through a deque: no lock, no waiting.
 """
 
 from collections import deque
@@ -30,7 +30,7 @@ LOWEST_RATE_HZ, HIGHEST_RATE_HZ = 4_000, 192_000
 
 
 class PlayoutFullError(ValueError):
-    """More speech waits than is kept; nothing of the samples was taken."""
+    """Error for pushed speech beyond what may wait; none of the pushed samples was accepted."""
 
 
 #: Words of one stream that wait to be looked for; who says more tells them later.
@@ -38,15 +38,15 @@ _MOST_WORDS: Final = 2_000
 
 
 class PlayoutTextError(ValueError):
-    """Too many units of a stream, or a time that is too far off; the message is one line."""
+    """Error for too many words of a stream, or a time too far ahead; the message is one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class StartedWords:
-    """The words that come next, in seconds of a timeline or of a stream.
+    """Words that come next in speech, with times in seconds of a timeline or of a stream.
 
-    is_new: they replace earlier words that were not spoken yet. behind_s: so much of the sound
-    of these words has gone by already.
+    is_new: they replace earlier words that were not spoken yet. behind_s: seconds of the sound of
+    these words that have passed already.
     """
 
     kind: UnitKind
@@ -59,7 +59,7 @@ class StartedWords:
 class PlayoutBlock:
     """10 ms of a stream: for the recogniser (160,) at 16 kHz, for the loudspeaker at its rate.
 
-    n_samples: of the stream, at its own rate, up to and with this block.
+    n_samples: samples of the stream, at its own rate, up to and including this block.
     """
 
     heard: Samples
@@ -68,11 +68,11 @@ class PlayoutBlock:
 
 
 class PlayoutStream:
-    """Samples in, blocks out. One thread pushes, one takes.
+    """A stream of speech: samples are pushed by one thread, blocks are taken by another.
 
-    name: the stream's id. phonemes: its phonemes, where they are known beforehand, in seconds
-    from its first sample; empty: a recogniser finds out. played_elsewhere: who sends it plays it,
-    and our loudspeaker is silent.
+    name: the stream's id. phonemes: its phonemes, where they are known beforehand, in seconds from
+    its first sample; empty: the recogniser finds them. played_elsewhere: the sender plays the sound
+    itself, and our loudspeaker is silent.
     """
 
     def __init__(
@@ -84,7 +84,10 @@ class PlayoutStream:
         *,
         played_elsewhere: bool = False,
     ) -> None:
-        """output_rate_hz: the loudspeaker's, a multiple of 100. Raises ValueError for a rate."""
+        """Create an empty stream. Raises ValueError for a sample rate that is not possible.
+
+        output_rate_hz: the loudspeaker's rate, a multiple of 100.
+        """
         if not LOWEST_RATE_HZ <= sample_rate_hz <= HIGHEST_RATE_HZ:
             allowed = f"{LOWEST_RATE_HZ} to {HIGHEST_RATE_HZ} Hz are possible"
             raise ValueError(f"sample rate {sample_rate_hz} Hz: {allowed}")
@@ -113,44 +116,44 @@ class PlayoutStream:
 
     @property
     def n_received(self) -> int:
-        """Samples that were pushed so far, at the stream's own rate."""
+        """The number of samples that were pushed so far, at the stream's own rate."""
         return self._n_received
 
     @property
     def waiting_s(self) -> float:
-        """Seconds of speech that wait to be played, in whole blocks."""
+        """Seconds of speech that wait to be taken, in whole blocks."""
         return len(self._blocks) * BLOCK_S
 
     @property
     def ended(self) -> bool:
-        """Nothing is pushed any more."""
+        """Whether the stream has ended or was dropped, so that no more is accepted."""
         return self._ended
 
     @property
     def is_marked(self) -> bool:
-        """A mark is the last that came: its sender may wait for it before it sends more."""
+        """Whether a mark came after the last samples: its sender may wait for it to be heard."""
         return self._is_marked
 
     @property
     def is_filled(self) -> bool:
-        """All that was pushed can be taken, as `fill` has it."""
+        """Whether all pushed samples can be taken: `fill` was called after the last `push`."""
         return self._is_filled
 
     @property
     def is_dropped(self) -> bool:
-        """Whether the blocks that were not taken will never be played."""
+        """Whether the stream was dropped: its blocks that were not taken are never played."""
         return self._dropped
 
     @property
     def is_over(self) -> bool:
-        """Ended, and every block was taken or dropped."""
+        """Whether the stream has ended and every block was taken or dropped."""
         return self._ended and (self._dropped or not self._blocks)
 
     def push(self, samples: Samples) -> None:
-        """Add samples (n,) float32 in [-1, 1].
+        """Add samples (n,) float32 in [-1, 1] to the stream; ignored if it was dropped.
 
-        Of a stream that was dropped nothing is taken any more. Raises PlayoutFullError, and
-        ValueError once the stream has ended.
+        Raises PlayoutFullError when more than five minutes would wait, and ValueError once the
+        stream has ended.
         """
         if self._dropped:
             return
@@ -166,11 +169,11 @@ class PlayoutStream:
         self._cut()
 
     def tell(self, spoken: SpokenText, words: Sequence[PronouncedWord] = ()) -> None:
-        """Add units of the speech: more, late or early, or in place of earlier ones.
+        """Add units (words, phonemes, ...) of the speech, or replace earlier ones by them.
 
-        Phonemes and visemes with times move the mouth; all else is looked for in the sound. words:
-        of the text, as they may sound, in seconds of the stream. Raises PlayoutTextError and
-        SpokenTextError; then nothing was taken.
+        Phonemes and visemes with times move the mouth; all else is aligned with the sound. words:
+        those of the text, with possible pronunciations, in seconds of the stream. Raises
+        PlayoutTextError and SpokenTextError; then nothing was added. Ignored if the stream is over.
         """
         if self._ended and (self._dropped or not self._blocks):
             return
@@ -220,18 +223,18 @@ class PlayoutStream:
             self.started_words.append(StartedWords(spoken.kind, tuple(words), is_new=False))
 
     def mark(self, name: str) -> None:
-        """Report when all that was pushed until now has been heard."""
+        """Set a mark, to be reported when all samples pushed until now have been heard."""
         self._marks.append((self._n_received, name))
         self._is_marked = True
 
     def end(self) -> None:
-        """No more comes; the last block is filled up with silence."""
+        """End the stream: no more samples come; the last block is filled up with silence."""
         if not self._ended:
             self.fill()
             self._ended = True
 
     def fill(self) -> None:
-        """The sender pauses: what the resamplers hold back, and silence to the end of the block."""
+        """Flush the resamplers and fill the last block up with silence, as the sender pauses."""
         if self._is_filled:
             return
         both = (self._heard, BLOCK_SAMPLES), (self._played, self._played.rate_hz // 100)
@@ -246,28 +249,28 @@ class PlayoutStream:
         self._is_filled = True
 
     def take(self) -> PlayoutBlock | None:
-        """The next block; None: none has come yet, or the stream is over."""
+        """Remove and return the next block; None: none has come yet, or the stream was dropped."""
         return self._blocks.popleft() if self._blocks and not self._dropped else None
 
     def put_back(self, block: PlayoutBlock) -> None:
-        """Return the last taken block to the front, to be taken again."""
+        """Put the block that was taken last back at the front, to be taken again."""
         if not self._dropped:
             self._blocks.appendleft(block)
 
     def drop(self) -> None:
-        """Drop all that was not taken, for the thread that takes blocks."""
+        """Drop all blocks not taken and end the stream; called by the thread that takes blocks."""
         self._dropped = self._ended = True
         self._blocks.clear()
 
     def marks_until(self, n_samples: int) -> list[str]:
-        """The marks, each once, that lie at or before this many samples."""
+        """Remove and return the names of the marks at or before this many samples."""
         reached = []
         while self._marks and self._marks[0][0] <= n_samples:
             reached.append(self._marks.popleft()[1])
         return reached
 
     def _cut(self) -> None:
-        """As many blocks as both resamplers have given."""
+        """Cut as many blocks of 10 ms as both resamplers have samples for."""
         n_played = self._played.rate_hz // 100
         while self._heard.n_ready >= BLOCK_SAMPLES and self._played.n_ready >= n_played:
             self._n_cut += 1
@@ -277,7 +280,7 @@ class PlayoutStream:
 
 
 class _Resampled:
-    """Samples of one rate, taken at another."""
+    """A resampler: samples are pushed at one rate and taken at another."""
 
     def __init__(self, from_hz: int, to_hz: int) -> None:
         self.rate_hz = to_hz
@@ -300,7 +303,7 @@ class _Resampled:
         self._ready = np.concatenate((self._ready, samples))
 
     def fill(self, n_samples: int) -> None:
-        """Silence up to this many."""
+        """Append silence until `n_samples` are ready."""
         silence = np.zeros(n_samples - len(self._ready), dtype=np.float32)
         self._ready = np.concatenate((self._ready, silence))
 
@@ -316,10 +319,10 @@ EventKind = Literal[
 
 @dataclass(frozen=True, slots=True)
 class PlayoutEvent:
-    """What became of a stream, reported when it leaves the loudspeaker.
+    """An event of a stream (started, mark, finished, ...), reported when it is heard.
 
-    position_s: on the timeline. n_played: samples of the stream, at its own rate, that were heard
-    so far; n_dropped: that never will be. name: of a mark.
+    position_s: the timeline position. n_played: samples of the stream, at its own rate, that were
+    heard so far; n_dropped: samples that will never be heard. name: that of a mark.
     """
 
     kind: EventKind
@@ -332,11 +335,11 @@ class PlayoutEvent:
 
 @dataclass(frozen=True, slots=True)
 class PlayoutRequest:
-    """A request to the playout.
+    """A request to the playout: to play a stream, or to change what is played.
 
-    say: a new stream, after those that wait, or right after `after`, of which it is the next part:
-    it is dropped where that was. interrupt: silence at once, and everything that was
-    not heard is dropped. clear: what is not yet on its way to the loudspeaker is dropped. pause:
+    say: queue a new stream behind those that wait, or right after `after`, of which it is the next
+    part: it is dropped if `after` was. interrupt: silence at once, and everything that was not
+    heard is dropped. clear: what is not yet on its way to the loudspeaker is dropped. pause:
     silence at once, and what was not heard is kept until resume.
     """
 
@@ -363,7 +366,7 @@ KnownStretch = tuple[float, float, tuple[PhonemeEvent, ...]]
 
 @dataclass(slots=True)
 class Segment:
-    """A stretch of a stream without a gap: on the timeline, and in samples of the stream."""
+    """A stretch of a stream played without a gap: in timeline seconds, and in its samples."""
 
     start_s: float
     end_s: float
@@ -373,7 +376,7 @@ class Segment:
 
 @dataclass(slots=True)
 class PlayingStream:
-    """A stream that was queued to play, and where it lies on the timeline so far."""
+    """A stream that was queued to play, and the segments of the timeline at which it was played."""
 
     stream: PlayoutStream
     segments: list[Segment] = field(default_factory=list)
@@ -383,7 +386,10 @@ class PlayingStream:
     is_followed: bool = False
 
     def add(self, start_s: float, n_samples: int) -> None:
-        """Add a block at a place on the timeline."""
+        """Add the block of 10 ms that begins at timeline position `start_s`.
+
+        n_samples: samples of the stream up to and including this block.
+        """
         last = self.segments[-1] if self.segments else None
         if last is not None and abs(last.end_s - start_s) < 1e-6 and not self._is_filled_up(last):
             last.end_s, last.n_end = start_s + BLOCK_S, n_samples
@@ -400,12 +406,12 @@ class PlayingStream:
         self.n_taken = n_before
 
     def _is_filled_up(self, segment: Segment) -> bool:
-        """Whether it ends with silence that is no sample of the stream, where its sender paused."""
+        """Return whether a segment ends with filled-in silence, where the sender paused."""
         n_long = (segment.end_s - segment.start_s) * self.stream.sample_rate_hz
         return segment.n_end - segment.n_before < n_long - 1.5
 
     def n_played(self, position_s: float) -> int:
-        """Return the samples heard by a position of the timeline."""
+        """Return how many samples of the stream are heard by a timeline position in s."""
         n = 0
         for segment in self.segments:
             if segment.start_s > position_s:
@@ -415,7 +421,7 @@ class PlayingStream:
         return n
 
     def timeline_s(self, n_samples: int) -> float | None:
-        """Where on the timeline this sample of the stream lies; None: it has not been taken yet."""
+        """Return the timeline position in s of a sample of the stream; None: not taken yet."""
         for segment in self.segments:
             if segment.n_before <= n_samples <= segment.n_end:
                 n_more = n_samples - segment.n_before
@@ -423,19 +429,19 @@ class PlayingStream:
         return None
 
     def is_heard(self, position_s: float) -> bool:
-        """Whether it is over and all of it was heard."""
+        """Return whether the stream is over and all of it was heard at `position_s`."""
         return self.stream.is_over and (
             not self.segments or position_s >= self.segments[-1].end_s - 1e-6
         )
 
     @property
     def shift_s(self) -> float:
-        """Where on the timeline its first sample lies, or would, as it goes on now."""
+        """The timeline position in s of the stream's first sample, by its newest segment."""
         last = self.segments[-1]
         return last.start_s - last.n_before / self.stream.sample_rate_hz
 
     def known_from(self, start_s: float) -> list[KnownStretch]:
-        """The known phonemes from `start_s` on, as if without another gap."""
+        """Return stretches of known phonemes from `start_s` on, as if no other gap followed."""
         shift_s = start_s - self.n_taken / self.stream.sample_rate_hz
         events = self.stream.phonemes
         if not events and (units := phonemes_or_visemes(self.stream)) is not None:
@@ -465,7 +471,7 @@ class PlayingStream:
 
 
 def phonemes_or_visemes(stream: PlayoutStream) -> SpokenText | None:
-    """The sender's units that move the mouth by themselves: phonemes, else visemes, with times."""
+    """Return the sender's phonemes with times, else its visemes with times, else None."""
     for kind in ("phoneme", "viseme"):
         units = stream.spoken.get(kind)
         if units is not None and units.units and units.units[-1].start_sample is not None:
@@ -476,9 +482,10 @@ def phonemes_or_visemes(stream: PlayoutStream) -> SpokenText | None:
 def add_playing(
     playing: deque[PlayingStream], stream: PlayoutStream, after: PlayoutStream | None
 ) -> None:
-    """Put a stream behind those that wait, or behind the part before it, which cuts nothing in two.
+    """Queue a stream last, or behind `after`, the part before it; it cuts no stream in two.
 
-    It is dropped where that part was.
+    If `after` was dropped, drop the stream instead; if `after` was heard to its end, queue it
+    behind the stream that is being played.
     """
     if after is not None and after.is_dropped:
         stream.drop()
@@ -493,7 +500,7 @@ def add_playing(
 
 
 class KnownPhonemes:
-    """Stretches of the timeline whose phonemes are known, each as long as its stream sounds."""
+    """The stretches of the timeline whose phonemes are known, each as long as its stream sounds."""
 
     def __init__(self) -> None:
         self._stretches: deque[KnownStretch] = deque()
@@ -503,7 +510,7 @@ class KnownPhonemes:
         self._began_s = 0.0  # to be said, the stream that goes on, without a gap since
 
     def is_silent(self, start_s: float, end_s: float) -> None:
-        """Note that no stream plays in between, and that no recogniser listens."""
+        """Add a known stretch of silence from `start_s` to `end_s`: no stream plays there."""
         self.sounds(None, start_s)
         last = self._stretches[-1] if self._stretches else None
         if last is not None and last[2] == _SILENCE and abs(last[1] - start_s) < 1e-6:
@@ -512,7 +519,7 @@ class KnownPhonemes:
             self._stretches.append((start_s, end_s, _SILENCE))
 
     def sounds(self, playing: PlayingStream | None, start_s: float) -> None:
-        """Note that this stream plays from `start_s` on; None: none does."""
+        """Add the known phonemes of the stream that plays from `start_s` on; None: none plays."""
         units = None if playing is None else phonemes_or_visemes(playing.stream)
         if playing is self._going_on and (
             units is None
@@ -537,7 +544,7 @@ class KnownPhonemes:
             self._going_on, self._units, self._looked_up_s = playing, units, start_s
 
     def cut(self, cut_s: float) -> None:
-        """Remove the stretches after `cut_s`, which will not be played."""
+        """Remove everything after `cut_s` from the stretches, because it will not be played."""
         self._stretches = deque(
             (start_s, min(end_s, cut_s), events)
             for start_s, end_s, events in self._stretches
@@ -546,10 +553,10 @@ class KnownPhonemes:
         self._going_on = None
 
     def after(self, from_s: float) -> list[KnownStretch]:
-        """Return the stretches that end after `from_s`, in order, not overlapping."""
+        """Return the stretches (start_s, end_s, events) that end after `from_s`, in order."""
         return [stretch for stretch in self._stretches if stretch[1] > from_s]
 
     def forget(self, committed_s: float) -> None:
-        """Drop stretches older than any query, the timeline being settled until `committed_s`."""
+        """Drop stretches that ended over 5 s before `committed_s`, too old for any query."""
         while self._stretches and self._stretches[0][1] < committed_s - _REMEMBERED_S:
             self._stretches.popleft()

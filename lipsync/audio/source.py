@@ -10,33 +10,33 @@ from lipsync.errors import UserError
 
 
 class SoundError(UserError):
-    """Sound cannot be had; the message is one line: what, where, what to do."""
+    """Error of a sound file or device; the message is one line: what, where, what to do."""
 
 
 class AudioSource(Protocol):
-    """Sound as it becomes available, 16 kHz mono, in blocks of about 10 ms without gaps.
+    """A source of sound as it becomes available, 16 kHz mono, in blocks of about 10 ms, no gaps.
 
     Use it as a context manager: it holds its device from `__enter__` to `__exit__`.
     """
 
     @property
     def name(self) -> str:
-        """A short name for the terminal: the file, the device."""
+        """A short name for the terminal: that of the file or the device."""
 
     @property
     def duration_s(self) -> float | None:
-        """Length of the whole stream; None when it has no known end."""
+        """Length of the whole stream in seconds; None when it has no known end."""
 
     @property
     def is_live(self) -> bool:
-        """Sound comes when it comes, by a clock of its own; `blocks(inf)` gives all that has."""
+        """Whether sound arrives by a clock of its own; `blocks(inf)` then returns all arrived."""
 
     @property
     def lost_blocks(self) -> int:
-        """Blocks that the device or the computer dropped (overruns)."""
+        """The number of blocks that the device or the computer dropped (overruns)."""
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
-        """The blocks not handed out before that end at or before sound time `until_s`."""
+        """Return the blocks not returned before that end at or before sound time `until_s`."""
 
     def __enter__(self) -> "AudioSource": ...
 
@@ -44,14 +44,14 @@ class AudioSource(Protocol):
 
 
 class Loudspeaker(Protocol):
-    """Where committed sound is played. Time is the timeline's: of what was written, first to last.
+    """A loudspeaker that plays committed sound. Its time counts the samples written, in seconds.
 
     Called by the live loop: nothing here may wait.
     """
 
     @property
     def name(self) -> str:
-        """The device's own name."""
+        """The name of the loudspeaker in use."""
 
     @property
     def is_lost(self) -> bool:
@@ -59,15 +59,15 @@ class Loudspeaker(Protocol):
 
     @property
     def rate_hz(self) -> int:
-        """Samples a second, a multiple of 100."""
+        """The sample rate in Hz, a multiple of 100."""
 
     @property
     def latency_s(self) -> float:
-        """How long after it was written a sample is heard at the earliest."""
+        """Seconds from writing a sample to its being heard, at the least."""
 
     @property
     def n_device_underruns(self) -> int:
-        """How often the device itself had nothing to play: the computer was too slow for it."""
+        """The number of underruns inside the device: the computer was too slow for it."""
 
     def write(self, samples: NDArray[np.float32]) -> None:
         """Write the next samples of the timeline.
@@ -75,17 +75,17 @@ class Loudspeaker(Protocol):
         Parameters
         ----------
         samples : NDArray[np.float32]
-            (n,) float32 mono.
+            (n,) float32 mono at `rate_hz`.
         """
 
     def silence_rest(self) -> float:
-        """Play silence in place of all that is written and still within reach.
+        """Play silence in place of all written sound that can still be replaced.
 
-        Gives the timeline position, in seconds, from which on it is silent.
+        Return the timeline position, in seconds, from which on it is silent.
         """
 
     def position(self) -> tuple[float, float] | None:
-        """(monotonic seconds, timeline seconds that leave the loudspeaker then).
+        """Return (monotonic seconds, timeline seconds that leave the loudspeaker then).
 
         The newest report of the device; None before the first.
         """
@@ -95,20 +95,20 @@ BLOCK_SAMPLES = round(BLOCK_S * SAMPLE_RATE_HZ)
 
 
 class BlockCutter:
-    """Samples in, `AudioBlock`s of 10 ms out; time is the count of samples that went out before."""
+    """A cutter of samples into `AudioBlock`s of 10 ms, timed by the samples before each."""
 
     def __init__(self, n_before: int = 0) -> None:
-        """n_before: samples of the stream that are left out; the first block starts after them."""
+        """Create a cutter. n_before: samples of the stream left out before the first block."""
         self._waiting: NDArray[np.float32] = np.zeros(0, dtype=np.float32)
         self._n_out = n_before
 
     @property
     def held_until_s(self) -> float:
-        """Sound time just after the last sample pushed."""
+        """Sound time in seconds just after the last sample pushed."""
         return (self._n_out + len(self._waiting)) / SAMPLE_RATE_HZ
 
     def push(self, samples: NDArray[np.float32]) -> None:
-        """Add samples.
+        """Add samples to be cut into blocks.
 
         Parameters
         ----------
@@ -118,13 +118,16 @@ class BlockCutter:
         self._waiting = np.concatenate((self._waiting, samples))
 
     def take(self, until_s: float) -> list[AudioBlock]:
-        """The whole blocks that end at or before sound time `until_s`."""
+        """Remove and return the whole blocks that end at or before sound time `until_s`."""
         n_wanted = min(samples_before(until_s) - self._n_out, len(self._waiting))
         n_blocks = max(0, int(n_wanted) // BLOCK_SAMPLES)
         return [self._cut(BLOCK_SAMPLES) for _ in range(n_blocks)]
 
     def take_rest(self, until_s: float) -> list[AudioBlock]:
-        """`take`, then the shorter last block of a stream that has ended."""
+        """Remove and return all blocks until `until_s` of a stream that has ended.
+
+        The last block may be shorter than 10 ms.
+        """
         blocks = self.take(until_s)
         n_left = len(self._waiting)
         if 0 < n_left < BLOCK_SAMPLES and self._n_out + n_left <= samples_before(until_s):
@@ -151,11 +154,11 @@ class SilentSource:
     lost_blocks = 0
 
     def __init__(self, start_s: float = 0.0) -> None:
-        """start_s: the first block is the one that holds this sound time."""
+        """Begin at the block that contains sound time `start_s`."""
         self._n_blocks = int(samples_before(start_s)) // BLOCK_SAMPLES
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
-        """The blocks not handed out before that end at or before sound time `until_s`."""
+        """Return the blocks not returned before that end at or before sound time `until_s`."""
         first, end = self._n_blocks, int(samples_before(until_s)) // BLOCK_SAMPLES
         self._n_blocks = max(first, end)
         return [AudioBlock(_SILENCE, n * BLOCK_SAMPLES / SAMPLE_RATE_HZ) for n in range(first, end)]
@@ -164,11 +167,11 @@ class SilentSource:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """Release nothing."""
+        """Do nothing: there is no device to release."""
 
 
 class SilenceAfter:
-    """A source with a known end, followed by endless silence: the last phones need to be heard out.
+    """A source with a known end, then endless silence, so that its last phones are recognised.
 
     `duration_s` stays that of the source.
     """
@@ -176,7 +179,10 @@ class SilenceAfter:
     is_live = False
 
     def __init__(self, source: AudioSource, start_s: float = 0.0) -> None:
-        """start_s: where `source` begins; without more, a source that is over begins in silence."""
+        """Put silence after a source. Raises ValueError for a source without a known end.
+
+        start_s: sound time at which `source` begins; past its end, the silence begins there.
+        """
         if source.duration_s is None:
             raise ValueError(f"{source.name} has no end to put silence after")
         self._source = source
@@ -185,21 +191,21 @@ class SilenceAfter:
 
     @property
     def name(self) -> str:
-        """The source's name."""
+        """The name of the source before the silence."""
         return self._source.name
 
     @property
     def duration_s(self) -> float:
-        """The source's length, without the silence."""
+        """The source's length in seconds, without the silence."""
         return self._end_s
 
     @property
     def lost_blocks(self) -> int:
-        """Blocks that the source lost."""
+        """The number of blocks that the source lost."""
         return self._source.lost_blocks
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
-        """The blocks not handed out before that end at or before sound time `until_s`."""
+        """Return the blocks not returned before that end at or before sound time `until_s`."""
         blocks = self._source.blocks(until_s)
         for silent in self._silence.blocks(max(0.0, until_s - self._end_s)):
             blocks.append(AudioBlock(silent.samples, silent.start_s + self._end_s))

@@ -1,5 +1,5 @@
-"""What the mouth is expected to look like, given the phonemes known now.
+"""The face expected for a mouth, given the phonemes known at an instant.
 
-articulation (what each phoneme asks of the mouth), context (what is known at an instant),
-expectation (context to face, NumPy only), training (scikit-learn, offline).
+articulation (features of each phoneme's mouth), context (what is known at an instant), expectation
+(context to face, NumPy only), training (scikit-learn, offline).
 """

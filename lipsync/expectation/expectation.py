@@ -1,12 +1,12 @@
-"""The learned expectation of the mouth given context: a few small networks, averaged.
+"""The learned expectation of the mouth given a context: a few small networks, averaged.
 
-The context is what is known about the phonemes at one instant, and their only input. The rule that
-makes it live: with look-ahead L, at time t a phoneme is known when it begins at or before t + L,
-and its end only when it lies at or before t + L.
+The context is what is known about the phonemes at one instant, and the networks' only input. The
+rule that makes it live: with look-ahead L, at time t a phoneme is known when it begins at or before
+t + L, and its end only when it lies at or before t + L.
 
 Inference only, NumPy only. Every network has two hidden layers of rectifiers. Phonemes enter by
-table look-up (a row for each slot and phoneme, the first layer already applied to what the phoneme
-is), so a frame costs a few matrix-vector products.
+table look-up (a row for each slot and phoneme, the first layer already applied to the phoneme's
+features), so a frame costs a few matrix-vector products.
 
 Its arrays are one part of a model file.
 """
@@ -38,7 +38,7 @@ _ROUNDING_S = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class PhonemeTrack:
-    """Phonemes end to end from minus infinity on: gaps are silence, silences are joined.
+    """Phonemes (indices in `PHONEMES`) end to end over all time: gaps are silence, silences joined.
 
     starts_s[0] is minus infinity; ends_s[i] = starts_s[i + 1]; the last end is infinite.
     """
@@ -49,7 +49,7 @@ class PhonemeTrack:
 
 
 def track_of(events: Iterable[PhonemeEvent]) -> PhonemeTrack:
-    """The track of events in order of time that do not overlap."""
+    """Return the track of phoneme events, which must be in order of time and not overlap."""
     phonemes, starts_s, end_s = [_SILENCE], [-math.inf], -math.inf
 
     def begin(phoneme: int, start_s: float) -> None:
@@ -70,11 +70,11 @@ def track_of(events: Iterable[PhonemeEvent]) -> PhonemeTrack:
 def context_at(
     track: PhonemeTrack, time_s: float, known_until_s: float
 ) -> tuple[list[int], list[float]]:
-    """The five phonemes around an instant, and six times in seconds, as far as they are known.
+    """Return the five phonemes around an instant, and six times in seconds, as far as known.
 
-    Phonemes: the two before, the one going on, the two after; UNKNOWN where there is none. Times:
-    since the beginnings of the first three; until the ends of the last three, NaN where that end
-    is not known.
+    Phonemes: indices of the two before, the present one, the two after; UNKNOWN where there is
+    none. Times: since the starts of the first three; until the ends of the last three, NaN where
+    that end is not known.
     """
     limit_s = known_until_s + _ROUNDING_S
     at = bisect_right(track.starts_s, min(time_s + _ROUNDING_S, limit_s)) - 1
@@ -97,16 +97,16 @@ def context_at(
 def contexts(
     track: PhonemeTrack, times_s: Sequence[float] | Array, lookahead_s: float
 ) -> tuple[Indices, Array]:
-    """Return `context_at` for many instants.
+    """Return the contexts (`context_at`) of many instants.
 
     Parameters
     ----------
     track : PhonemeTrack
         Phonemes with their times.
     times_s : Sequence[float] | Array
-        (n,).
+        (n,) sound times of the instants.
     lookahead_s : float
-        Seconds known beyond each.
+        Seconds of sound known beyond each instant.
 
     Returns
     -------
@@ -145,14 +145,14 @@ def timing_features(times_s: Array, lookahead_s: Array) -> Array:
     Parameters
     ----------
     times_s : Array
-        (n, 6), NaN: not known.
+        (n, 6) times of `context_at`, NaN: not known.
     lookahead_s : Array
-        (n,).
+        (n,) seconds of sound known beyond each instant.
 
     Returns
     -------
     Array
-        (n, N_TIMING).
+        (n, N_TIMING) features.
     """
     known = ~np.isnan(times_s)
     share = np.where(known, np.clip(times_s, 0.0, _LONGEST_S), 0.0) / _LONGEST_S
@@ -169,9 +169,10 @@ def timing_features(times_s: Array, lookahead_s: Array) -> Array:
 
 
 def _pace(starts_s: Array) -> Array:
-    """(n, 3), times since three phonemes began -> the durations of the first two, and their mean.
+    """Return the durations of two phonemes in units of 0.1 s, and their mean's logarithm, (n, 3).
 
-    The mean is a logarithm of base e: half as fast is as far from usual as twice as fast.
+    starts_s: (n, 3), times since these two and the next one began. By the logarithm half as fast is
+    as far from usual as twice as fast.
     """
     heard = np.isfinite(starts_s[:, :2])
     before = np.where(heard, starts_s[:, :2], 0.0)
@@ -186,7 +187,7 @@ _FEW = 4
 
 
 def timing_features_at(times_s: list[float], lookahead_s: float) -> list[float]:
-    """`timing_features` of one context, without NumPy's cost for a call: six times, N_TIMING."""
+    """Return the N_TIMING `timing_features` of one context of six times, faster than by NumPy."""
     known = [not math.isnan(time_s) for time_s in times_s]
     share = [
         min(max(time_s, 0.0), longest_s) / longest_s if is_known else 0.0
@@ -212,16 +213,16 @@ def timing_features_at(times_s: list[float], lookahead_s: float) -> list[float]:
 
 
 def window_shares(times_s: Array, lookahead_s: Array) -> Array:
-    """Return how much of each window each phoneme of a context fills.
+    """Return which share of each window of 40 ms each phoneme of a context fills.
 
-    Phonemes not known, and what lies beyond t + L, fill nothing.
+    Phonemes not known, and the time beyond t + L, fill nothing.
 
     Parameters
     ----------
     times_s : Array
-        (n, 6), NaN: not known.
+        (n, 6) times of `context_at`, NaN: not known.
     lookahead_s : Array
-        (n,): L.
+        (n,): L, seconds of sound known beyond each instant.
 
     Returns
     -------
@@ -240,10 +241,10 @@ def window_shares(times_s: Array, lookahead_s: Array) -> Array:
 class Stack:
     """m networks with h1 and h2 hidden units, from their first layer's sums on.
 
-    bias: (N_TIMING + 1, m h1), the first layer for the timing features, its bias in the last row;
-    hidden: (m, h1 + 1, h2), the second layer, its bias in the last row;
-    output: (m h2 + 1, n_components), the last layer, its bias in the last row, already divided by
-    the number of all networks that are averaged.
+    timing: (N_TIMING + 1, m h1), the first layer for the timing features, its bias in the last row;
+    hidden: (m, h1 + 1, h2), the second layer, its bias in the last row; output: (m h2 + 1,
+    n_components), the last layer, its bias in the last row, already divided by the number of all
+    networks that are averaged.
     """
 
     timing: Array
@@ -251,19 +252,19 @@ class Stack:
     output: Array
 
     def faces(self, first: Array, timing: Array) -> Array:
-        """Return the stack's faces.
+        """Return the networks' sum of faces, each divided by the number of all networks.
 
         Parameters
         ----------
         first : Array
             (n, m h1): sums of the phonemes' table rows.
         timing : Array
-            (n, N_TIMING).
+            (n, N_TIMING) timing features.
 
         Returns
         -------
         Array
-            (n, n_components).
+            (n, n_components) face coefficients.
         """
         first = first + timing @ self.timing[:-1] + self.timing[-1]
         np.maximum(first, 0.0, out=first)
@@ -277,12 +278,12 @@ class Stack:
 
 @dataclass(frozen=True, slots=True)
 class Expectation:
-    """Two families of networks that err differently: what they say is averaged.
+    """Two families of networks that err differently: their outputs are averaged.
 
-    The first reads phonemes by their place in the sequence: slot_tables (SLOTS, 41, m h1), the
-    first layer for each slot and phoneme. The second reads them by their place in time: for each
-    window of 40 ms, how much of it each phoneme fills; window_tables (N_WINDOWS, 41, m h1). The
-    last row of a table is for UNKNOWN.
+    The first reads phonemes by their number in the sequence: slot_tables (SLOTS, 41, m h1), the
+    first layer for each slot and phoneme. The second reads them by their time: for each window of
+    40 ms, which share of it each phoneme fills; window_tables (N_WINDOWS, 41, m h1). The last row
+    of a table is for UNKNOWN.
     """
 
     slot_tables: Array
@@ -291,21 +292,21 @@ class Expectation:
     windows: Stack
 
     def at(self, phonemes: list[int], times_s: list[float], lookahead_s: float) -> Array:
-        """Return the expected face in one context: `faces` in two thirds of its time.
+        """Return the expected face in one context; a third faster than `faces`.
 
         Parameters
         ----------
         phonemes : list[int]
-            5 numbers.
+            5 phoneme indices.
         times_s : list[float]
             6 times relative to the instant, NaN: not known.
         lookahead_s : float
-            Seconds known beyond it.
+            Seconds of sound known beyond the instant.
 
         Returns
         -------
         Array
-            (n_components,).
+            (n_components,) face coefficients.
         """
         timing = np.array([timing_features_at(times_s, lookahead_s)])
         by_slot = self.slot_tables[_SLOT_NUMBERS, phonemes].sum(axis=0)[None]
@@ -317,21 +318,21 @@ class Expectation:
         return face
 
     def faces(self, phonemes: Indices, times_s: Array, lookahead_s: Array) -> Array:
-        """Return the expected faces in contexts.
+        """Return the expected faces in several contexts.
 
         Parameters
         ----------
         phonemes : Indices
-            (n, 5) numbers.
+            (n, 5) phoneme indices.
         times_s : Array
-            (n, 6), NaN: not known.
+            (n, 6) times relative to the instants, NaN: not known.
         lookahead_s : Array
-            (n,).
+            (n,) seconds of sound known beyond each instant.
 
         Returns
         -------
         Array
-            (n, n_components).
+            (n, n_components) face coefficients.
         """
         if len(phonemes) <= _FEW:
             each = zip(times_s.tolist(), lookahead_s.tolist(), strict=True)
@@ -346,21 +347,21 @@ class Expectation:
         return self.slots.faces(by_slot, timing) + self.windows.faces(by_window, timing)
 
     def faces_after(self, track: PhonemeTrack, times_s: Array, known_until_s: float) -> Array:
-        """Return the expected faces at times, by what is known until one instant.
+        """Return the expected faces at times, by the phonemes known until one instant.
 
         Parameters
         ----------
         track : PhonemeTrack
             Phonemes with their times.
         times_s : Array
-            (n,).
+            (n,) sound times of the faces.
         known_until_s : float
-            Sound time.
+            Sound time until which phonemes are known.
 
         Returns
         -------
         Array
-            (n, n_components).
+            (n, n_components) face coefficients.
         """
         found = [context_at(track, time_s, known_until_s) for time_s in times_s.tolist()]
         phonemes = np.array([phonemes for phonemes, _ in found])
@@ -368,7 +369,7 @@ class Expectation:
         return self.faces(phonemes, np.array([times for _, times in found]), known_s)
 
     def arrays(self) -> dict[str, Array]:
-        """Return all arrays that a file must keep.
+        """Return all arrays that a model file must store.
 
         Returns
         -------
@@ -384,7 +385,7 @@ class Expectation:
         }
 
     def check(self, n_components: int) -> None:
-        """Raises ValueError unless the arrays fit together and are finite."""
+        """Raise ValueError unless the arrays' shapes fit together and all values are finite."""
         shapes: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {}
         families = (
             ("slot", SLOTS, self.slot_tables, self.slots),
@@ -409,12 +410,12 @@ _STACK = ("timing", "hidden", "output")
 
 
 def expectation_of(arrays: dict[str, Array]) -> Expectation:
-    """Make an expectation from the arrays of `Expectation.arrays`.
+    """Return the expectation made of the arrays that `Expectation.arrays` returns.
 
     Parameters
     ----------
     arrays : dict[str, Array]
-        By name, in the same shape.
+        By name, each with its original shape.
 
     Returns
     -------
@@ -433,7 +434,7 @@ def expectation_of(arrays: dict[str, Array]) -> Expectation:
 
 
 def constant_expectation(faces: Array) -> Expectation:
-    """Make an expectation that knows only the present phoneme, for corpora too small to learn from.
+    """Return an expectation by the present phoneme only, for corpora too small to train one.
 
     Exact: each phoneme has two rectifiers a component.
 
@@ -469,9 +470,9 @@ EXPECTATION_PART = "expectation"
 
 
 def read_expectation(file: ModelFile, n_components: int) -> Expectation:
-    """The expectation of an open model file. Raises ModelError.
+    """Return the expectation of an open model file. Raises ModelError if it is missing or unfit.
 
-    n_components: of the face that it is to move.
+    n_components: number of components of the face that it moves.
     """
 
     def assemble(arrays: Mapping[str, NDArray[np.generic]]) -> Expectation:
@@ -484,12 +485,12 @@ def read_expectation(file: ModelFile, n_components: int) -> Expectation:
 
 
 def expectation_arrays(expectation: Expectation) -> dict[str, NDArray[np.generic]]:
-    """Return the arrays that a file keeps of an expectation.
+    """Return the arrays that a model file stores for an expectation.
 
     Parameters
     ----------
     expectation : Expectation
-        Any.
+        The expectation to store.
 
     Returns
     -------

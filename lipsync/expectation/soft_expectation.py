@@ -1,14 +1,14 @@
 """The mouth expected from all posteriors of a recogniser, not from its decision alone.
 
-A decoder names one phoneme for each instant and throws away how sure it was; what it throws away
-is what the eye misses. Here the posteriors of the frames around an instant, written as what
-phonemes look like (articulation and viseme class, so that unknown words are made of known
-parts), become a face: by a ridge over random cosines (Rahimi and Recht, "Random features for
-large-scale kernel machines", NIPS 2007) and a small network of rectifiers, averaged. The face has
-its share in the motion where the recogniser doubts, and none where it is sure: phonemes known from
-a text or a file are as sharp as posteriors can be, and move the mouth as they are decided.
+A decoder names one phoneme for each instant and discards how sure it was; what it discards is
+missed in the motion. Here the posteriors of the frames around an instant, written as features of
+phonemes (articulation and viseme class, so that unknown words are made of known parts), become a
+face: by a ridge over random cosines (Rahimi and Recht, "Random features for large-scale kernel
+machines", NIPS 2007) and a small network of rectifiers, averaged. The face has its share in the
+motion where the recogniser doubts, and none where it is sure: phonemes known from a text or a file
+are as sharp as posteriors can be, and move the mouth as they are decided.
 
-Inference only, NumPy only, bounded. Its arrays are one part of a model file, where there is one.
+Inference only, NumPy only, bounded. Its arrays are an optional part of a model file.
 """
 
 from collections.abc import Mapping, Sequence
@@ -48,14 +48,14 @@ _ROUNDING_S = 1e-6
 
 
 class BelievedFrames:
-    """Posteriors of the last frames, each by the head that knows best so far."""
+    """The newest posteriors of each of the last 256 frames, from a recogniser's several heads."""
 
     def __init__(self) -> None:
         self._rows = np.zeros((_KEPT, len(PHONEMES)), np.float32)
         self._frames = np.full(_KEPT, -1)
 
     def push(self, posteriors: FramePosteriors) -> None:
-        """Take what became known; of another inventory or rate, or no posteriors: passed over."""
+        """Store new posteriors; invalid ones and those of another inventory or rate are ignored."""
         values = posteriors.values[-_KEPT:]
         is_ours = values.shape[1:] == (len(posteriors.delays), len(PHONEMES))
         if not is_ours or posteriors.frames_per_s != FRAMES_PER_S:
@@ -74,17 +74,17 @@ class BelievedFrames:
     def around(self, track: PhonemeTrack, times_s: Array, known_until_s: float) -> Array32:
         """Return the posteriors around times, frame by frame of all `WINDOWS`.
 
-        Where there are none the decided phonemes stand, all or nothing, as far as they are known;
-        beyond `known_until_s` all is 0.
+        Frames without posteriors get 1 for the decided phoneme and 0 for all others; beyond
+        `known_until_s` they get 0 for all.
 
         Parameters
         ----------
         track : PhonemeTrack
             Decided phonemes.
         times_s : Array
-            (n,).
+            (n,) sound times.
         known_until_s : float
-            Sound time.
+            Sound time until which decided phonemes are known.
 
         Returns
         -------
@@ -108,29 +108,29 @@ _SHARP = np.eye(len(PHONEMES), dtype=np.float32)
 
 
 def window_means(rows: Array32) -> Array32:
-    """Return the mean of each of `WINDOWS`.
+    """Return the mean over the frames of each of `WINDOWS`.
 
     Parameters
     ----------
     rows : Array32
-        (n, n_frames, k).
+        (n, n_frames, k) values of the frames.
 
     Returns
     -------
     Array32
-        (n, n_windows, k).
+        (n, n_windows, k) means.
     """
     sums = np.add.reduceat(rows, _FIRST_OF, axis=1)
     return np.asarray(sums / _LENGTHS, np.float32)
 
 
 def shares_of(rows: Array32) -> Array:
-    """Return how much of the motion is the soft face: more where the posteriors are in doubt.
+    """Return the soft face's share of the motion: larger where the posteriors are in doubt.
 
     Parameters
     ----------
     rows : Array32
-        (n, n_frames, n_phonemes).
+        (n, n_frames, n_phonemes) posteriors around each time.
 
     Returns
     -------
@@ -147,9 +147,9 @@ def shares_of(rows: Array32) -> Array:
 class SoftExpectation:
     """The learned map from posteriors to a face; d = n_windows k.
 
-    looks: (n_phonemes, k), what each phoneme looks like. frequencies (d, n_cosines) and phases of
-    the cosines; first (d + 1, h1) and second (h1 + 1, h2), layers of rectifiers with their biases
-    last. output: (n_cosines + d + h2 + 1, n_components), for cosines, inputs, rectifiers and 1.
+    looks: (n_phonemes, k), features of each phoneme. frequencies (d, n_cosines) and phases of the
+    cosines; first (d + 1, h1) and second (h1 + 1, h2), layers of rectifiers with their biases last.
+    output: (n_cosines + d + h2 + 1, n_components), for cosines, inputs, rectifiers and 1.
     """
 
     looks: Array32
@@ -165,27 +165,27 @@ class SoftExpectation:
         Parameters
         ----------
         means : Array32
-            (n, n_windows, n_phonemes).
+            (n, n_windows, n_phonemes) mean posteriors.
 
         Returns
         -------
         Array
-            (n, n_components).
+            (n, n_components) face coefficients.
         """
         return np.asarray(self.hidden(means) @ self.output, np.float64)
 
     def hidden(self, means: Array32) -> Array32:
-        """Return the values whose weighted sum is a face.
+        """Return the values (cosines, inputs, rectifiers, 1) whose weighted sum is a face.
 
         Parameters
         ----------
         means : Array32
-            (n, n_windows, n_phonemes).
+            (n, n_windows, n_phonemes) mean posteriors.
 
         Returns
         -------
         Array32
-            (n, n_cosines + d + h2 + 1).
+            (n, n_cosines + d + h2 + 1) values.
         """
         inputs = (means @ self.looks).reshape(len(means), -1)
         cosines = np.cos(inputs @ self.frequencies + self.phases)
@@ -202,7 +202,7 @@ class SoftExpectation:
         times_s: Array,
         known_until_s: float,
     ) -> Array:
-        """Mix the faces of decided phonemes with the soft ones, by `shares_of`.
+        """Return the faces of decided phonemes mixed with the soft ones, by `shares_of`.
 
         Parameters
         ----------
@@ -213,14 +213,14 @@ class SoftExpectation:
         track : PhonemeTrack
             Decided phonemes.
         times_s : Array
-            (n,).
+            (n,) sound times of the faces.
         known_until_s : float
-            Sound time.
+            Sound time until which decided phonemes are known.
 
         Returns
         -------
         Array
-            (n, n_components).
+            (n, n_components) mixed faces; `faces` itself where no posterior is in doubt.
         """
         rows = believed.around(track, times_s, known_until_s)
         shares = shares_of(rows)
@@ -229,7 +229,7 @@ class SoftExpectation:
         return faces + shares[:, None] * (self.faces(window_means(rows)) - faces)
 
     def check(self, n_components: int) -> None:
-        """Raises ValueError unless the arrays fit together and are finite."""
+        """Raise ValueError unless the arrays' shapes fit together and all values are finite."""
         d = len(WINDOWS) * self.looks.shape[1]
         n_cosines, h1, h2 = len(self.phases), self.first.shape[1], self.second.shape[1]
         shapes = {
@@ -259,7 +259,7 @@ def softened_line(
     posteriors: FramePosteriors,
     times_s: Array,
 ) -> Array:
-    """Return the faces of a line that was heard whole, as `SoftExpectation.mixed` has them.
+    """Return the faces of a whole recognised line, mixed with the soft ones by its posteriors.
 
     Parameters
     ----------
@@ -270,14 +270,14 @@ def softened_line(
     events : Sequence[PhonemeEvent]
         Decided phonemes.
     posteriors : FramePosteriors
-        Of the whole line.
+        Posteriors of the whole line.
     times_s : Array
-        (n,).
+        (n,) sound times of the faces.
 
     Returns
     -------
     Array
-        (n, n_components).
+        (n, n_components) mixed faces.
     """
     believed, track = BelievedFrames(), track_of(events)
     mixed, n_heard = faces.copy(), 0
@@ -302,7 +302,7 @@ _NAMES = tuple(field.name for field in fields(SoftExpectation))
 
 
 def read_soft_expectation(file: ModelFile, n_components: int) -> SoftExpectation | None:
-    """That of an open model file; None where it has none. Raises ModelError."""
+    """Return the soft expectation of an open model file; None if it has none. Raises ModelError."""
     if not file.has(SOFT_PART):
         return None
 
@@ -315,16 +315,16 @@ def read_soft_expectation(file: ModelFile, n_components: int) -> SoftExpectation
 
 
 def soft_arrays(soft: SoftExpectation) -> dict[str, NDArray[np.generic]]:
-    """Return the arrays that a file keeps: float16, since half precision moves no lip by 0.01 mm.
+    """Return the arrays to store in a model file: float16, as its rounding moves no lip by 0.01 mm.
 
     Parameters
     ----------
     soft : SoftExpectation
-        Any.
+        The expectation to store.
 
     Returns
     -------
     dict[str, NDArray[np.generic]]
-        By name, in their own shape.
+        By name, each in its field's shape.
     """
     return {name: getattr(soft, name).astype(np.float16) for name in _NAMES}

@@ -1,4 +1,4 @@
-"""The same speech for screen avatars: mouth shapes of cartoons, ARKit blendshapes, OVR visemes.
+"""Export of speech for screen avatars: cartoon mouth shapes, ARKit blendshapes, OVR visemes.
 
 Pure functions of phonemes and frames; times are sound times.
 """

@@ -1,8 +1,8 @@
-"""ARKit blendshapes from frames: what the markers and the expression of a frame say of the 52.
+"""ARKit's 52 blendshapes computed from frames: from the mouth's markers and the expression.
 
 Names and meaning: Apple, "ARFaceAnchor.BlendShapeLocation". Every coefficient is 0 at rest and 1 at
-its widest; the range of a mouth's is what its speaker reaches in one frame of a hundred, so nothing
-is tuned by hand.
+its widest; the range of a mouth's coefficient is what its speaker reaches in one frame of a
+hundred, so nothing is tuned by hand.
 
 Distances of the mouth in mm are linear in the face (`LipMeasures`).
 """
@@ -42,12 +42,12 @@ _WIDEST_PERCENT = 99.0
 
 
 class MeasureError(UserError):
-    """A face on which the mouth cannot be measured; one line."""
+    """Error for a face layout that lacks a landmark for measuring the mouth; one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class LipMeasures:
-    """`MEASURES` of faces, in mm from the mouth at rest.
+    """The linear map from faces to the distances `MEASURES`, in mm from the mouth at rest.
 
     per_face: (n_components, n_measures). rest: (n_components,). rest_gap_mm: of the mouth at rest.
     highest_mm, lowest_mm: (n_measures,), the 99th and the 1st percentile of the recorded faces.
@@ -67,18 +67,18 @@ class LipMeasures:
         Parameters
         ----------
         coefficients : Array
-            (..., n_components).
+            (..., n_components) face coefficients.
 
         Returns
         -------
         Array
-            (..., n_measures).
+            (..., n_measures) mm, in the order of `MEASURES`.
         """
         return np.asarray((coefficients - self.rest) @ self.per_face)
 
 
 def lip_measures(model: FaceWithAnimPhos) -> LipMeasures:
-    """The measures of a model, with the ranges of its AnimPhos, which are recorded faces.
+    """Return the measures of a model, with their ranges over the recorded faces of its AnimPhos.
 
     Raises MeasureError for a layout that lacks one of the landmarks.
     """
@@ -93,7 +93,7 @@ def lip_measures(model: FaceWithAnimPhos) -> LipMeasures:
 
 
 def _weights(model: FaceModel, name: str) -> Array:
-    """(3 n_points,), so that a face's points times it are the measure."""
+    """Return weights (3 n_points,) whose dot product with a face's points is the named measure."""
     weights = np.zeros((model.layout.n_points, 3))
     if name == GAP:
         weights[model.layout.upper_lip, _UP] += 1.0
@@ -143,7 +143,7 @@ _IN = {name: i for i, name in enumerate(MEASURES)}
 
 
 class ArkitMap:
-    """Frames become ARKit coefficients (52,), in the order of `ARKIT_NAMES`."""
+    """A map from frames to ARKit coefficients (52,), in the order of `ARKIT_NAMES`."""
 
     def __init__(self, measures: LipMeasures) -> None:
         self._measures = measures
@@ -157,7 +157,7 @@ class ArkitMap:
         Parameters
         ----------
         frame : Frame
-            Mouth and expression.
+            The mouth and the expression of an instant.
 
         Returns
         -------
@@ -171,15 +171,15 @@ class ArkitMap:
         return found
 
     def mouth(self, coefficients: Array) -> Array:
-        """Return the blendshapes of the mouth, `MOUTH_NAMES`.
+        """Return the blendshapes of the mouth, in the order of `MOUTH_NAMES`.
 
-        jawOpen less mouthClose is what is seen of the gap: lips that touch do so whatever the jaw
+        jawOpen minus mouthClose is the visible gap: lips that touch do so whatever the jaw
         does, and it never falls while the gap grows.
 
         Parameters
         ----------
         coefficients : Array
-            (n_components,).
+            (n_components,) face coefficients.
 
         Returns
         -------
@@ -221,13 +221,12 @@ class ArkitMap:
 def vowels(values: Array) -> dict[str, float]:
     """Return the mouth as weights of VRM's five vowels.
 
-    An open mouth is A, rounded O, drawn wide E; a nearly closed one U where it is rounded, I where
-    it is wide.
+    An open mouth is A, rounded O, wide E; a nearly closed one is U if it is rounded, I if wide.
 
     Parameters
     ----------
     values : Array
-        (52,), of ARKit.
+        (52,) ARKit coefficients.
 
     Returns
     -------
@@ -247,12 +246,12 @@ def vowels(values: Array) -> dict[str, float]:
 
 
 def _share(value: float, full: float) -> float:
-    """`value` of `full`, from 0 to 1; 0 where the speaker never goes there."""
+    """Return `value` / `full`, clipped to 0 to 1; 0 where `full` is not positive."""
     return min(max(float(value) / full, 0.0), 1.0) if full > 0.0 else 0.0
 
 
 def _add_expression(found: Array, expression: Expression) -> None:
-    """Set eyes, lids and brows from those values that are not None. found: (52,)."""
+    """Set eyes, lids and brows in `found` (52,) from the expression's values that are not None."""
     values = {
         "eyeBlinkLeft": expression.lid_left,
         "eyeBlinkRight": expression.lid_right,

@@ -3,8 +3,8 @@
 Shapes and file formats: the README of Rhubarb Lip Sync 1.13
 (https://github.com/DanielSWolf/rhubarb-lip-sync), sections "Mouth shapes" and "Output formats".
 
-The rules are in our own words and code. Which shapes a phone may have, and every duration, are
-those of Rhubarb Lip Sync 1.13. Differences are noted where they are, and in docs/avatars.md: the
+The rules are in our own words and code. The shapes that a phone may have, and every duration, are
+those of Rhubarb Lip Sync 1.13. Differences are noted in the code and in docs/avatars.md: the
 nearest of several shapes is found by their openness and rounding, and short shapes go to a
 neighbour.
 """
@@ -39,12 +39,12 @@ class MouthCue:
 
 
 def centiseconds(time_s: float) -> int:
-    """The nearest hundredth of a second."""
+    """Return a time in s as a whole number of hundredths of a second, rounded to the nearest."""
     return round(time_s / CENTISECOND_S)
 
 
 def joined(cues: Iterable[MouthCue]) -> list[MouthCue]:
-    """The same shapes in the same order, neighbours of one shape made one, empty ones left out."""
+    """Return the cues in order, neighbours of equal shape merged, those of no length left out."""
     found: list[MouthCue] = []
     for cue in cues:
         if cue.end_cs <= cue.start_cs:
@@ -56,14 +56,14 @@ def joined(cues: Iterable[MouthCue]) -> list[MouthCue]:
 
 
 def overwritten(cues: Sequence[MouthCue], new: MouthCue) -> list[MouthCue]:
-    """The cues with `new` in place of whatever lay there."""
+    """Return the cues with `new` in place of whatever was there between its start and end."""
     before = [MouthCue(c.shape, c.start_cs, min(c.end_cs, new.start_cs)) for c in cues]
     after = [MouthCue(c.shape, max(c.start_cs, new.end_cs), c.end_cs) for c in cues]
     return joined([*(c for c in before if c.end_cs > c.start_cs), new, *after])
 
 
 def cues_tsv(cues: Sequence[MouthCue]) -> str:
-    """A line a cue, `start TAB shape`; the last line is the end of the sound, with a closed mouth.
+    """Return the cues as text, a line `start TAB shape` each, then the sound's end with shape X.
 
     Raises ValueError for no cues.
     """
@@ -74,7 +74,7 @@ def cues_tsv(cues: Sequence[MouthCue]) -> str:
 
 
 def cues_json(cues: Sequence[MouthCue], sound_name: str, duration_s: float) -> str:
-    """Return the cues as JSON: `metadata` and `mouthCues`, a cue a line."""
+    """Return the cues as JSON text: an object of `metadata` and `mouthCues`, one cue per line."""
     rows = (
         f'    {{ "start": {_seconds(cue.start_cs)}, "end": {_seconds(cue.end_cs)}, '
         f'"value": "{cue.shape}" }}'
@@ -89,7 +89,7 @@ def cues_json(cues: Sequence[MouthCue], sound_name: str, duration_s: float) -> s
 
 
 def cues_xml(cues: Sequence[MouthCue], sound_name: str, duration_s: float) -> str:
-    """`rhubarbResult` with `metadata` and `mouthCues`."""
+    """Return the cues as XML text: `rhubarbResult` with `metadata` and `mouthCues`."""
     rows = "".join(
         f'    <mouthCue start="{_seconds(cue.start_cs)}" end="{_seconds(cue.end_cs)}">'
         f"{cue.shape}</mouthCue>\n"
@@ -160,7 +160,7 @@ _TWEENS: Mapping[tuple[str, str], tuple[Shape, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class _MouthSpan:
-    """The shapes that a part of a phone may have."""
+    """A span of time, all or part of a phone, with the shapes that the mouth may have in it."""
 
     shapes: str
     start_cs: int
@@ -175,11 +175,11 @@ class _MouthSpan:
 def rule_cues(
     events: Iterable[PhonemeEvent], duration_s: float, *, stops_at_burst: bool = False
 ) -> list[MouthCue]:
-    """Mouth shapes for phonemes in order, from 0 to the end of the sound, without gaps.
+    """Return mouth shapes for phonemes in order, from 0 to the end of the sound, without gaps.
 
     stops_at_burst: phonemes are labelled as Rhubarb expects of its recogniser, stops from their
     burst on: their closure is put before the label. Else a stop begins with its closure, as with
-    our recogniser, speech synthesisers and labels by hand.
+    our recogniser, speech synthesisers and labels by hand. Empty for a sound of no length.
     """
     end_cs = centiseconds(duration_s)
     if end_cs <= 0:
@@ -233,7 +233,7 @@ def _of_phone(phone: str, start_cs: int, end_cs: int) -> list[_MouthSpan]:
 
 
 def _shapes_of(phone: str, duration_cs: int) -> tuple[str, ...]:
-    """The shapes that a phone may have, for each of its parts."""
+    """Return the shapes that a phone of this length may have, as letters, for each of its parts."""
     if phone in _STOPS:
         return (_STOPS[phone][0],)
     if phone in _DIPHTHONGS:
@@ -254,7 +254,7 @@ def _shapes_of(phone: str, duration_cs: int) -> tuple[str, ...]:
 
 
 def _nearest(shape: Shape, allowed: str) -> Shape:
-    """The allowed shape that is nearest to another; of equals the first of the alphabet."""
+    """Return the allowed shape that is nearest to `shape`; of equals the first of the alphabet."""
     return min(
         (each for each in _PLACES if each in allowed),
         key=lambda each: (each != shape, math.dist(_PLACES[shape], _PLACES[each]), each),
@@ -262,7 +262,7 @@ def _nearest(shape: Shape, allowed: str) -> Shape:
 
 
 def _animated(spans: Sequence[_MouthSpan]) -> list[MouthCue]:
-    """Each part takes the allowed shape nearest to the one before; a vowel is anticipated."""
+    """Return the cues of spans: the allowed shape nearest to the one before; vowels begin early."""
     shapes: list[Shape] = []
     reference: Shape = "X"
     anticipated = -1
@@ -286,7 +286,10 @@ def _animated(spans: Sequence[_MouthSpan]) -> list[MouthCue]:
 
 
 def _without_pauses(cues: Sequence[MouthCue]) -> list[MouthCue]:
-    """A short pause holds the shape before it, a longer one relaxes it, a long one closes."""
+    """Return the cues with each inner pause X replaced: a short one holds the shape before it.
+
+    A longer pause relaxes that shape, and one above 0.35 s stays X.
+    """
     found = list(cues)
     for i in range(1, len(cues) - 1):
         if cues[i].shape == "X":
@@ -309,7 +312,7 @@ def _pause_shape(before: Shape, after: Shape, duration_cs: int) -> Shape:
 
 
 def _with_long_closures(cues: Sequence[MouthCue]) -> list[MouthCue]:
-    """A closure too short to be seen begins earlier, where the shape before can spare it."""
+    """Return the cues with short closures A begun up to 60 ms earlier, if the cue before allows."""
     found = list(cues)
     for i in range(len(found) - 1, 0, -1):
         cue, before = found[i], found[i - 1]
@@ -324,7 +327,7 @@ def _with_long_closures(cues: Sequence[MouthCue]) -> list[MouthCue]:
 
 
 def _without_short_shapes(cues: Sequence[MouthCue]) -> list[MouthCue]:
-    """Open shapes too short to be seen go to the open neighbour that follows, else the one before.
+    """Return the cues with open shapes below 70 ms given to the open cue after, else before them.
 
     An open mouth between two closures stays, however short: else the closures would be one.
     """
@@ -347,7 +350,7 @@ def _is_open(cues: Sequence[MouthCue], i: int) -> bool:
 
 
 def _tweened(cues: Sequence[MouthCue]) -> list[MouthCue]:
-    """Shapes in between where a step from one to the next would be too wide."""
+    """Return the cues with a shape inserted between two cues whose shapes are too far apart."""
     found = list(cues)
     for first, second in pairwise(cues):
         if (first.shape, second.shape) not in _TWEENS:

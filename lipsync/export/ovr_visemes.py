@@ -1,6 +1,6 @@
 """Weights of the 15 OVR visemes over time, from phonemes.
 
-Names, and which phones each stands for: Meta, "Viseme Reference" of Oculus Lipsync. Phones that it
+Names, and the phones of each viseme: Meta, "Viseme Reference" of Oculus Lipsync. Phones that it
 does not name get the viseme that looks alike on the lips.
 """
 
@@ -53,7 +53,7 @@ _CLOSING = (*BILABIALS, *LABIODENTALS)
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """A viseme from start to end. full_s: when it has to be full; None where nothing asks it."""
+    """A viseme from start to end. full_s: when its weight must be 1; None: at no certain time."""
 
     viseme: str
     start_s: float
@@ -64,17 +64,17 @@ class _Part:
 def viseme_weights(events: Iterable[PhonemeEvent], times_s: Array, tightest_s: Array) -> Array:
     """Return the weights of the 15 Oculus visemes over time.
 
-    Neighbours pass into each other around their border. Where lips close, the viseme is full when
-    the lips are shut. Before and after the phonemes: `sil`.
+    Neighbours fade into each other around their border. Where lips close, the viseme's weight is 1
+    when the lips are shut. Before and after the phonemes: `sil`.
 
     Parameters
     ----------
     events : Iterable[PhonemeEvent]
-        Phonemes in order.
+        Phonemes in order of time.
     times_s : Array
-        (n_times,), ascending.
+        (n_times,) sound times, ascending.
     tightest_s : Array
-        (40,), see FaceModel.
+        (40,) s from each phoneme's onset until the lips are nearest, see FaceModel.
 
     Returns
     -------
@@ -124,7 +124,7 @@ def _parts(events: Sequence[PhonemeEvent], tightest_s: Array) -> list[_Part]:
 
 
 def _passed(before: _Part, part: _Part, times_s: Array) -> Array:
-    """(n_times,), how far `before` has passed into `part`: from 0 to 1."""
+    """Return how far the viseme `before` has faded into `part` at each time: (n_times,), 0 to 1."""
     if part.full_s is not None:
         begins_s, full_s = part.full_s - CLOSING_S, part.full_s
     else:

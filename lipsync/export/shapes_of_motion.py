@@ -1,4 +1,4 @@
-"""Mouth shapes from the motion itself, so that a cartoon shows what the robot's lips do."""
+"""Cartoon mouth shapes from the motion itself, so that a cartoon shows what the robot's lips do."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ _PAUSE_CS = 35
 
 @dataclass(frozen=True, slots=True)
 class ShapePrototypes:
-    """What a mouth is compared with.
+    """Recorded mouths, one for each shape, with which a mouth is compared.
 
     places: (7, n_measures), of A and of the shapes that phones draw, in standard deviations of the
     recorded faces.
@@ -46,7 +46,7 @@ class ShapePrototypes:
 
 
 def shape_prototypes(model: FaceWithAnimPhos, measures: LipMeasures) -> ShapePrototypes:
-    """The median recorded mouth in the middle of the phones that each shape is drawn for.
+    """Return each shape's prototype: the median recorded mouth in the middle of its phones.
 
     A is the mouth at rest, whose lips touch.
     """
@@ -63,18 +63,18 @@ def shape_prototypes(model: FaceWithAnimPhos, measures: LipMeasures) -> ShapePro
 def motion_cues(
     prototypes: ShapePrototypes, coefficients: Array, shut: NDArray[np.bool_], duration_s: float
 ) -> list[MouthCue]:
-    """Return the mouth shapes nearest to a motion over all, none shorter than `SHORTEST_CS`.
+    """Return the sequence of mouth shapes nearest to a motion, none shorter than `SHORTEST_CS`.
 
     Parameters
     ----------
     prototypes : ShapePrototypes
-        A face for each shape.
+        A mouth for each shape.
     coefficients : Array
         (n, n_components), every 10 ms from 0 s on.
     shut : NDArray[np.bool_]
         (n,), where the lips touch (`lips_shut`): drawn as A, as X in pauses.
     duration_s : float
-        Of the sound.
+        Length of the sound.
 
     Returns
     -------
@@ -101,19 +101,19 @@ def motion_cues(
 
 
 def lips_shut(measures: LipMeasures, coefficients: Array) -> NDArray[np.bool_]:
-    """Return whether the lips touch.
+    """Return whether the lips touch in each face.
 
     Parameters
     ----------
     measures : LipMeasures
-        Of the face model.
+        Measures of the face model.
     coefficients : Array
-        (n, n_components).
+        (n, n_components) face coefficients.
 
     Returns
     -------
     NDArray[np.bool_]
-        (n,).
+        (n,), True where the lip gap is at most `BILABIAL_GAP_MM`.
     """
     gap_mm = measures.of(coefficients)[:, MEASURES.index(GAP)] + measures.rest_gap_mm
     return np.asarray(gap_mm <= BILABIAL_GAP_MM)
@@ -125,24 +125,24 @@ def sampling_times_s(duration_s: float) -> Array:
     Parameters
     ----------
     duration_s : float
-        Of the sound.
+        Length of the sound.
 
     Returns
     -------
     Array
-        (n,) s.
+        (n,) s from 0 on.
     """
     return np.asarray(np.arange(centiseconds(duration_s)) * CENTISECOND_S, dtype=np.float64)
 
 
 def _scale(measures: LipMeasures) -> Array:
-    """(n_measures,), never 0."""
+    """Return the standard deviations (n_measures,) of the measures, 1 where one is 0."""
     scale: Array = np.where(measures.spread_mm > 0.0, measures.spread_mm, 1.0)
     return scale
 
 
 def _segments(costs: Array, shortest: int) -> Sequence[tuple[int, int, int]]:
-    """The cheapest (shape, start, end) that cover the rows of costs (n, n_shapes).
+    """Return the cheapest stretches (shape, start, end) that cover the rows of costs (n, n_shapes).
 
     Every stretch has `shortest` rows at least, where there are as many. Dynamic programming over
     stretches, as of a hidden semi-Markov model with a shortest duration.
@@ -176,7 +176,7 @@ def _segments(costs: Array, shortest: int) -> Sequence[tuple[int, int, int]]:
 
 
 def _is_pause(cue: MouthCue, n: int) -> bool:
-    """Closed for long, or before the first word or after the last."""
+    """Return whether a cue A is longer than 0.35 s, or begins at 0, or ends at `n` centiseconds."""
     is_long = cue.end_cs - cue.start_cs > _PAUSE_CS
     return cue.shape == "A" and (is_long or cue.start_cs == 0 or cue.end_cs == n)
 

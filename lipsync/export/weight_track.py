@@ -8,7 +8,7 @@ of a frame (float), rate as numerator and denominator (32 bits each); the count 
 floats: the blendshapes, then yaw, pitch, roll of head, left and right eye.
 
 Open Sound Control 1.0, https://opensoundcontrol.stanford.edu/spec-1_0.html. VMC protocol,
-https://protocol.vmc.info/english: `/VMC/Ext/Blend/Val` name value, a message a shape, then
+https://protocol.vmc.info/english: `/VMC/Ext/Blend/Val` name value, a message for each shape, then
 `/VMC/Ext/Blend/Apply`.
 """
 
@@ -33,7 +33,10 @@ _ROTATIONS = ("HeadYaw", "HeadPitch", "HeadRoll", "LeftEyeYaw", "LeftEyePitch", 
 
 @dataclass(frozen=True, slots=True)
 class WeightTrack:
-    """kind: arkit or ovr. names: (k,). times_s: (n,), ascending. values: (n, k), from 0 to 1."""
+    """Named weights over time at a frame rate, for an avatar.
+
+    kind: arkit or ovr. names: (k,). times_s: (n,), ascending. values: (n, k), from 0 to 1.
+    """
 
     kind: str
     rate_hz: float
@@ -43,25 +46,25 @@ class WeightTrack:
 
 
 def frame_times_s(duration_s: float, rate_hz: float) -> Array:
-    """Return the times of frames from 0 to the end of the sound, which none lies beyond.
+    """Return the times of frames from 0 to the end of the sound; none is later than the end.
 
     Parameters
     ----------
     duration_s : float
-        Of the sound.
+        Length of the sound.
     rate_hz : float
         Frames a second.
 
     Returns
     -------
     Array
-        (n,) s.
+        (n,) s from 0 on.
     """
     return np.arange(int(np.floor(duration_s * rate_hz + 1e-9)) + 1) / rate_hz
 
 
 def track_lines(track: WeightTrack) -> str:
-    """JSON lines: a header with the names, then {"time_s", "values"} a frame."""
+    """Return a track as JSON lines: a header with names, then {"time_s", "values"} per frame."""
     header = {
         "lipservo_export": TRACK_VERSION,
         "kind": track.kind,
@@ -76,7 +79,7 @@ def track_lines(track: WeightTrack) -> str:
 
 
 def track_csv(track: WeightTrack) -> str:
-    """A row a frame: time_s, then the weights."""
+    """Return a track as CSV: a header, then a row per frame with time_s and the weights."""
     rows = (
         [f"{time_s:.6f}", *_fixed(values)]
         for time_s, values in zip(track.times_s, track.values, strict=True)
@@ -85,10 +88,10 @@ def track_csv(track: WeightTrack) -> str:
 
 
 def live_link_csv(track: WeightTrack) -> str:
-    """ARKit's 52 as the Live Link Face app writes a take.
+    """Return a track of ARKit's 52 weights as CSV in the format of the Live Link Face app.
 
     Timecode is HH:MM:SS:FF.fff of sound time, FF counting whole frames at the track's rate, which
-    has to be whole; head and eyes are not turned.
+    has to be whole, else ValueError; the angles of head and eyes are 0.
     """
     still = ["0"] * len(_ROTATIONS)
     rows = (
@@ -100,7 +103,7 @@ def live_link_csv(track: WeightTrack) -> str:
 
 
 def _timecode(time_s: float, rate_hz: float) -> str:
-    """Raises ValueError for a rate that is not whole: there would be parts of frames a second."""
+    """Return a sound time as HH:MM:SS:FF.fff. Raises ValueError for a rate that is not whole."""
     if rate_hz != round(rate_hz):
         raise ValueError(f"a timecode needs a whole number of frames a second, not {rate_hz}")
     thousandths = round(time_s * rate_hz * 1000)
@@ -130,14 +133,14 @@ _DEVICE_ID = b"6c697073-6572-766f-8000-000000000001"
 
 
 def live_link_packet(values: Array, subject: str, time_s: float) -> bytes:
-    """Return one frame in the format of Live Link Face; head and eyes are not turned.
+    """Return one frame in the format of Live Link Face; the angles of head and eyes are 0.
 
     Parameters
     ----------
     values : Array
-        (52,), in the order of `ARKIT_NAMES`.
+        (52,) weights, in the order of `ARKIT_NAMES`.
     subject : str
-        ASCII.
+        Name of the face, ASCII.
     time_s : float
         Sound time; before the first sound counts as 0.
 
@@ -169,7 +172,7 @@ MOST_BYTES = 1452
 
 
 def osc_message(address: str, *arguments: str | float) -> bytes:
-    """One message: strings as `s`, numbers as `f` (32 bits)."""
+    """Return one OSC message to `address`; strings are encoded as `s`, numbers as `f` (32 bits)."""
     tags = "," + "".join("s" if isinstance(each, str) else "f" for each in arguments)
     values = (
         _padded(each) if isinstance(each, str) else struct.pack(">f", each) for each in arguments
@@ -178,7 +181,10 @@ def osc_message(address: str, *arguments: str | float) -> bytes:
 
 
 def vmc_packets(shapes: Iterable[tuple[str, float]]) -> list[bytes]:
-    """Datagrams that set blendshapes by name; the last one applies them. One, but for very many."""
+    """Return OSC datagrams that set blendshapes by name; the last one ends with the Apply message.
+
+    One datagram, unless the shapes are too many for its 1452 bytes.
+    """
     packets = [_BUNDLE_HEAD]
     messages = [osc_message(_VALUE, name, value) for name, value in shapes]
     for message in (*messages, osc_message(_APPLY)):
@@ -191,6 +197,6 @@ def vmc_packets(shapes: Iterable[tuple[str, float]]) -> list[bytes]:
 
 @lru_cache(maxsize=256)  # the same few names, 60 times a second
 def _padded(text: str) -> bytes:
-    """A string as OSC has it: with at least one zero byte, a multiple of four in all."""
+    """Return ASCII text as an OSC string: one to four zero bytes fill it up to a multiple of 4."""
     encoded = text.encode("ascii")
     return encoded + b"\x00" * (4 - len(encoded) % 4)

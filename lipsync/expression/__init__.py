@@ -1,1 +1,1 @@
-"""Head, gaze, lids and brows, live: what a face does besides its mouth."""
+"""The live motion of head, gaze, lids and brows: everything of a face but its mouth."""

@@ -1,4 +1,4 @@
-"""Blinks, lids and brows: when eyes blink, where lids are, and brows that go up with the voice."""
+"""Motion of lids and brows: blinks, lids that follow the eyes, brows that rise with the voice."""
 
 import math
 from random import Random
@@ -23,9 +23,9 @@ _NO_BLINK_DEG, _ALL_BLINK_DEG, _MOST_BLINKING = 5.0, 28.0, 0.97
 
 
 class Blinks:
-    """Blinks of their own accord at log-normal intervals; at ends of speech; with large saccades.
+    """A generator of blinks: spontaneous at log-normal intervals, at ends of speech, with saccades.
 
-    The interval is drawn anew after any of them. It is counted in mean intervals, so that the rate
+    The interval is drawn anew after any of these. It is counted in mean intervals, so that the rate
     may change while it passes.
     """
 
@@ -36,10 +36,10 @@ class Blinks:
         self._until_end_blink_s = math.inf
 
     def step(self, rate_per_min: float, speech_ended: bool, saccade_deg: float) -> float:
-        """How far the lids are shut by blinking, 0 to 1, one cue later.
+        """Advance by one cue; return how far blinking shuts the lids, 0 to 1.
 
-        rate_per_min: of the blinks of their own accord; 0: no blink at all begins. saccade_deg: of
-        a saccade that begins now.
+        rate_per_min: of spontaneous blinks; 0: no blink at all begins. saccade_deg: size of a
+        saccade that begins now, else 0.
         """
         self._since_s += CUE_PERIOD_S
         self._left -= rate_per_min / 60.0 * CUE_PERIOD_S
@@ -59,12 +59,12 @@ class Blinks:
         return closure(self._since_s)
 
     def _drawn_interval(self) -> float:
-        """Log-normal with mean 1."""
+        """Return a random interval until the next blink, log-normal with mean 1."""
         return self._random.lognormvariate(-SIGMA * SIGMA / 2.0, SIGMA)
 
 
 def closure(since_s: float) -> float:
-    """How far a blink has shut the lids so long after it began: 0 to 1 and back."""
+    """Return how far a blink shuts the lids `since_s` after it began: 0 to 1 and back to 0."""
     if since_s >= CLOSING_S + HOLDING_S + OPENING_S:
         return 0.0
     if since_s < CLOSING_S:
@@ -80,10 +80,10 @@ WIDEST, _SLEEPIEST = -0.4, 0.65
 
 
 def lid_position(eye_pitch_deg: float, offset: float, size: float, blink: float) -> float:
-    """0 open, 1 shut, below 0 wider than at rest.
+    """Return the position of a lid: 0 open, 1 shut, below 0 wider than at rest.
 
-    offset: by arousal. size: of all but the blink, 0 to 1. blink: 0 to 1, goes the rest of the way
-    from wherever the lid is, so that 1 is shut and neither end has a corner.
+    offset: by arousal. size: factor of all but the blink, 0 to 1. blink: 0 to 1, closes that share
+    of what is open, so that 1 is shut and neither end has a corner.
     """
     if eye_pitch_deg < 0.0:
         follow = min(_MOST_DOWN, -_PER_DEG_DOWN * eye_pitch_deg)
@@ -106,7 +106,7 @@ _PER_PITCH, _MOST_BY_PITCH = 0.08, 0.2
 
 
 class BrowFlashes:
-    """Raised brows, 0 to 1: flashes with rises of pitch, and a little of the pitch itself."""
+    """A generator of raised brows, 0 to 1: flashes when pitch rises, and a share of the pitch."""
 
     def __init__(self, random: Random) -> None:
         self._random = random
@@ -120,7 +120,7 @@ class BrowFlashes:
         self._flash = 0.0
 
     def step(self, voice: VoiceFrame, is_speaking: bool, is_idle: bool) -> float:
-        """Advance by one cue; nothing begins where the face is idle."""
+        """Advance by one cue; return how far brows are raised, 0 to 1. No flash begins in idle."""
         self._since_s += CUE_PERIOD_S
         if is_speaking and voice.is_speech and voice.pitch_hz > 0.0:
             pitch = bounded(voice.pitch_z, -MOST_Z, MOST_Z)

@@ -1,6 +1,6 @@
-"""The input of a face's expression, one cue every 10 ms, and what all generators share.
+"""The input of a face's expression, one cue every 10 ms, and helpers shared by all generators.
 
-Bounds keep motion within its limits whatever a cue says; a damped follower moves as mass does.
+Bounds keep motion within its limits whatever a cue contains; a damped follower moves as mass does.
 """
 
 import math
@@ -12,21 +12,21 @@ from lipsync.prosody.voice_frame import SILENT_VOICE, VoiceFrame
 
 
 def bounded(value: float, least: float, most: float) -> float:
-    """The value within both limits, infinities included; 0 for what is not a number."""
+    """Return the value clipped to both limits, infinities included; 0 for NaN."""
     if value != value:
         return 0.0
     return least if value < least else most if value > most else value
 
 
 def smoothstep(share: float) -> float:
-    """From 0 to 1 with slope 0 at both ends, 3 u^2 - 2 u^3; steepest in the middle, 1.5."""
+    """Return 3 u^2 - 2 u^3 for a share u clipped to 0 to 1: slope 0 at both ends, at most 1.5."""
     if share <= 0.0:
         return 0.0
     return 1.0 if share >= 1.0 else share * share * (3.0 - 2.0 * share)
 
 
 def toward(value: float, goal: float, step: float) -> float:
-    """One step from a value towards a goal, never beyond it."""
+    """Return the value moved by one step towards a goal, never beyond the goal."""
     return min(goal, value + step) if value < goal else max(goal, value - step)
 
 
@@ -36,14 +36,14 @@ CUE_PERIOD_S: Final = 0.010
 
 @dataclass(frozen=True, slots=True)
 class ExpressionCue:
-    """One moment of sound time, causal.
+    """The input of a face's expression at one instant of sound time, causal.
 
-    time_s: sound time; it grows by CUE_PERIOD_S. voice: what was heard. is_speaking: the robot's
+    time_s: sound time; it grows by CUE_PERIOD_S. voice: the voice heard. is_speaking: the robot's
     mouth speaks (pauses within a sentence count as speech until 0.3 s have passed). silent_s: how
     long no person has spoken. look_at_deg: (yaw, pitch) of a person to look at, in the robot's own
-    frame, None: no person. valence: -1 (sad) to 1 (glad), as a dialogue system says; arousal: -1 to
-    1, of the voice or as a dialogue system says. amount: 0 (still) to 1 (as measured on people),
-    and up to 1.5.
+    frame, None: no person. valence: -1 (sad) to 1 (glad), from a dialogue system; arousal: -1 to 1,
+    of the voice or from a dialogue system. amount: 0 (still) to 1 (as measured on people), and up
+    to 1.5.
     """
 
     time_s: float
@@ -57,18 +57,18 @@ class ExpressionCue:
 
 
 class ExpressionSource(Protocol):
-    """A source of expressions. State and a seeded generator only: same cues, same motion."""
+    """A source of expressions, deterministic: equal seeds and cues give equal motion."""
 
     def step(self, cue: ExpressionCue) -> Expression:
-        """The expression of the cue's moment; call it once for each, in order."""
+        """Return the expression at the cue's time; call it once for each cue, in order."""
 
 
 class WholeExpression(ExpressionSource, Protocol):
-    """One that knows when there is nothing to show."""
+    """An `ExpressionSource` that reports when the face is at rest."""
 
     @property
     def is_resting(self) -> bool:
-        """Whether it is at neutral, and stays there until a person speaks or moves."""
+        """Whether the face is at neutral, and stays there until a person speaks or moves."""
 
 
 #: Nearer than this, and slower than this a time constant, it has arrived: the last thousandth of a
@@ -77,7 +77,7 @@ _ARRIVED = 1e-3
 
 
 class DampedFollower:
-    """x'' = w^2 (target - x) - 2 w x', solved exactly over one cue with the target held.
+    """A critically damped filter: x'' = w^2 (target - x) - 2 w x', solved exactly for each cue.
 
     The error is cut off at 2 `most_per_s` / w, at which the filter's final speed is `most_per_s`:
     it is never exceeded, and nowhere is more acceleration than 4 w `most_per_s`. The filter does
@@ -85,7 +85,10 @@ class DampedFollower:
     """
 
     def __init__(self, frequency_hz: float, most_per_s: float) -> None:
-        """frequency_hz: w / 2 pi; at w the target comes through at half its size."""
+        """Create a filter at 0. frequency_hz: w / 2 pi, at which a target is halved.
+
+        most_per_s: limit of the speed.
+        """
         self.value = 0.0
         self._speed_per_s = 0.0
         self._w = 2.0 * math.pi * frequency_hz
@@ -93,7 +96,7 @@ class DampedFollower:
         self._most_error = 2.0 * most_per_s / self._w
 
     def follow(self, target: float) -> float:
-        """The value one cue later."""
+        """Advance by one cue with this target; return the new value."""
         error, speed_per_s, w = self.value - target, self._speed_per_s, self._w
         if -_ARRIVED < error < _ARRIVED and abs(speed_per_s) < _ARRIVED * w:
             self.value, self._speed_per_s = target, 0.0

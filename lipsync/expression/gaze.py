@@ -1,4 +1,4 @@
-"""Where a face looks: at its partner, away, and back, by saccades shared by eyes and head."""
+"""Gaze of a face: at its partner, away, and back, by saccades shared by eyes and head."""
 
 import math
 from bisect import bisect
@@ -19,24 +19,24 @@ _BIN_DEG = 45.0
 
 
 def drawn_magnitude_deg(random: Random) -> float:
-    """0.3 degrees at least; 7.2 on average."""
+    """Return a random saccade size in degrees: 0.3 at least; 7.2 on average."""
     percent = _MOST_PERCENT * (1.0 - random.random())
     return -_SCALE_DEG * math.log(percent / _OFFSET_PERCENT)
 
 
 def drawn_direction_rad(random: Random) -> float:
-    """Draw a direction uniformly within one of the eight bins."""
+    """Return a random saccade direction in rad: a bin of 45 degrees by its share, then uniform."""
     nearest = bisect(_DIRECTIONS, random.random() * _DIRECTIONS[-1])
     return math.radians(_BIN_DEG * (nearest + random.random() - 0.5))
 
 
 def duration_s(magnitude_deg: float) -> float:
-    """Return the seconds that a movement of that size takes."""
+    """Return the seconds that a saccade of this size takes."""
     return _SHORTEST_S + _S_PER_DEG * magnitude_deg
 
 
 class Saccade:
-    """One movement of gaze from (yaw, pitch) to (yaw, pitch), degrees, on a straight way."""
+    """One movement of gaze from (yaw, pitch) to (yaw, pitch), degrees, along a straight line."""
 
     def __init__(self, start_deg: tuple[float, float], aim_deg: tuple[float, float]) -> None:
         self.aim_deg = aim_deg
@@ -46,7 +46,7 @@ class Saccade:
         self._elapsed_s = 0.0
 
     def step(self) -> tuple[float, float]:
-        """Where gaze is one cue later; at the aim once it is over."""
+        """Advance by one cue; return gaze as (yaw, pitch) in degrees, the aim once it is over."""
         self._elapsed_s += CUE_PERIOD_S
         share = smoothstep(self._elapsed_s / self._duration_s)
         if share >= 1.0:
@@ -59,7 +59,7 @@ class Saccade:
 
     @property
     def is_over(self) -> bool:
-        """Whether gaze has arrived."""
+        """Whether the saccade has reached its aim."""
         return self._elapsed_s >= self._duration_s
 
 
@@ -78,11 +78,11 @@ _LEAST_SHARE, _MOST_SHARE = 0.05, 0.98
 
 @dataclass(frozen=True, slots=True)
 class GazeHabit:
-    """How long fixations last, mean and standard deviation, and the share of them on the partner.
+    """Lengths of fixations on the partner and away, mean and deviation, and the partner's share.
 
-    The durations are those of SmartBody's model of "Eyes Alive", in seconds (its frames are 1/30
-    s, and what its table calls a standard deviation is one). They do not go with its shares (they
-    give 77 and 95 % on the partner, not 41 and 75), so that the share is what is set, and a look
+    The durations are those of SmartBody's model of "Eyes Alive", in seconds (its frames are 1/30 s,
+    and what its table calls a standard deviation is one). They do not agree with its shares (they
+    give 77 and 95 % on the partner, not 41 and 75), so that the share is what is set, and a period
     away is made of as many fixations as it takes.
     """
 
@@ -100,19 +100,22 @@ class GazeHabit:
             )
 
     def returning(self) -> float:
-        """The chance that a fixation away is the last of its look away: mean length over theirs."""
+        """Return the probability that gaze returns to the partner after a fixation away.
+
+        It is the mean fixation's length over the mean period away, 1 at most.
+        """
         share = self.mutual_share
         away_s = self.mutual_mean_s * (1.0 - share) / share if share < 1.0 else 0.0
         return 1.0 if away_s <= self.away_mean_s else self.away_mean_s / away_s
 
     def drawn_mutual_s(self, random: Random) -> float:
-        """A time on the partner."""
+        """Return a random length in s of gaze on the partner; inf for a share above 0.98."""
         if self.mutual_share > _MOST_SHARE:
             return math.inf
         return _gamma(random, self.mutual_mean_s, self.mutual_sd_s)
 
     def drawn_away_s(self, random: Random) -> float:
-        """A fixation away; shorter than measured where the share leaves no time for it."""
+        """Return a random length in s of a fixation away, shortened where the share requires it."""
         share = self.mutual_share
         away_s = self.mutual_mean_s * (1.0 - share) / share
         shrunk = min(1.0, away_s / self.away_mean_s)
@@ -120,19 +123,22 @@ class GazeHabit:
 
 
 def _gamma(random: Random, mean_s: float, sd_s: float) -> float:
-    """Gamma above the shortest fixation, with this mean and standard deviation in all."""
+    """Return a random duration in s with this mean and standard deviation, at least 0.2 s.
+
+    It is gamma-distributed above that shortest fixation.
+    """
     above_s = mean_s - _SHORTEST_FIXATION_S
     shape = (above_s / sd_s) ** 2
     return _SHORTEST_FIXATION_S + random.gammavariate(shape, above_s / shape)
 
 
 def talking_habit(mutual_share: float = 0.41) -> GazeHabit:
-    """Return the gaze habit of a person who talks."""
+    """Return the gaze habit of a person who talks, with this share of time on the partner."""
     return GazeHabit(mutual_share, 93.9 / 30, 94.9 / 30, 27.8 / 30, 24.0 / 30)
 
 
 def listening_habit(mutual_share: float = 0.75) -> GazeHabit:
-    """Return the gaze habit of a person who listens."""
+    """Return the gaze habit of a person who listens, with this share of time on the partner."""
     return GazeHabit(mutual_share, 237.5 / 30, 47.1 / 30, 13.0 / 30, 7.1 / 30)
 
 
@@ -140,10 +146,10 @@ STRAIGHT_AHEAD: Final = (0.0, 0.0)
 
 
 class Gaze:
-    """The direction of gaze in the robot's frame, (yaw, pitch) degrees, a saccade at a time.
+    """The direction of gaze in the robot's frame, (yaw, pitch) degrees, moved by saccades.
 
-    direction_deg: now. aim_deg: where the last saccade leads, or has led. saccade_deg: the size of
-    one that has just begun, else 0. is_mutual: on the partner.
+    direction_deg: the present one. aim_deg: the target of the last saccade. saccade_deg: the size
+    of a saccade that has just begun, else 0. is_mutual: whether gaze is on the partner.
     """
 
     def __init__(self, random: Random, talking: GazeHabit, listening: GazeHabit) -> None:
@@ -161,7 +167,11 @@ class Gaze:
         self.saccade_deg = 0.0
 
     def step(self, partner_deg: tuple[float, float], pace: float, size: float) -> None:
-        """One cue later. pace: of fixations, 1 as measured; size: of looks away, 0 for none."""
+        """Advance gaze by one cue; `partner_deg`: the partner's (yaw, pitch).
+
+        pace: factor of the rate of fixations, 1 as measured. size: factor of the offsets away from
+        the partner; 0: gaze stays on the partner.
+        """
         self._left_s -= pace * CUE_PERIOD_S
         if self._left_s <= 0.0:
             self._change()
@@ -171,7 +181,7 @@ class Gaze:
         self._move((partner_deg[0] + size * across_deg, partner_deg[1] + size * up_deg))
 
     def turn(self, is_talking: bool) -> None:
-        """Talk or listen from now on; what is left of a fixation becomes as long as it is then."""
+        """Set the gaze habit to talking or listening; rescale what is left of the fixation."""
         habit = self._habits[is_talking]
         if habit is self._habit:
             return
@@ -184,7 +194,7 @@ class Gaze:
         self._habit = habit
 
     def look(self, at_least_s: float = _FIRST_LOOK_S) -> None:
-        """Look at the partner now, for `at_least_s` seconds."""
+        """Direct gaze to the partner now, for at least `at_least_s` seconds."""
         self.is_mutual = True
         self._is_due = True
         self._offset_deg = STRAIGHT_AHEAD
@@ -203,7 +213,10 @@ class Gaze:
             self._left_s = habit.drawn_away_s(random)
 
     def _drawn_offset_deg(self) -> tuple[float, float]:
-        """One saccade on from the last place; a place outside of the range is drawn again."""
+        """Return a random offset (yaw, pitch) from the partner, one saccade from the last offset.
+
+        One outside of the range is drawn again; after eight draws the last offset is halved.
+        """
         for _ in range(_TRIES):
             magnitude_deg = drawn_magnitude_deg(self._random)
             direction_rad = drawn_direction_rad(self._random)
@@ -228,7 +241,11 @@ class Gaze:
                 self._saccade = None
 
     def _is_worth_it(self, wanted_deg: tuple[float, float]) -> bool:
-        """A decision is carried out at once; a partner who moves is followed by steps."""
+        """Return whether a saccade to `wanted_deg` begins now.
+
+        A new decision is carried out at once; a partner who moves is followed in steps of over 1
+        degree, at least 0.2 s apart.
+        """
         if self._is_due:
             return wanted_deg != self.aim_deg
         off_deg = math.hypot(wanted_deg[0] - self.aim_deg[0], wanted_deg[1] - self.aim_deg[1])
@@ -247,10 +264,10 @@ _SMALL_DEG, _LARGE_DEG = 10.0, 40.0
 
 
 def head_part_deg(aim_deg: tuple[float, float]) -> tuple[float, float]:
-    """(yaw, pitch) of the head for a direction of gaze: more of it the further out.
+    """Return the head's (yaw, pitch) for a direction of gaze: a larger share the further out it is.
 
-    People turn the head little for what the eyes reach with ease, and nearly all of the rest of
-    the way beyond that (Stahl, Experimental Brain Research 126, 1999).
+    People turn the head little for what the eyes reach with ease, and nearly all of the rest of the
+    way beyond that (Stahl, Experimental Brain Research 126, 1999).
     """
     yaw_deg, pitch_deg = aim_deg
     far = (math.hypot(yaw_deg, pitch_deg) - _SMALL_DEG) / (_LARGE_DEG - _SMALL_DEG)
@@ -264,7 +281,7 @@ def head_part_deg(aim_deg: tuple[float, float]) -> tuple[float, float]:
 def eyes_deg(
     direction_deg: tuple[float, float], head_yaw_deg: float, head_pitch_deg: float
 ) -> tuple[float, float]:
-    """(yaw, pitch) of the eyes in the head, so that gaze stays put in the world.
+    """Return (yaw, pitch) of the eyes in the head, so that gaze keeps its direction in the world.
 
     The vestibulo-ocular reflex, to first order: gaze - head. Roll turns the eyes about the line of
     sight and is left out; at 3 degrees of it, eyes 10 degrees off centre miss by half a degree.

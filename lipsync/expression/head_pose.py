@@ -1,9 +1,9 @@
-"""Where the head is: with gaze and voice in conversation, and holding still in idle.
+"""Pose of the head: moving with gaze and voice in conversation, mostly still in idle.
 
-In talk it nods to accents of the voice and wanders slowly about where it should be. In idle it
-holds, makes a small move, and holds: a gear train that always moves is heard in a silent room and
-wears. So idle motion is no drift but moves with rests between them, each paid for out of a budget
-of travel (docs/expression.md).
+In talk it nods to accents of the voice and drifts slowly about its pose. In idle it holds, makes a
+small move, and holds: a gear train that always moves is heard in a silent room and wears. So idle
+motion is no drift but moves with rests between them, each paid for out of a budget of travel
+(docs/expression.md).
 """
 
 import math
@@ -38,7 +38,7 @@ MOST_Z = 4.0
 
 
 class ProsodyAccents:
-    """Head pitch that goes with prosody: a nod to an accent, and the course of the phrase.
+    """A generator of head pitch from prosody: a nod to an accent, and the course of the phrase.
 
     Prominence is loudness + pitch / 2, in standard deviations; an accent is where its fast average
     leaves its slow one behind. The head lags prosody by some 30 ms in people (Fotedar and Ghosh,
@@ -97,7 +97,7 @@ class HeadDrift:
         self._at = (0.0, 0.0, 0.0)
 
     def step(self, talking: float) -> tuple[float, float, float]:
-        """Pitch, yaw and roll in degrees one cue later; talking: 0 to 1."""
+        """Advance by one cue; return pitch, yaw and roll in degrees. talking: 0 to 1."""
         (pitch, yaw, roll), (kept_0, kept_1, kept_2) = self._at, self._kept
         new_0, new_1, new_2 = self._new
         gauss = self._random.gauss
@@ -128,7 +128,7 @@ _SETTLING_S = 2.0
 
 
 class _Axis:
-    """One angle that holds or is on its way, and what it may still travel."""
+    """One angle of the head that rests or moves to a goal, and the travel that it has saved up."""
 
     def __init__(self) -> None:
         self.angle_deg = 0.0
@@ -155,7 +155,7 @@ class _Axis:
         return self.angle_deg
 
     def affordable(self, way_deg: float) -> float:
-        """As much of a way as can be gone there and back."""
+        """Return `way_deg` reduced to what the saved travel allows, there and back."""
         return math.copysign(min(abs(way_deg), self.saved_deg / 2.0), way_deg)
 
     def pays(self, travel_deg: float) -> bool:
@@ -166,7 +166,7 @@ class _Axis:
 
 
 class IdlePosture:
-    """Pitch, yaw and roll of a head in idle."""
+    """A generator of a head's pitch, yaw and roll in idle: small moves with rests between them."""
 
     def __init__(self, random: Random) -> None:
         self._random = random
@@ -176,7 +176,10 @@ class IdlePosture:
         self._is_turned = False
 
     def step(self, turn_deg: tuple[float, float]) -> tuple[float, float, float]:
-        """One cue later, of idle. turn_deg: (yaw, pitch) of the head's part of a look away."""
+        """Advance by one cue of idle; return pitch, yaw and roll in degrees.
+
+        turn_deg: (yaw, pitch) of the head's part of gaze away from the partner.
+        """
         for axis in self._axes:
             axis.saved_deg = min(_MOST_SAVED_DEG, axis.saved_deg + BUDGET_DEG_S * CUE_PERIOD_S)
         if self._breath_left_s > 0.0:
@@ -193,11 +196,11 @@ class IdlePosture:
         return self.follow()
 
     def follow(self) -> tuple[float, float, float]:
-        """Advance by one cue: what has begun goes on, nothing begins."""
+        """Advance by one cue; return pitch, yaw and roll in degrees. No new move begins."""
         return self._pitch.step(), self._yaw.step(), self._roll.step()
 
     def settle(self) -> None:
-        """Go to the middle, whatever the budget says; call it once, then `follow`."""
+        """Start a move to the middle, whatever the budget is; call it once, then `follow`."""
         self._breath_left_s = 0.0
         self._is_turned = False
         for axis in self._axes:
@@ -228,9 +231,10 @@ class IdlePosture:
             self._pitch.go(self._pitch.home_deg, _OUT_S)
 
     def _turn(self, turn_deg: tuple[float, float]) -> None:
-        """As far as there and back can be paid, so that the head never stays turned for want of it.
+        """Start a turn of the head by `turn_deg`, as far as the budget allows there and back.
 
-        What is too small to be worth it is left to the eyes.
+        So the head never stays turned for lack of budget. A turn that is too small is left to the
+        eyes.
         """
         yaw_deg, pitch_deg = self._yaw.affordable(turn_deg[0]), self._pitch.affordable(turn_deg[1])
         if math.hypot(yaw_deg, pitch_deg) < _LEAST_TURN_DEG:
@@ -255,7 +259,7 @@ _STEADY_DEG = 1.0
 
 
 class HeadPose:
-    """Pitch, yaw and roll: conversation and idle, each by its share, and what gaze asks for."""
+    """The head's pitch, yaw and roll: conversation and idle motion mixed, and its part of gaze."""
 
     def __init__(self, seed: int) -> None:
         self._drift = HeadDrift(Random(f"{seed} head"))
@@ -270,13 +274,16 @@ class HeadPose:
         self._aim_deg = self._aim_part_deg = self._partner_part_deg = STRAIGHT_AHEAD
 
     def settle(self) -> None:
-        """Leave idle's small moves behind: rest begins."""
+        """Start moving the small offsets of idle motion back to 0, because rest begins."""
         self._idle.settle()
 
     def step(
         self, cue: ExpressionCue, alertness: Alertness, gaze: Gaze, amount: float, gain: float
     ) -> tuple[float, float, float]:
-        """(pitch, yaw, roll) one cue later. gain: of the drift, by arousal."""
+        """Advance by one cue; return (pitch, yaw, roll) of the head in degrees.
+
+        amount: size of all motion, 0 to 1.5. gain: further factor of the drift, by arousal.
+        """
         awake = alertness.awake
         turn_yaw_deg, turn_pitch_deg = self._turn_deg(gaze)
         held_yaw_deg, held_pitch_deg = self._partner_part_deg
@@ -299,7 +306,7 @@ class HeadPose:
         )
 
     def _turn_deg(self, gaze: Gaze) -> tuple[float, float]:
-        """(yaw, pitch) of the head's part of a look away, on top of its part for the partner."""
+        """Return (yaw, pitch) of the head's part of gaze, beyond its part for the partner."""
         if gaze.aim_deg is not self._aim_deg:
             self._aim_deg = gaze.aim_deg
             self._aim_part_deg = head_part_deg(gaze.aim_deg)

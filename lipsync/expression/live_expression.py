@@ -1,6 +1,6 @@
 """Head, gaze, lids, brows and smile of a face, live: all generators together.
 
-Brows go up with the voice, and arousal scales what the generators do. Arousal alone comes from a
+Brows rise with the voice, and arousal scales what the generators do. Arousal alone comes from a
 voice: anger and joy sound equally excited (Bone, Lee and Narayanan, "Robust unsupervised arousal
 rating", IEEE Trans. Affective Computing 5(2), 2014), so that nothing here smiles or frowns. The
 sizes are design choices, not measured on people.
@@ -24,27 +24,27 @@ from lipsync.face.frame import Expression
 
 
 def head_gain(arousal: float) -> float:
-    """How far the head drifts, 0.4 to 1.6."""
+    """Return the factor of the head's drift for an arousal of -1 to 1: 0.4 to 1.6."""
     return 1.0 + 0.6 * bounded(arousal, -1.0, 1.0)
 
 
 def blink_gain(arousal: float) -> float:
-    """Return the factor of the blink rate, 0.85 to 1.15."""
+    """Return the factor of the blink rate for an arousal of -1 to 1: 0.85 to 1.15."""
     return 1.0 + 0.15 * bounded(arousal, -1.0, 1.0)
 
 
 def gaze_pace(arousal: float) -> float:
-    """Return the factor of the rate of fixations, 0.8 to 1.2."""
+    """Return the factor of the rate of fixations for an arousal of -1 to 1: 0.8 to 1.2."""
     return 1.0 + 0.2 * bounded(arousal, -1.0, 1.0)
 
 
 def brow_raise(arousal: float) -> float:
-    """How far excitement raises the brows, 0 to 0.2."""
+    """Return how far an arousal of -1 to 1 raises the brows: 0 to 0.2; 0 for a negative one."""
     return 0.2 * max(0.0, bounded(arousal, -1.0, 1.0))
 
 
 def lid_offset(arousal: float) -> float:
-    """Eyes widened by excitement, to -0.25; lids drooping without any, to 0.15."""
+    """Return the lids' offset for an arousal of -1 to 1: 0.15 (drooping) to -0.25 (widened)."""
     arousal = bounded(arousal, -1.0, 1.0)
     return -0.25 * arousal if arousal > 0.0 else -0.15 * arousal
 
@@ -65,8 +65,8 @@ _NEUTRAL: Final = Expression(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 class LiveExpression:
     """Parametric generators of everything but the mouth; an `ExpressionSource`.
 
-    Causal; state and a seeded generator only, so that the same cues give the same motion. What a
-    cue says beyond its bounds counts as the bound, and what is not a number as 0.
+    Causal; state and a seeded generator only, so that equal cues give equal motion. Values of a cue
+    beyond their bounds count as the bound, and NaN as 0.
     """
 
     def __init__(
@@ -78,11 +78,11 @@ class LiveExpression:
         idle_after_s: float = 4.0,
         rest_after_s: float = 600.0,
     ) -> None:
-        """Shares: of the time, 0.05 to 1, for which gaze is on the partner.
+        """Create the generators. Raises ValueError for a share that is not allowed.
 
-        idle_after_s, rest_after_s: after how much silence conversation motion gives way
-        to idle motion, and when the face goes to neutral and stays there. Raises ValueError for a
-        share that is not allowed.
+        seed: of all random generators. Shares: of the time, 0.05 to 1, for which gaze is on the
+        partner. idle_after_s, rest_after_s: seconds of silence after which idle motion replaces
+        conversation motion, and after which the face goes to neutral and stays there.
         """
         self._alertness = Alertness(idle_after_s, rest_after_s)
         self._head = HeadPose(seed)
@@ -98,10 +98,10 @@ class LiveExpression:
         self.is_resting = False
 
     def step(self, cue: ExpressionCue) -> Expression:
-        """The expression of the cue's moment; call it once for each, every CUE_PERIOD_S.
+        """Return the expression at the cue's time; call it once for each cue, every CUE_PERIOD_S.
 
-        `is_resting` says afterwards whether the face is at neutral and stays there until a person
-        speaks or moves: then torque may be released without a jump.
+        `is_resting` is then whether the face is at neutral and stays there until a person speaks or
+        moves: then torque may be released without a jump.
         """
         alertness = self._alertness
         alertness.hear(cue)
@@ -131,7 +131,7 @@ class LiveExpression:
         return expression
 
     def _look(self, arousal: float, amount: float) -> float:
-        """Moves gaze; how far the lids are shut by blinking."""
+        """Advance gaze by one cue; return how far blinking shuts the lids, 0 to 1."""
         alertness, gaze = self._alertness, self._gaze
         gaze.turn(alertness.is_speaking)
         if alertness.has_turned:

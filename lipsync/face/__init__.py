@@ -1,1 +1,1 @@
-"""The face model: what a mouth looks like, and what every synthesiser of its motion keeps to."""
+"""The face model of a mouth, and the contract that every synthesiser of its motion keeps."""

@@ -1,4 +1,4 @@
-"""What a face shows at one instant, and the contract of every synthesiser of its mouth."""
+"""The frame, a face's pose at one instant, and the contract of every synthesiser of its mouth."""
 
 from dataclasses import dataclass
 from typing import Final, Protocol
@@ -37,7 +37,7 @@ NO_EXPRESSION = Expression()
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """The face that belongs to sound time `time_s`. coefficients: (n_components,), of the mouth."""
+    """The face at sound time `time_s`. coefficients: (n_components,), of the mouth."""
 
     time_s: float
     coefficients: Array
@@ -48,9 +48,9 @@ class Frame:
 class FaceWindow:
     """A frame and the faces that are expected after it, so that joints may start in time.
 
-    times_s: (k,), seconds after the frame, ascending from 0. faces: (k, n_components), the first
-    is the frame's. closed: (k,), whether lips must touch each other, or the teeth, by then.
-    shut: (n_components,), the frame with its lips brought together, as the next P would have it.
+    times_s: (k,), seconds after the frame, ascending from 0. faces: (k, n_components), the first is
+    the frame's. closed: (k,), whether lips must touch each other, or the teeth, by then. shut:
+    (n_components,), the frame with its lips pressed together, as for a P.
     """
 
     times_s: Array
@@ -65,39 +65,39 @@ _OPEN: Final = np.zeros(1, dtype=np.bool_)
 
 
 def frame_alone(frame: Frame) -> FaceWindow:
-    """The window of a frame after which nothing is known."""
+    """Return the window of a frame after which nothing is known: only its own face, not closed."""
     return FaceWindow(_NOW, frame.coefficients[None], _OPEN, frame.coefficients)
 
 
 class Motion(Protocol):
-    """Phonemes in, frames out."""
+    """A synthesiser of the mouth's motion: phoneme updates are pushed, frames are computed."""
 
     @property
     def phonemes_planned(self) -> int:
-        """How many phonemes have moved the mouth."""
+        """The number of phonemes that have moved the mouth."""
 
     @property
     def lookahead_s(self) -> float:
         """Seconds of sound needed after an instant before its frame can be computed."""
 
     def reset(self) -> None:
-        """Forget everything; the mouth is closed and the stream begins anew at sound time 0."""
+        """Forget all phonemes and motion: the mouth is closed, and sound time begins at 0."""
 
     def push(self, update: PhonemeUpdate) -> None:
-        """Take a revision of the phonemes; what has been shown stays as it is."""
+        """Apply a revision to the known phonemes; frames already computed are not changed."""
 
     def frame_at(self, time_s: float) -> Frame:
-        """The frame at a sound time; the same time gives the same frame.
+        """Return the frame at a sound time; equal times give equal frames.
 
-        Times ascend, but for a step back of half a second at most.
+        Times ascend, except for a step back of half a second at most.
         """
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
-        """The phoneme believed at a time, for displays."""
+        """Return the phoneme known now at a sound time, for displays; None if none is."""
 
 
 class Synthesizer(Motion, Protocol):
-    """Motion that says what is expected next. What wraps a synthesiser is one itself."""
+    """A `Motion` that can also return the faces expected after a frame."""
 
     def window_after(self, frame: Frame) -> FaceWindow:
-        """What is expected after the newest frame by all that is known; decides nothing."""
+        """Return the faces expected after the newest frame by known phonemes; decide nothing."""

@@ -1,4 +1,4 @@
-"""Removing the motion of the head from the motion of the face.
+"""Removal of the head's motion from the motion of the face.
 
 Every frame is laid on a mean head by the similarity (rotation, translation, scale) that fits its
 bone-fixed points best; the mean is refined until it no longer moves. This is the SVD-based shape
@@ -14,16 +14,16 @@ _ROUNDS = 10
 
 
 def fit_similarity(points: Array, reference: Array) -> tuple[Array, Array, Array]:
-    """Fit similarities that lay each frame's points on the reference, in the least-squares sense.
+    """Return the similarities that fit each frame's points to the reference by least squares.
 
     Umeyama, eqs. (40)-(42): `scale * points @ rotation.T + translation`.
 
     Parameters
     ----------
     points : Array
-        (n_frames, n_points, 3).
+        (n_frames, n_points, 3) positions.
     reference : Array
-        (n_points, 3).
+        (n_points, 3) positions.
 
     Returns
     -------
@@ -53,18 +53,18 @@ def apply_similarity(points: Array, scale: Array, rotation: Array, translation: 
     Parameters
     ----------
     points : Array
-        (n_frames, n, 3).
+        (n_frames, n, 3) positions.
     scale : Array
-        (n_frames,).
+        (n_frames,) factors.
     rotation : Array
-        (n_frames, 3, 3).
+        (n_frames, 3, 3) matrices.
     translation : Array
-        (n_frames, 3).
+        (n_frames, 3) vectors.
 
     Returns
     -------
     Array
-        (n_frames, n, 3).
+        (n_frames, n, 3) transformed positions.
     """
     turned: Array = np.einsum("fij,fpj->fpi", rotation, points)
     return scale[:, None, None] * turned + translation[:, None, :]
@@ -76,7 +76,7 @@ def refine_mean(points: Array, scale_mm: tuple[int, int, float]) -> Array:
     Parameters
     ----------
     points : Array
-        (n_frames, n_points, 3).
+        (n_frames, n_points, 3) positions of bone-fixed points.
     scale_mm : tuple[int, int, float]
         Two point indices and their distance in mm, which fixes the size.
 

@@ -1,9 +1,9 @@
-"""The face of one speaker: mean, principal components, the closed mouth and how its lips move.
+"""The face of one speaker: mean, principal components, the closed mouth and its lips' statistics.
 
 It is one part of a model file: one `.npz` without pickle, of which each reader loads only its own
-part. What moves a face (AnimPhos, the learned expectation, the baselines) are others. A member of
-the archive is called `PART/ARRAY`. `about` comes first and says in JSON what the file is. Nothing
-is read of a part before it is used.
+part. The data that move a face (AnimPhos, the learned expectation, the baselines) are other parts.
+A member of the archive is called `PART/ARRAY`. `about` comes first and describes the file in JSON.
+Nothing of a part is read before it is used.
 """
 
 import hashlib
@@ -39,13 +39,13 @@ _TRAIN_AGAIN = "train it again with `lipservo learn face`"
 
 
 class ModelError(UserError):
-    """A model file that cannot be used: says which, why, and what to do."""
+    """Error for a model file that cannot be used: which, why, and what to do."""
 
 
 class ModelFile:
-    """An open model file.
+    """An open model file, of which single parts are read.
 
-    name: for messages. about: what it says of itself. layout: the points of its face.
+    name: for messages. about: the file's description of itself. layout: the points of its face.
     """
 
     def __init__(self, name: str, archive: ArrayArchive) -> None:
@@ -74,9 +74,9 @@ class ModelFile:
         Parameters
         ----------
         part : str
-            Its name.
+            Name of the part.
         assemble : Callable[[Arrays], Part]
-            Makes the part of its arrays, which it gets by name, in the shape that was written.
+            Makes the part from its arrays, which it gets by name, in the shape that was written.
 
         Returns
         -------
@@ -101,7 +101,7 @@ class ModelFile:
             raise self._damaged(error) from error
 
     def has(self, part: str) -> bool:
-        """Whether the file holds a part."""
+        """Return whether the file contains the part of this name."""
         return any(name.startswith(f"{part}/") for name in self._archive.names)
 
     def _damaged(self, error: Exception | None = None) -> ModelError:
@@ -114,7 +114,7 @@ class ModelFile:
 
 @contextmanager
 def open_model(path: Path | None = None) -> Iterator[ModelFile]:
-    """The model file at a path; None: the one that comes with the package.
+    """Open the model file at a path, as a context manager; None: the one that is shipped.
 
     Raises ModelError for a file that is missing, damaged, foreign or of another version.
     """
@@ -148,18 +148,18 @@ def write_model(
     Parameters
     ----------
     path : Path
-        Replaced if it is there.
+        File to write, replaced if it exists.
     layout : PointLayout
         The points of the face.
     about : Mapping[str, object]
-        What the header says besides.
+        Further entries of the header.
     parts : Mapping[str, Arrays]
-        By name, arrays of any shape by name.
+        By the part's name, arrays of any shape by name.
 
     Raises
     ------
     OutputError
-        It cannot be written.
+        The file cannot be written.
     """
     header = {
         "version": MODEL_VERSION,
@@ -178,7 +178,7 @@ def write_model(
 
 
 def is_model(head: bytes) -> bool:
-    """Whether a file that begins so looks like a model: a zip archive that begins with `about`."""
+    """Return whether a file with this beginning seems to be a model: a zip archive with `about`."""
     return head.startswith(b"PK") and b"about.npy" in head
 
 
@@ -192,14 +192,14 @@ _ARRAYS = (
 
 @dataclass(frozen=True, slots=True)
 class FaceModel:
-    """One speaker's mouth.
+    """The mouth of one speaker: mean face, principal components and statistics of the lips.
 
-    layout: which points it has. mean_mm (n_points, 3); basis (n_components, 3 n_points), rows
-    orthonormal; head_reference_mm (n_rigid, 3), the pose that all motion was fitted to.
-    rest: (n_components,), the closed mouth of silence. covariance: (n_components, n_components),
-    of the face in speech. labiodental_gap_mm: how near the inner lips come in F and V, the
-    recordings' median. tightest_s: (40,), when after its onset the lips are nearest in P B M F V,
-    the median; else 0.
+    layout: the points that it has. mean_mm (n_points, 3); basis (n_components, 3 n_points), rows
+    orthonormal; head_reference_mm (n_rigid, 3), the pose that all motion was fitted to. rest:
+    (n_components,), the closed mouth of silence. covariance: (n_components, n_components), of the
+    face in speech. labiodental_gap_mm: how near the inner lips come in F and V, the recordings'
+    median. tightest_s: (40,), s from the onset until the lips are nearest in P B M F V, the median;
+    else 0.
     """
 
     layout: PointLayout
@@ -213,7 +213,7 @@ class FaceModel:
 
     @property
     def n_components(self) -> int:
-        """Number of principal components."""
+        """The number of principal components of the face."""
         return len(self.basis)
 
     def coefficients(self, markers_mm: NDArray[np.floating]) -> Array:
@@ -222,12 +222,12 @@ class FaceModel:
         Parameters
         ----------
         markers_mm : NDArray[np.floating]
-            (n_frames, n_points, 3).
+            (n_frames, n_points, 3) positions in mm.
 
         Returns
         -------
         Array
-            (n_frames, n_components).
+            (n_frames, n_components) coefficients.
         """
         flat = (markers_mm - self.mean_mm).reshape(len(markers_mm), -1)
         return np.asarray(flat @ self.basis.T, dtype=np.float64)
@@ -238,7 +238,7 @@ class FaceModel:
         Parameters
         ----------
         coefficients : Array
-            (n_frames, n_components).
+            (n_frames, n_components) coefficients.
 
         Returns
         -------
@@ -249,7 +249,7 @@ class FaceModel:
 
     @property
     def lips_touching_mm(self) -> Array:
-        """The vector from lower to upper point of the lip gap where the lips touch.
+        """The vector from lower to upper point of the lip gap when the lips touch.
 
         0 on the inner lips. On outer ones it is the height of both lips: that of the mouth at rest.
 
@@ -269,7 +269,7 @@ class FaceModel:
         Parameters
         ----------
         coefficients : Array
-            (n_components,).
+            (n_components,) coefficients.
 
         Returns
         -------
@@ -283,12 +283,12 @@ class FaceModel:
         return float(np.linalg.norm(upper - lower - self.lips_touching_mm))
 
     def lip_gaps_mm(self, markers_mm: NDArray[np.floating]) -> Array:
-        """Return how far the lips are apart.
+        """Return how far the lips are apart in each frame.
 
         Parameters
         ----------
         markers_mm : NDArray[np.floating]
-            (n_frames, n_points, 3).
+            (n_frames, n_points, 3) positions in mm.
 
         Returns
         -------
@@ -302,7 +302,7 @@ class FaceModel:
 
     @property
     def checksum(self) -> str:
-        """16 hex digits over what a calibration depends on: point names, mean face, basis."""
+        """16 hex digits over all that a calibration depends on: point names, mean face, basis."""
         digest = hashlib.sha256("\n".join(self.layout.names).encode())
         for array in (self.mean_mm, self.basis):
             digest.update(np.ascontiguousarray(array, dtype="<f4").tobytes())
@@ -310,13 +310,13 @@ class FaceModel:
 
 
 def load_face(path: Path | None = None) -> FaceModel:
-    """The face alone of a model file; None: the shipped one. Raises ModelError."""
+    """Return the face part alone of a model file; None: the shipped one. Raises ModelError."""
     with open_model(path) as file:
         return read_face(file)
 
 
 def read_face(file: ModelFile) -> FaceModel:
-    """The face of an open model file. Raises ModelError."""
+    """Return the face of an open model file. Raises ModelError if it is missing or damaged."""
 
     def assemble(arrays: Mapping[str, NDArray[np.generic]]) -> FaceModel:
         found = {name: np.asarray(arrays[name], dtype=np.float64) for name in _ARRAYS}
@@ -329,12 +329,12 @@ def read_face(file: ModelFile) -> FaceModel:
 
 
 def face_arrays(face: FaceModel) -> dict[str, NDArray[np.generic]]:
-    """Return the arrays that a file keeps of a face.
+    """Return the arrays that a model file stores for a face.
 
     Parameters
     ----------
     face : FaceModel
-        Any.
+        The face to store.
 
     Returns
     -------
@@ -345,7 +345,7 @@ def face_arrays(face: FaceModel) -> dict[str, NDArray[np.generic]]:
 
 
 def _check(face: FaceModel) -> None:
-    """Shapes agree and every number is finite; raises ValueError naming the field that is wrong."""
+    """Raise ValueError, naming the field, unless all shapes agree and every number is finite."""
     n_points, n_components = face.layout.n_points, face.n_components
     shapes = {
         "mean_mm": (n_points, 3),

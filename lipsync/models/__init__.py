@@ -1,1 +1,1 @@
-"""Shipped models, each with its model card beside it. Data only."""
+"""Shipped model files, each with its model card beside it; no code."""

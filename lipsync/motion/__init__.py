@@ -1,1 +1,1 @@
-"""What moves the mouth live: synthesis by expectation, and closures of the lips."""
+"""Live motion of the mouth: synthesis by expectation, and closures of the lips."""

@@ -1,8 +1,8 @@
 """The finishing step of every motion: AnimPhos, strength, rest in pauses, and lips that must touch.
 
-Live motion, the paper's method and scripted lines pass it alike, in this order, in one frame. A
-closure asks that the inner lips come within a distance, when the phonemes say so. The face is moved
-by the change that is likeliest to go with such a change of the gap in the recordings (the
+It is applied alike to live motion, the paper's method and scripted lines, in this order, in one
+frame. A closure requires that the inner lips come within a distance, for certain phonemes. The face
+is moved by the change that is likeliest to go with such a change of the gap in the recordings (the
 conditional mean of a Gaussian, Bishop, "Pattern Recognition and Machine Learning", 2006, eq. 2.81),
 and only as far as needed.
 """
@@ -49,7 +49,7 @@ _CORNER_MM = 0.2
 
 @dataclass(frozen=True, slots=True)
 class LipGap:
-    """The vector from lower to upper inner lip, linear in the face, and what moves with it.
+    """The vector from lower to upper inner lip, linear in the face, and the face's response to it.
 
     at_mean_mm: (3,); per_face: (n_components, 3); response: (3, n_components), the change of the
     face that goes with a change of the gap.
@@ -60,7 +60,7 @@ class LipGap:
     response: Array
 
     def begin_to_touch(self, faces: Array) -> NDArray[np.bool_]:
-        """Return which faces of a motion are the first with lips that touch.
+        """Return for each face of a motion whether the lips touch in it but not in the one before.
 
         Parameters
         ----------
@@ -70,7 +70,7 @@ class LipGap:
         Returns
         -------
         NDArray[np.bool_]
-            (n,).
+            (n,), the first always False.
         """
         widths_mm = np.linalg.norm(self.at_mean_mm + faces @ self.per_face, axis=1)
         touch = widths_mm <= TOUCHING_MM
@@ -82,33 +82,33 @@ class LipGap:
         Parameters
         ----------
         face : Array
-            (n_components,).
+            (n_components,) coefficients.
 
         Returns
         -------
         Array
-            (n_components,).
+            (n_components,) coefficients.
         """
         return self.narrowed(face, BILABIAL_GAP_MM, 1.0)
 
     def narrowed(self, face: Array, distance_mm: float, amount: float) -> Array:
         """Return the face with its gap brought to at most `distance_mm`.
 
-        The result follows face, distance and amount without a jump in value or speed.
+        The result depends on face, distance and amount without a jump in value or speed.
 
         Parameters
         ----------
         face : Array
-            (n_components,).
+            (n_components,) coefficients.
         distance_mm : float
-            Between the lips.
+            Largest distance between the lips.
         amount : float
-            0 leaves the face alone, 1 does it all; in between the share of the excess.
+            Share of the excess that is removed: 0 leaves the face unchanged, 1 removes all.
 
         Returns
         -------
         Array
-            (n_components,).
+            (n_components,) coefficients.
         """
         if amount <= 0.0:
             return face
@@ -121,7 +121,7 @@ class LipGap:
 
 
 def lip_gap_of(model: FaceModel) -> LipGap:
-    """The gap of a model's face, with the response that its recordings show."""
+    """Return the lip gap of a model's face, with the response by its recordings' covariance."""
     basis = model.basis.reshape(model.n_components, -1, 3)
     upper, lower = model.layout.upper_lip, model.layout.lower_lip
     per_face = basis[:, upper] - basis[:, lower]
@@ -160,9 +160,10 @@ def planned(
     time_s: float,
     known_until_s: float,
 ) -> Amount:
-    """What the amount does from `time_s` on. Once begun, a closure is completed before it ends.
+    """Return the closure's amount from `time_s` on; a closure that has begun is completed first.
 
-    tightest_s: for each phoneme that closes, when after its onset it is tightest.
+    tightest_s: for each closing phoneme, by its index, s from its onset until its lips are nearest.
+    track: the phonemes, known until `known_until_s`. `now` is returned if its goal is unchanged.
     """
     if now.goal == 1.0 and time_s < now.start_s + now.duration_s:
         return now
@@ -182,7 +183,7 @@ def _is_due(
     time_s: float,
     known_until_s: float,
 ) -> bool:
-    """Whether the lips should be closing or closed, by all that is known."""
+    """Return whether the lips should be closing or closed at `time_s`, by the phonemes known."""
     return any(
         from_s - CLOSING_S <= time_s + _ROUNDING_S and time_s < until_s - _ROUNDING_S
         for from_s, until_s in closures(touched_s, tightest_s, track, time_s, known_until_s)
@@ -196,9 +197,10 @@ def closures(
     time_s: float,
     known_until_s: float,
 ) -> Iterator[tuple[float, float]]:
-    """From when until when lips touch, for each closing phoneme around and after `time_s`.
+    """Yield (from, until) when the lips touch, for each closing phoneme around or after `time_s`.
 
-    touched_s: when they touched last; the rest as `planned` has it.
+    touched_s: when the lips touched last. tightest_s: for each closing phoneme, by its index, s
+    from its onset until its lips are nearest. track: the phonemes, known until `known_until_s`.
     """
     # A tightest moment is at most so far from its onset, before or after.
     first = bisect_right(track.starts_s, time_s) - 2
@@ -221,7 +223,7 @@ def closures(
 
 
 def closed_share(spans_s: Sequence[tuple[float, float]], time_s: float) -> float:
-    """How far lips are expected to be closed: 1 within a closure, 0 apart from all of them."""
+    """Return how far lips are expected to be closed: 1 within a closure, 0 apart from all spans."""
     share = 0.0
     for from_s, until_s in spans_s:
         apart = max((from_s - time_s) / CLOSING_S, (time_s - until_s) / PARTING_S, 0.0)
@@ -246,18 +248,18 @@ _WINDOW_S: Final = (0.05, 0.1, 0.15, 0.2)
 
 
 class StyleError(UserError):
-    """A strength, smoothness or look-ahead outside what is allowed."""
+    """Error for a setting of the motion's style that is unknown or outside its limits."""
 
 
 @dataclass(frozen=True, slots=True)
 class Style:
-    """What the user may set.
+    """The settings of the motion that the user may change. Raises StyleError beyond their limits.
 
-    lookahead_s: how much later than its sound a face may be shown, for the sake of what comes next;
-    strength: 0 keeps the mouth closed, 1 moves as the speaker did, 1.5 is as far as it goes;
-    smoothness: 0 follows at once, 1 is as slow as it gets. unit_share: of AnimPhos in the motion,
-    where a synthesiser has any: 0 plays the expectation, 1 AnimPhos alone. stage: 1 opens and
-    rounds the mouth for viewers at 3 m.
+    lookahead_s: how much later than its sound a face may be shown, so that what follows is known;
+    strength: 0 keeps the mouth closed, 1 moves as the speaker did, 1.5 is the most; smoothness: 0
+    follows at once, 1 is the slowest. unit_share: of AnimPhos in the motion, where a synthesiser
+    has any: 0 plays the expectation, 1 AnimPhos alone. stage: 1 opens and rounds the mouth for
+    viewers at 3 m.
     """
 
     lookahead_s: float = DEFAULT_LOOKAHEAD_S
@@ -285,11 +287,11 @@ USED_LOOKAHEAD_S = 0.2
 
 
 class TrackedSynthesizer(Motion, Protocol):
-    """What the finishing step is put around: motion whose phonemes it can see."""
+    """A synthesiser that the finishing step can wrap: a `Motion` that exposes its phonemes."""
 
     @property
     def track(self) -> PhonemeTrack:
-        """The phonemes as they are believed now, end to end."""
+        """The phonemes as they are known now, joined end to end."""
 
     def faces_after(self, frame: Frame, times_s: Array) -> Array:
         """Return the faces expected after the newest frame.
@@ -297,20 +299,20 @@ class TrackedSynthesizer(Motion, Protocol):
         Parameters
         ----------
         frame : Frame
-            The newest.
+            The newest frame.
         times_s : Array
             (k,) sound times.
 
         Returns
         -------
         Array
-            (k, n_components).
+            (k, n_components) coefficients.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class _Finish:
-    """What is decided for one tick: how far the mouth is at rest, and its lips are closed."""
+    """The amounts decided for one tick: rest, closed lips, lip at the teeth, and round lips."""
 
     rest: Amount = AT_REST
     bilabial: Amount = OPEN
@@ -319,7 +321,7 @@ class _Finish:
 
 
 class FinishedSynthesizer:
-    """The finishing step around a synthesiser: AnimPhos, strength, rest in pauses, closures."""
+    """A synthesiser with the finishing step: AnimPhos, strength, rest in pauses, closures."""
 
     def __init__(
         self,
@@ -333,11 +335,12 @@ class FinishedSynthesizer:
         unit_share: float = DEFAULT_UNIT_SHARE,
         stage: float = 0.0,
     ) -> None:
-        """strength: 0 keeps the mouth at rest, 1 changes nothing. stage: as in `Style`.
+        """Wrap the synthesiser `inner`. strength: 0 keeps the mouth at rest, 1 changes nothing.
 
-        known_s: how far beyond its tick a decision may look, s; None for what the look-ahead of
-        `inner` allows. adjust_inner: how `inner` takes a new value of its own settings, by name.
-        units: AnimPhos to mix in, None for none; unit_share: 0 leaves them out, 1 shows them alone.
+        known_s: how many seconds of sound beyond its tick a decision may use; None for what the
+        look-ahead of `inner` allows. adjust_inner: functions that set the settings of `inner`, by
+        the setting's name. units: AnimPhos to mix in, None for none; unit_share: 0 leaves them out,
+        1 shows them alone. stage: as in `Style`.
         """
         self._inner = inner
         self._known_s = min(inner.lookahead_s, USED_LOOKAHEAD_S) if known_s is None else known_s
@@ -366,12 +369,12 @@ class FinishedSynthesizer:
 
     @property
     def is_resting(self) -> bool:
-        """Whether the mouth is at rest, or on its way there, because of silence."""
+        """Whether the mouth is at rest, or moving to rest, because of silence."""
         return self._ticks.newest.rest.goal == 1.0
 
     @property
     def strength(self) -> float:
-        """The strength that was set last."""
+        """The strength that was set last, 0 to 1.5; the motion may still be easing to it."""
         return self._strength.goal
 
     @property
@@ -381,7 +384,7 @@ class FinishedSynthesizer:
 
     @property
     def phonemes_planned(self) -> int:
-        """How many phonemes have moved the mouth."""
+        """The number of phonemes that have moved the mouth."""
         return self._inner.phonemes_planned
 
     @property
@@ -390,7 +393,7 @@ class FinishedSynthesizer:
         return self._inner.lookahead_s
 
     def reset(self) -> None:
-        """Forget everything but the settings; the mouth is closed at sound time 0."""
+        """Forget all but the settings; the mouth is closed and sound time begins at 0."""
         self._inner.reset()
         if self._units is not None:
             self._units.reset()
@@ -399,18 +402,18 @@ class FinishedSynthesizer:
         self._ticks = TickPlan(_Finish())
 
     def push(self, update: PhonemeUpdate) -> None:
-        """Take a revision of the phonemes; what has been shown stays as it is."""
+        """Apply a revision to the known phonemes; frames already computed are not changed."""
         self._inner.push(update)
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
-        """The phoneme believed at a time, for displays."""
+        """Return the phoneme known now at a sound time, for displays; None if none is."""
         return self._inner.event_at(time_s)
 
     def adjust(self, name: str, value: float) -> None:
-        """Set a setting from the newest face on, eased in over `ADJUSTING_S`.
+        """Change a setting from the newest face on, eased in over `ADJUSTING_S`.
 
-        What was shown stays as it was. Raises StyleError for a setting that it has not, or beyond
-        its limits.
+        Faces already shown are not changed. Raises StyleError for a setting that cannot be
+        adjusted, or a value beyond its limits.
         """
         if name not in self._adjust:
             raise StyleError(f"{name} cannot be adjusted; {', '.join(sorted(self._adjust))} can")
@@ -418,11 +421,11 @@ class FinishedSynthesizer:
         self._adjust[name](value)
 
     def smile(self, valence: float) -> None:
-        """Look as glad, -1 to 1, from the newest face on while the mouth speaks."""
+        """Set the smile of the speaking mouth, -1 (sad) to 1 (glad), from the newest face on."""
         self._changing(self._valence)(valence)
 
     def frame_at(self, time_s: float) -> Frame:
-        """The frame at sound time `time_s`; the same time gives the same frame."""
+        """Return the finished frame at sound time `time_s`; equal times give equal frames."""
         frame = self._inner.frame_at(time_s)
         face = frame.coefficients
         if self._units is not None:
@@ -441,7 +444,7 @@ class FinishedSynthesizer:
         return replace(frame, coefficients=face)
 
     def window_after(self, frame: Frame) -> FaceWindow:
-        """What is expected after the newest frame by the phonemes known; decides nothing."""
+        """Return the faces expected after the newest frame by known phonemes; decide nothing."""
         now_s, finish = frame.time_s, self._ticks.newest
         until_s = now_s + self._known_s
         track, lips, teeth = self._inner.track, finish.bilabial, finish.labiodental
@@ -474,19 +477,22 @@ class FinishedSynthesizer:
         return FaceWindow(offsets_s, np.array(rows), np.array(closed), shut)
 
     def _strengthened(self, face: Array, strength: float, stage: float) -> Array:
-        """The face (n_components,) as far from rest as strength and stage want it."""
+        """Return the face (n_components,), its distance from rest scaled by strength and stage."""
         strength *= 1.0 + (STAGE_STRENGTH - 1.0) * stage
         return face if strength == 1.0 else self._rest + strength * (face - self._rest)
 
     def _cornered(self, face: Array, strength: float, rounding: float, smile: float) -> Array:
-        """The face (n_components,) with its corners rounded, 0 to 1, and smiling, -1 to 1."""
+        """Return the face (n_components,) with its mouth's corners moved.
+
+        rounding: 0 to 1 moves them together; smile: -1 (together) to 1 (apart).
+        """
         if self._width is None:
             return face
         moved = min(1.0, strength)
         return self._width.smiling(self._width.rounded(face, moved * rounding), moved * smile)
 
     def _mixed(self, face: Array, units: "UnitMotion", time_s: float) -> Array:
-        """The face (n_components,) with its share of AnimPhos, larger in the finer components."""
+        """Return the face (n_components,) with AnimPhos mixed in, more in finer components."""
         departure = units.at(time_s, self._inner.track)
         share = self._unit_share.at(time_s)
         if departure is None or share == 0.0:
@@ -494,7 +500,7 @@ class FinishedSynthesizer:
         return face + np.minimum(1.0, share * self._shares) * departure
 
     def _decide(self, time_s: float, last: _Finish) -> _Finish:
-        """Rest and closures of the tick that ends at `time_s`, from what is known then."""
+        """Return rest and closures of the tick that ends at `time_s`, from what is known then."""
         track, begin_s, until_s = self._inner.track, time_s - TICK_S, time_s + self._known_s
         context = context_at(track, time_s, until_s)
         return _Finish(
@@ -509,6 +515,6 @@ class FinishedSynthesizer:
 
 
 def _tightest_s(model: FaceModel, phonemes: tuple[str, ...]) -> dict[int, float]:
-    """By number in `PHONEMES`: when after its onset the lips are nearest."""
+    """Return, by phoneme index, the seconds from its onset until its lips are nearest."""
     numbers = [PHONEMES.index(phoneme) for phoneme in phonemes]
     return {number: float(model.tightest_s[number]) for number in numbers}

@@ -1,8 +1,8 @@
 """The live methods: the expectation that moves the mouth, with the finishing step around it.
 
-Frame-synchronous: a phoneme moves the mouth from its onset, before its end is known, and what the
-recogniser takes back changes only what has not been shown. Faces are decided on a grid of 10 ms,
-each from what is known at its own time; between two of them the motion is a cubic, continuous in
+Frame-synchronous: a phoneme moves the mouth from its onset, before its end is known, and a revision
+by the recogniser changes only what has not been shown. Faces are decided on a grid of 10 ms, each
+from what is known at its own time; between two of these the motion is a cubic, continuous in
 position and speed whatever arrives.
 """
 
@@ -54,7 +54,7 @@ _SLOWEST_S = 0.04
 
 @dataclass(frozen=True, slots=True)
 class _Tick:
-    """Motion from one grid point to the next: a cubic. Speeds are per tick.
+    """The motion of a tick of 10 ms between two grid points: a cubic; speeds are per tick.
 
     rest: how far a pause has brought the mouth to rest.
     """
@@ -66,14 +66,14 @@ class _Tick:
     rest: Amount
 
     def at(self, u: float) -> Array:
-        """The face (n_components,) at share u of the tick."""
+        """Return the face (n_components,) at the share u, 0 to 1, of the tick."""
         face = (1.0 + 2.0 * u) * (1.0 - u) ** 2 * self.start + u**2 * (3.0 - 2.0 * u) * self.end
         face += u * (1.0 - u) ** 2 * self.start_speed + u**2 * (u - 1.0) * self.end_speed
         return face
 
 
 class ExpectedMotion:
-    """The learned expectation over a revisable stream of phonemes, and nothing around it."""
+    """Motion by the learned expectation over a revisable stream of phonemes, not yet finished."""
 
     def __init__(
         self,
@@ -84,9 +84,10 @@ class ExpectedMotion:
         smoothness: float,
         soft: SoftExpectation | None = None,
     ) -> None:
-        """rest: (n_components,), the closed mouth; smoothness: from 0 to 1, as in `Style`.
+        """Create the motion of a closed mouth, `rest` (n_components,), at sound time 0.
 
-        soft: by posteriors; None: phonemes move the mouth as they are decided.
+        lookahead_s: seconds of sound needed after a frame. smoothness: from 0 to 1, as in `Style`.
+        soft: the expectation by posteriors; None: phonemes move the mouth as they are decided.
         """
         self._expectation = expectation
         self._soft = soft
@@ -106,11 +107,11 @@ class ExpectedMotion:
 
     @property
     def track(self) -> PhonemeTrack:
-        """The phonemes as they are believed now, end to end."""
+        """The phonemes as they are known now, joined end to end."""
         return self._track
 
     def reset(self) -> None:
-        """Forget everything; the mouth is closed and the stream begins anew at sound time 0."""
+        """Forget all phonemes and motion: the mouth is closed, and sound time begins at 0."""
         rest, still = self._rest, np.zeros_like(self._rest)
         self._timeline = PhonemeTimeline()
         self._track = track_of(())
@@ -124,14 +125,14 @@ class ExpectedMotion:
         self.phonemes_planned = 0
 
     def push(self, update: PhonemeUpdate) -> None:
-        """Take a revision of the phonemes; what has been shown stays as it is."""
+        """Apply a revision to phonemes and posteriors; motion already decided is not changed."""
         self._timeline.apply(update)
         self._track = track_of(self._timeline.events)
         if update.posteriors is not None:
             self._believed.push(update.posteriors)
 
     def frame_at(self, time_s: float) -> Frame:
-        """The frame at sound time `time_s`; the same time gives the same frame.
+        """Return the frame at sound time `time_s`; equal times give equal frames.
 
         Times may step back by half a second, not more.
         """
@@ -142,19 +143,19 @@ class ExpectedMotion:
         return Frame(time_s, tick.at(min(1.0, max(0.0, share))))
 
     def faces_after(self, frame: Frame, times_s: Array) -> Array:
-        """Return the faces expected at later times; decides nothing.
+        """Return the faces expected at later times; decide nothing.
 
         Parameters
         ----------
         frame : Frame
-            The newest.
+            The newest frame.
         times_s : Array
             (k,) sound times.
 
         Returns
         -------
         Array
-            (k, n_components).
+            (k, n_components) coefficients.
         """
         known_until_s = frame.time_s + self.known_s
         return self._softened(self.decided_at(times_s, known_until_s), times_s, known_until_s)
@@ -167,25 +168,25 @@ class ExpectedMotion:
         times_s : Array
             (k,) sound times.
         known_until_s : float
-            Sound time.
+            Sound time until which phonemes are known.
 
         Returns
         -------
         Array
-            (k, n_components).
+            (k, n_components) coefficients.
         """
         return self._expectation.faces_after(self._track, times_s, known_until_s)
 
     def adjust_smoothness(self, smoothness: float) -> None:
-        """Go over to another smoothness, 0 to 1, from the newest tick on."""
+        """Change the smoothness, 0 to 1, from the newest tick on, eased in over 0.3 s."""
         self._smoothness.change(self._ticks.decided_until_s, smoothness)
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
-        """The phoneme believed at a time, for displays."""
+        """Return the phoneme known now at a sound time, for displays; None if none is."""
         return self._timeline.event_at(time_s)
 
     def _decide(self, time_s: float, last: _Tick) -> _Tick:
-        """The motion of the tick that ends at `time_s`, from what is known then."""
+        """Return the motion of the tick that ends at `time_s`, from what is known then."""
         begin_s = time_s - TICK_S
         context = context_at(self._track, time_s, time_s + self.known_s)
         rest = planned_rest(last.rest, *context, begin_s, self.known_s)
@@ -202,9 +203,10 @@ class ExpectedMotion:
         return _Tick(last.end, last.end_speed, self._wanted, end_speed, rest)
 
     def _expected(self, time_s: float, *, at_rest: bool) -> Array:
-        """The expected face a little later, while a person speaks.
+        """Return the face (n_components,) expected a tick later, or at once without look-ahead.
 
-        From a mouth at rest the motion sets out from rest itself, not from the mean of silences.
+        At rest it is the rest face: motion sets out from rest itself, not from the mean of
+        silences.
         """
         if at_rest:
             return self._rest
@@ -215,13 +217,13 @@ class ExpectedMotion:
         return self._expectation.at(phonemes, times_s, known_s)
 
     def _softened(self, faces: Array, times_s: Array, known_until_s: float) -> Array:
-        """Faces (n, n_components) at times (n,), with their share of what is doubted."""
+        """Return faces (n, n_components) at times (n,) mixed with those expected by posteriors."""
         if self._soft is None:
             return faces
         return self._soft.mixed(faces, self._believed, self._track, times_s, known_until_s)
 
     def _extrapolated(self, expectation: Array) -> Array:
-        """Return the expectation moved on along its present way."""
+        """Return the expected face moved on by 0.1 of its change over the last 40 ms."""
         before = self._expectations[0]
         self._expectations.append(expectation)
         return expectation + LEAD * (expectation - before)
@@ -233,13 +235,13 @@ class ExpectedMotion:
 
 
 def _bell(n: int) -> Array:
-    """Weights (n,) of a mean, largest in the middle (Hann's window)."""
+    """Return the weights (n,) of a mean, largest in the middle (Hann's window), with sum 1."""
     weights = np.sin(np.pi * np.arange(1, n + 1) / (n + 1)) ** 2
     return np.asarray(weights / weights.sum())
 
 
 class LiveSynthesizer(FinishedSynthesizer):
-    """Our strategies over a revisable stream of phonemes."""
+    """A finished synthesiser of the live strategies: the expectation, alone or with AnimPhos."""
 
     def __init__(
         self,
@@ -249,9 +251,10 @@ class LiveSynthesizer(FinishedSynthesizer):
         units: "AnimPhoUnits | None" = None,
         soft: SoftExpectation | None = None,
     ) -> None:
-        """soft: what posteriors say beside decided phonemes; None: those alone.
+        """Create the motion of a model's mouth; style: None for the defaults.
 
-        units: AnimPhos to choose from; None: the expectation alone, whatever `unit_share` is.
+        soft: the expectation by posteriors, mixed in; None: decided phonemes alone. units: AnimPhos
+        to choose from; None: the expectation alone, whatever `unit_share` is.
         """
         style = style or Style()
         expected = ExpectedMotion(

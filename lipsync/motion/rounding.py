@@ -1,10 +1,10 @@
 """The corners of the mouth: together for W UW UH OW AO OY, and apart for a smile.
 
-The expectation says how one talker looked, and many talkers hardly round: across a room OW then
+The expectation was learned from one talker, and many talkers hardly round: across a room OW then
 looks as AA does. Here the corners come to within a share of their distance at rest. The face moves
 by the change that is likeliest to go with such a change of the width at an unchanged gap (the
 conditional mean of a Gaussian, Bishop, "Pattern Recognition and Machine Learning", 2006, eq. 2.81),
-which brings the lips forward as well: a pucker. The other way it draws corners out and up.
+which brings the lips forward as well: a pucker. The opposite change draws corners out and up.
 """
 
 import math
@@ -41,7 +41,7 @@ SPREAD: Final = Amount(0.0, ROUNDING_S, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class LipWidth:
-    """How far apart the corners of the mouth are, linear in the face, and what moves with it.
+    """The distance between the mouth's corners, linear in the face, and the face's response to it.
 
     at_mean_mm: of the mean face; per_face: (n_components,); response: (n_components,), the change
     of the face that goes with 1 mm of width at an unchanged lip gap; at_rest_mm: of a closed mouth.
@@ -55,19 +55,19 @@ class LipWidth:
     def rounded(self, face: Array, amount: float) -> Array:
         """Return the face with corners at most `ROUNDED_SHARE` of their rest width apart.
 
-        Follows face and amount without a jump.
+        The result depends on face and amount without a jump.
 
         Parameters
         ----------
         face : Array
-            (n_components,).
+            (n_components,) coefficients.
         amount : float
-            0 leaves the face alone, 1 does it all.
+            Share of the excess that is removed: 0 leaves the face unchanged, 1 removes all.
 
         Returns
         -------
         Array
-            (n_components,).
+            (n_components,) coefficients.
         """
         if amount <= 0.0:
             return face
@@ -76,25 +76,25 @@ class LipWidth:
         return np.asarray(face - min(amount, 1.0) * soft_mm * self.response)
 
     def smiling(self, face: Array, valence: float) -> Array:
-        """Return the face with corners farther apart by valence.
+        """Return the face with corners 4 mm times the valence farther apart.
 
         Parameters
         ----------
         face : Array
-            (n_components,).
+            (n_components,) coefficients.
         valence : float
-            -1 to 1.
+            -1 (sad) to 1 (glad).
 
         Returns
         -------
         Array
-            (n_components,).
+            (n_components,) coefficients.
         """
         return np.asarray(face + _SMILE_MM * valence * self.response) if valence else face
 
 
 def lip_width_of(model: FaceModel) -> LipWidth | None:
-    """The width of a model's lips; None for a layout without points of the lips."""
+    """Return the lip width of a model's face; None for a layout without points of the lips."""
     lips = list(model.layout.lips)
     if not lips:
         return None
@@ -113,7 +113,10 @@ def lip_width_of(model: FaceModel) -> LipWidth | None:
 
 
 def is_rounded(track: PhonemeTrack, time_s: float, known_until_s: float) -> bool:
-    """Whether lips should be rounding or round at a time, by what is known until an instant."""
+    """Return whether lips should be rounding or round at a time, by the phonemes known.
+
+    known_until_s: sound time until which phonemes are known.
+    """
     known_until_s += _ROUNDING_ERROR_S
     until_s = min(time_s + ROUNDING_S + _ROUNDING_ERROR_S, known_until_s)
     first = max(0, bisect_right(track.starts_s, time_s) - 1)
@@ -125,6 +128,9 @@ def is_rounded(track: PhonemeTrack, time_s: float, known_until_s: float) -> bool
 
 
 def planned_rounding(now: Amount, track: PhonemeTrack, time_s: float, known_s: float) -> Amount:
-    """What the amount of rounding does from `time_s` on; known_s: how far phonemes are known."""
+    """Return the amount of rounding from `time_s` on; `now` if its goal is unchanged.
+
+    known_s: how many seconds after `time_s` phonemes are known.
+    """
     goal = float(is_rounded(track, time_s, time_s + known_s))
     return now if goal == now.goal else Amount(time_s, ROUNDING_S, *now.at(time_s), goal)

@@ -1,7 +1,7 @@
-"""Decisions on a grid of 10 ms: each tick once, from what is known at its own time.
+"""Decisions on a time grid of 10 ms: each tick is decided once, from what is known at its time.
 
-What is decided is smooth in time: amounts from 0 to 1, settings that change while the mouth moves,
-and the rest to which the mouth comes in a pause.
+The decided values are smooth in time: amounts from 0 to 1, settings that change while the mouth
+moves, and the rest to which the mouth comes in a pause.
 """
 
 import math
@@ -25,32 +25,33 @@ Decision = TypeVar("Decision")
 
 
 def tick_of(time_s: float) -> int:
-    """The number of the tick that a time lies in; tick n ends at n TICK_S."""
+    """Return the number of the tick that contains a time; tick n ends at n TICK_S."""
     return math.ceil(time_s / TICK_S - _ROUNDING_TICKS)
 
 
 class TickPlan(Generic[Decision]):
-    """What was decided for the newest ticks, in bounded memory."""
+    """The decisions of the newest 64 ticks, in bounded memory."""
 
     def __init__(self, first: Decision) -> None:
-        """first: holds until the first tick."""
+        """Create a plan. first: the decision that applies until the first tick is decided."""
         self._kept = deque([first], maxlen=_KEPT)
         self._newest = -1
 
     @property
     def newest(self) -> Decision:
-        """The last decision."""
+        """The decision of the newest tick."""
         return self._kept[-1]
 
     @property
     def decided_until_s(self) -> float:
-        """Until when the motion is decided: the end of the newest tick."""
+        """The time in s until which decisions exist: the end of the newest tick."""
         return self._newest * TICK_S
 
     def at(self, time_s: float, decide: Callable[[float, Decision], Decision]) -> Decision | None:
-        """The decision for the tick of a time; None for one that is no longer kept.
+        """Return the decision for the tick that contains `time_s`; None if it is no longer stored.
 
-        decide: from the end of a tick, s, and the decision before it. Called once a tick, in order.
+        Ticks not decided yet, at most 100, are decided first, in order and once each, by
+        `decide(end of the tick in s, decision before it)`.
         """
         number = tick_of(time_s)
         self._newest = max(self._newest, number - _LONGEST_LEAP_TICKS)
@@ -63,10 +64,10 @@ class TickPlan(Generic[Decision]):
 
 @dataclass(frozen=True, slots=True)
 class Amount:
-    """A cubic from a value and a slope at `start_s` to rest at `goal`; there it stays.
+    """A cubic in time from a value and a slope at `start_s` to `goal` at slope 0; then constant.
 
     Hermite's form, so that a new one takes over from any instant of the old one smoothly.
-    touched_s: when the last closure was, or will be, complete; as long as it is held, now.
+    touched_s: when the last lip closure was, or will be, complete; the present while it is held.
     """
 
     start_s: float
@@ -77,7 +78,7 @@ class Amount:
     touched_s: float = -math.inf
 
     def at(self, time_s: float) -> tuple[float, float]:
-        """Value and slope per second at a time not before the start."""
+        """Return value and slope per second at a time that is not before `start_s`."""
         u = (time_s - self.start_s) / self.duration_s
         if u >= 1.0:
             return self.goal, 0.0
@@ -89,11 +90,11 @@ class Amount:
         return value, change / self.duration_s
 
     def share(self, time_s: float) -> float:
-        """The value within 0 and 1."""
+        """Return the value at a time, clipped to 0 to 1."""
         return min(1.0, max(0.0, self.at(time_s)[0]))
 
     def smooth(self, time_s: float) -> float:
-        """The value within 0 and 1, with slope 0 at both ends whatever the cubic does there."""
+        """Return the value at a time, eased within 0 to 1 so that its slope is 0 at both ends."""
         value = self.share(time_s)
         return value * value * (3.0 - 2.0 * value)
 
@@ -104,7 +105,7 @@ ADJUSTING_S = 0.3
 
 
 class EasedSetting:
-    """A number between `least` and `most`, as a function of time."""
+    """A number between `least` and `most` that changes smoothly in time, in 0.3 s."""
 
     def __init__(self, value: float, most: float, least: float = 0.0) -> None:
         self._least, self._most = least, most
@@ -112,27 +113,27 @@ class EasedSetting:
 
     @property
     def goal(self) -> float:
-        """The value that was set last."""
+        """The value that was set last, whether it is reached yet or not."""
         return self._now.goal
 
     def at(self, time_s: float) -> float:
-        """The value; before the last change began it is the one at its beginning."""
+        """Return the value at a time; before the last change, the value at that change's start."""
         value = self._now.at(max(time_s, self._now.start_s))[0]
         # A cubic that turns round on its way may overshoot its limits.
         return min(self._most, max(self._least, value))
 
     def change(self, start_s: float, value: float) -> None:
-        """Go over to a value from `start_s` on, from wherever it is then."""
+        """Start easing to `value` at `start_s`, from the value and slope at that time."""
         now = self._now
         self._now = Amount(start_s, ADJUSTING_S, *now.at(max(start_s, now.start_s)), value)
 
     def settle(self) -> None:
-        """Be where the last change leads, from the beginning of time."""
+        """Set the value at all times to the goal of the last change, without easing."""
         self._now = _steady(self._now.goal)
 
 
 def values_at(settings: Iterable[EasedSetting], time_s: float) -> list[float]:
-    """The value of each at a time."""
+    """Return the value of each setting at a time."""
     return [setting.at(time_s) for setting in settings]
 
 
@@ -157,10 +158,11 @@ AT_REST = Amount(0.0, RESTING_S, 1.0, 0.0, 1.0)
 def planned_rest(
     now: Amount, phonemes: list[int], times_s: list[float], time_s: float, known_s: float
 ) -> Amount:
-    """The amount of rest from `time_s` on: to 1 in a pause, to 0 when the end of it is known.
+    """Return how far the mouth is at rest from `time_s` on, as an `Amount` from 0 to 1.
 
-    phonemes, times_s: `context_at` the end of the tick that begins at `time_s`; known_s: how far
-    beyond that end phonemes are known.
+    It eases to 1 in a pause, and to 0 once the end of the pause is known; `now` is returned if it
+    has that goal already. phonemes, times_s: `context_at` the end of the tick that begins at
+    `time_s`; known_s: how far beyond that end phonemes are known.
     """
     is_pause = phonemes[2] == _SILENCE and times_s[2] > PAUSE_S and math.isnan(times_s[3])
     if is_pause == (now.goal == 1.0):
@@ -171,5 +173,5 @@ def planned_rest(
 
 
 def is_reached(rest: Amount, time_s: float) -> bool:
-    """Whether the mouth is fully at rest at a time and stays there."""
+    """Return whether the mouth is fully at rest at a time, amount 1 and slope 0, and stays so."""
     return rest.goal == 1.0 and rest.at(time_s) == (1.0, 0.0)

@@ -1,7 +1,7 @@
-"""AnimPhos near the expectation, joined as the paper joins, over a revisable stream of phonemes.
+"""Motion of AnimPhos (recorded units, Wei and Deng) near the expectation, over revisable phonemes.
 
 An AnimPho is chosen at its phone's onset, again whenever more becomes known of the phonemes around,
-and every 40 ms; what is left of the phone then begins where the mouth is, at the speed that it has.
+and every 40 ms; the rest of the phone then begins at the mouth's present position and speed.
 Three departures from the paper's equations, all for the sake of the expectation: an AnimPho is
 moved, as a whole, to where the mouth is expected; it is joined sooner than at the phone's end
 (decisions/0028); and what is played is how far it departs from what was expected when it was
@@ -56,9 +56,9 @@ _SILENCE: Final = PHONEMES.index(SILENCE)
 class PhoneSpan:
     """A phone, or one of several that stand in for it one after the other.
 
-    phoneme: one that the AnimPhos know; None for a pause, in which the mouth rests. onset_s: of the
-    whole phone, in sound time; start_s, end_s: what the AnimPho fills. is_known: whether the end is
-    the phone's own, and no guess.
+    phoneme: one that the AnimPhos know; None for a pause, in which the mouth rests. onset_s: start
+    of the whole phone, in sound time; start_s, end_s: the part that the AnimPho fills. is_known:
+    whether the end is the phone's own, and no guess.
     """
 
     phoneme: str | None
@@ -74,7 +74,11 @@ def span_at(
     known_s: float,
     known_phonemes: frozenset[str],
 ) -> PhoneSpan:
-    """What goes on at `time_s`; context: `context_at` it, known for `known_s` more."""
+    """Return the span of the phone at `time_s`, or of the part of its stand-in at that time.
+
+    context: `context_at` that time, with phonemes known for `known_s` seconds more. An end that is
+    not known is guessed; the phoneme of a pause is None.
+    """
     phonemes, times_s = context
     phoneme = PHONEMES[phonemes[2]]
     onset_s, is_known = time_s - times_s[2], not math.isnan(times_s[3])
@@ -94,7 +98,7 @@ def span_at(
 
 
 def guessed_s(phonemes: list[int], times_s: list[float]) -> float:
-    """How long the phone of a context probably lasts: its usual duration, at the speaker's pace."""
+    """Return the probable duration in s of a context's present phone, at the speaker's pace."""
     usual_s = elapsed_s = 0.0
     for phoneme, begun_s, ended_s in zip(phonemes[:2], times_s[:2], times_s[1:3], strict=True):
         if phoneme not in (UNKNOWN, _SILENCE) and math.isfinite(begun_s):
@@ -122,7 +126,7 @@ _BEFORE_THE_END_S = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class _Stretch:
-    """What is played until more becomes known: departures from the expectation.
+    """A planned trajectory of departures from the expected face, played until it is replanned.
 
     known: all that it was planned from. phoneme: None at rest; begun_s: when the first stretch of
     its phone began. animpho: a_t; previous: a_{t-1}; None at rest.
@@ -137,7 +141,7 @@ class _Stretch:
 
 
 class UnitMotion:
-    """How far AnimPhos depart from the expectation, at any time."""
+    """The offset of the AnimPhos' face from the expected face, at any time."""
 
     def __init__(
         self,
@@ -146,8 +150,9 @@ class UnitMotion:
         known_s: float,
         costs: SelectionCosts | None = None,
     ) -> None:
-        """expected: faces (n, n_components) at times (n,), by what is known until an instant.
+        """Create the motion of the AnimPhos `units`.
 
+        expected: returns faces (n, n_components) at times (n,) in s by what is known until a time.
         known_s: how far beyond its tick a decision may look, s.
         """
         self._units = units
@@ -158,35 +163,35 @@ class UnitMotion:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything; the mouth is closed and the stream begins anew at sound time 0."""
+        """Forget all phonemes and plans: the offset is 0, a new stream begins at sound time 0."""
         none = np.zeros_like(self._units.rest)
         still = ease(0.0, RESTING_S, none, none, none)
         self._ticks = TickPlan(_Stretch(still, None, None, -math.inf, None, None))
         self._track = track_of(())
 
     def at(self, time_s: float, track: PhonemeTrack) -> Array | None:
-        """Return the offset from the expected face to the AnimPhos', by the phonemes known now.
+        """Return the offset of the AnimPhos' face from the expected one, by all phonemes known.
 
         Parameters
         ----------
         time_s : float
             Sound time.
         track : PhonemeTrack
-            Phonemes with their times.
+            The phonemes known now, with their times.
 
         Returns
         -------
         Array | None
-            (n_components,); None for a time that is too long ago.
+            (n_components,); None for a time before the newest 64 ticks.
         """
         self._track = track
         stretch = self._ticks.at(time_s, self._decide)
         return None if stretch is None else stretch.trajectory.at(time_s)[0]
 
     def _decide(self, time_s: float, last: _Stretch) -> _Stretch:
-        """What plays in the tick that ends at `time_s`, from what is known then.
+        """Return the stretch of motion for the tick that ends at `time_s`, from what is known then.
 
-        The whole tick belongs to the phone that goes on at its end.
+        `last` is returned while it still applies. The whole tick belongs to the phone at its end.
         """
         context = context_at(self._track, time_s, time_s + self._known_s)
         span = span_at(context, time_s, self._known_s, self._known_phonemes)
@@ -218,7 +223,7 @@ class UnitMotion:
         previous: int | None,
         kept: int | None,
     ) -> tuple[int, Trajectory]:
-        """The AnimPho for what is left of a phone, and its departures from what is expected.
+        """Return the AnimPho for the rest of a phone, and its departures from the expected face.
 
         Eq. (3) to (5), less the target: the mouth begins where it is and becomes the AnimPho, moved
         to the target's mean. previous: a_{t-1}; kept: a_t, None to choose it.

@@ -1,4 +1,4 @@
-"""How a line becomes faces: the published method, ours, and the live strategy.
+"""The methods that turn a spoken line into faces: the published one, ours, and the live one.
 
 A planned line is a synthesiser too, and passes the same finishing step as live motion.
 """
@@ -31,9 +31,9 @@ from lipsync.timeline import PhonemeTimeline
 
 
 class PlannedMotion:
-    """Faces at even times with a cubic spline through them, and the phonemes they are of.
+    """A synthesiser that plays planned faces, by a cubic spline through them, and their phonemes.
 
-    faces: (n, n_components), the first at sound time 0; before and after it is the nearest of them.
+    faces: (n, n_components) at even times, the first at sound time 0; outside, the nearest one.
     """
 
     def __init__(
@@ -49,12 +49,12 @@ class PlannedMotion:
 
     @property
     def phonemes_planned(self) -> int:
-        """The number of phonemes: all are planned."""
+        """The number of phonemes of the line, all of which are planned."""
         return len(self._timeline.events)
 
     @property
     def lookahead_s(self) -> float:
-        """0: the sound is known beforehand."""
+        """Seconds of sound needed ahead of a frame: 0, as the whole line is known beforehand."""
         return 0.0
 
     @property
@@ -63,25 +63,25 @@ class PlannedMotion:
         return self._track
 
     def reset(self) -> None:
-        """Nothing to forget: the line stays."""
+        """Do nothing: the planned line stays."""
 
     def push(self, update: PhonemeUpdate) -> None:
-        """A line that is planned learns nothing new; raises ValueError."""
+        """Raise ValueError: a planned line accepts no revision of its phonemes."""
         raise ValueError(f"the line is planned; nothing can be revised ({update})")
 
     def frame_at(self, time_s: float) -> Frame:
-        """The frame at a sound time, in any order of times."""
+        """Return the planned frame at a sound time; times may come in any order."""
         at_s = min(max(time_s, 0.0), self._last_s)
         face = self._faces[0] if self._spline is None else self._spline(at_s)
         return Frame(time_s, np.asarray(face))
 
     def faces_after(self, frame: Frame, times_s: Array) -> Array:  # noqa: ARG002 - a contract
-        """Return the faces at later times.
+        """Return the planned faces at given sound times.
 
         Parameters
         ----------
         frame : Frame
-            The newest; not used.
+            The newest frame; not used.
         times_s : Array
             (k,) sound times.
 
@@ -93,19 +93,19 @@ class PlannedMotion:
         return np.array([self.frame_at(time_s).coefficients for time_s in times_s.tolist()])
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
-        """The phoneme of a time."""
+        """Return the phoneme of the line at a sound time, or None where there is none."""
         return self._timeline.event_at(time_s)
 
 
 def shown_faces(line: FinishedSynthesizer, times_s: Sequence[float] | Array) -> Array:
-    """Return the faces at given times, decided tick by tick as a robot would.
+    """Return a line's faces at given times, computing each 10 ms tick before them, as a robot does.
 
     Parameters
     ----------
     line : FinishedSynthesizer
         The synthesiser of the line.
     times_s : Sequence[float] | Array
-        (n,), ascending.
+        (n,) sound times in s, ascending.
 
     Returns
     -------
@@ -134,7 +134,7 @@ _LEAD_OVER_S = 0.04
 class Line:
     """A spoken line: phones in order without gaps from 0 to the end, and 16 kHz samples (n,).
 
-    posteriors: of a line whose phones were recognised; None where they are known.
+    posteriors: the recogniser's, if it recognised the phones; None where the phones are given.
     """
 
     events: tuple[PhonemeEvent, ...]
@@ -144,9 +144,9 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Speaker:
-    """A face, what is expected of it live, and offline.
+    """A face model with its live expectation and its offline model.
 
-    soft: by posteriors; None: decided phonemes alone move it.
+    soft: the expectation from posteriors; None: decided phonemes alone move the face.
     """
 
     face: FaceModel
@@ -157,7 +157,7 @@ class Speaker:
 
 @dataclass(frozen=True, slots=True)
 class PlannedLine:
-    """Faces (n, n_components) at even times, and in one line each what a person should know."""
+    """Faces (n, n_components) at even times, and notes to the user, one line each."""
 
     faces: Array
     frame_rate_hz: float
@@ -165,10 +165,11 @@ class PlannedLine:
 
 
 def heard_line(speaker: Speaker, line: Line, n_frames: int) -> PlannedLine:
-    """Ours: what is expected by the phonemes of the line and, of a known voice, by its sound.
+    """Return a line's faces expected from its phonemes and, for a known voice, from its sound too.
 
-    As live, what was recognised has its share of what was doubted; the mean over neighbouring
-    ticks, and a little more of where it is going.
+    This is our own method. Where the line has posteriors, doubted phonemes count with their
+    probability, as live. Faces are averaged over neighbouring ticks and lead the motion a little.
+    The result has a note if the voice is not known.
     """
     rate_hz = speaker.offline.states.frame_rate_hz
     times_s = np.arange(n_frames) / rate_hz
@@ -190,7 +191,10 @@ def heard_line(speaker: Speaker, line: Line, n_frames: int) -> PlannedLine:
 
 
 def model_based_line(speaker: Speaker, line: Line, n_frames: int) -> PlannedLine:
-    """The published method, projected on the components of the face."""
+    """Return a line's faces by the method of Edge, Hilton and Jackson, in the face's components.
+
+    A note gives the number of steps that no recording shows, if any.
+    """
     from lipsync.offline.line_synthesis import model_line  # needs the extra `offline`
 
     states, face = speaker.offline.states, speaker.face
@@ -215,7 +219,10 @@ PLANNED_METHODS = tuple(_PLANNED)
 def line_synthesizer(
     speaker: Speaker, line: Line, method: LineMethod, strength: float = 1.0
 ) -> tuple[FinishedSynthesizer, Sequence[str]]:
-    """What plays a line, strength, rest and closures around it, and notes for a person."""
+    """Return a synthesiser that plays a line by `method`, and notes to the user, one line each.
+
+    The synthesiser adds strength, rest in pauses and lip closures.
+    """
     duration_s = max((e.end_s or 0.0 for e in line.events), default=0.0)
     if method == "live":
         synthesizer = LiveSynthesizer(

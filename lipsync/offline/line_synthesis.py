@@ -4,7 +4,7 @@ Step 2 finds the stored units that sound most like a stretch of the line. A unit
 centre of the phone before to the centre of the phone after, and is classified by the phone in its
 middle alone. Dynamic time warping is dtaidistance's. Step 3 is the distance of each state from a
 frame: the Euclidean one of two windows of cepstra, each frame weighted by a Gaussian around the
-middle. Steps 4 and 5 are the cheapest way through the states, Viterbi's recursion on distances.
+middle. Steps 4 and 5 are the cheapest path through the states, Viterbi's recursion on distances.
 Step 6 is the likeliest motion through them, one block-banded linear system, after Brand, "Voice
 puppetry", SIGGRAPH 1999.
 """
@@ -25,7 +25,7 @@ from lipsync.phonemes import PHONEMES, PhonemeEvent, stand_in
 
 @dataclass(frozen=True, slots=True)
 class Spans:
-    """Units of one recording: the frames first_i <= f < end_i of each phone, and its centre."""
+    """The units of one recording: each phone's frames first_i <= f < end_i, and its centre in s."""
 
     phonemes: tuple[str, ...]
     first: Indices
@@ -33,9 +33,9 @@ class Spans:
     centres_s: Array
 
     def neighbours(self, n_frames: int, frame_rate_hz: float) -> tuple[Indices, Indices]:
-        """For each frame the unit whose phone has its centre before, and the one after.
+        """Return for each frame the units with the nearest centre before it, and after it.
 
-        Frames before the first centre, or after the last one, lie in one unit only: it is both.
+        Both are (n_frames,); before the first centre, and after the last, they are the same unit.
         """
         times_s = np.arange(n_frames) / frame_rate_hz
         right = np.searchsorted(self.centres_s, times_s + 1e-9)
@@ -44,7 +44,7 @@ class Spans:
 
 
 def unit_spans(events: Sequence[PhonemeEvent], n_frames: int, frame_rate_hz: float) -> Spans:
-    """The units of phones that follow each other without gaps, each with its end.
+    """Return the units of phones that follow each other without gaps, one a phone.
 
     The first begins with the recording, the last ends with it; each has one frame at least.
     """
@@ -61,7 +61,7 @@ def unit_spans(events: Sequence[PhonemeEvent], n_frames: int, frame_rate_hz: flo
 
 
 def warped_distances(target: Array, stored: Sequence[Array]) -> Array:
-    """Return how unlike each of the stored units sounds to the target, by dynamic time warping.
+    """Return how unlike each stored unit sounds to the target, by dynamic time warping.
 
     P(i, j) = d(i, j) + min(P(i-1, j), P(i-1, j-1), P(i, j-1)), equation (1), with d the Euclidean
     distance of cepstra; the cost of a unit is P at the ends of both. Needs the extra `offline`.
@@ -85,9 +85,9 @@ def warped_distances(target: Array, stored: Sequence[Array]) -> Array:
 
 
 def joined_phones(events: Sequence[PhonemeEvent], duration_s: float) -> tuple[PhonemeEvent, ...]:
-    """The phones of a line end to end from 0 to its duration: gaps and both ends are silence.
+    """Return the phones of a line end to end from 0 to `duration_s`, with silence in all gaps.
 
-    What begins after the end of the sound is left out, and what goes on beyond it is cut.
+    A phone that begins after that duration is left out, and one that goes on beyond it is cut.
     """
     found: list[PhonemeEvent] = []
 
@@ -112,26 +112,26 @@ def joined_phones(events: Sequence[PhonemeEvent], duration_s: float) -> tuple[Ph
 
 
 def frames_between(borders: Indices) -> list[range]:
-    """Ranges of frames of recordings that lie end to end: borders (n + 1,)."""
+    """Return the range of frames of each recording, from borders (n + 1,) between recordings."""
     return [range(int(a), int(b)) for a, b in pairwise(borders)]
 
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """offsets (w,) in frames around the middle, weights (w,), which add up to 1."""
+    """A weighted window: offsets (w,) in frames around its middle, weights (w,) that sum to 1."""
 
     offsets: Indices
     weights: Array
 
     def of(self, cepstra: NDArray[np.floating], frames: Indices, borders: tuple[int, int]) -> Array:
-        """Return cepstra around frames, weighted so that Euclidean distances are equation (2)'s.
+        """Return the cepstra around each frame, weighted for Euclidean distances by equation (2).
 
         Parameters
         ----------
         cepstra : NDArray[np.floating]
             (n_frames, m).
         frames : Indices
-            (n,) numbers.
+            (n,) numbers of the frames in the middle.
         borders : tuple[int, int]
             First frame of the recording, and the one after its last; beyond them its ends are
             repeated.
@@ -148,7 +148,7 @@ class Window:
 
 
 def gaussian_window(deviation_s: float, frame_rate_hz: float) -> Window:
-    """A window of three standard deviations to both sides."""
+    """Return a Gaussian window that reaches three standard deviations to both sides."""
     deviation = deviation_s * frame_rate_hz
     reach = int(np.ceil(3.0 * deviation))
     offsets = np.arange(-reach, reach + 1)
@@ -158,7 +158,7 @@ def gaussian_window(deviation_s: float, frame_rate_hz: float) -> Window:
 
 @dataclass(frozen=True, slots=True)
 class Candidates:
-    """The states that a frame may be in, (n,), each once, and how far it is from each, (n,)."""
+    """The states (n,) that a frame may be in, each once, and the frame's distances (n,) to them."""
 
     states: Indices
     distances: Array
@@ -185,14 +185,14 @@ def unit_distances(heard: Array, stored: Array) -> Array:
 
 
 def nearest_of_each_state(states: Sequence[Indices], distances: Sequence[Array]) -> Candidates:
-    """Return dist(t, k) = min over frames f of the units that lie in state k, equation (2).
+    """Return each state's least distance over the frames of units that are in it, equation (2).
 
-    States that are in none of them are infinitely far, and left out.
+    dist(t, k) = min over frames f in state k. States that occur in no unit are left out.
 
     Parameters
     ----------
     states,distances : Sequence[Indices]
-        (n_j,) for each unit.
+        (n_j,) for each unit: states of its frames, and their distances.
 
     Returns
     -------
@@ -210,7 +210,7 @@ Follows = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """states: (n,), one a frame. cost: D at the end.
+    """A path through the states. states: (n,), one a frame. cost: D at the end.
 
     n_widened: how often units were added; n_breaks: frames that no transition leads to, even with
     all units, and which were begun anew.
@@ -224,7 +224,7 @@ class Path:
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """One frame: its states, the least cost to be in each, and where it came from."""
+    """One frame of a search: its states, the least cost of each, the index of the state before."""
 
     states: Indices
     costs: Array
@@ -237,14 +237,14 @@ def cheapest_path(
     follows: Follows,
     widen: Callable[[int], int | None],
 ) -> Path:
-    """The path of least total distance whose every step was seen in the recordings.
+    """Return the path of least total distance whose every step was seen in the recordings.
 
     D(t, k) = dist(t, k) + min over j with T(j, k) = 1 of D(t-1, j), equation (3), with a pointer
     back to the best j.
 
-    candidates: of a frame, as known now. follows: T. widen: called where every D(t, .) is infinite;
-    adds the next most similar unit of the left and of the right context (2, 4, 6 ... units) and
-    says from which frame on candidates are changed, None where no unit is left.
+    candidates: the states of a frame, as known now. follows: T. widen: called where every D(t, .)
+    is infinite; adds the next most similar unit of the left and of the right context (2, 4, 6 ...
+    units) and returns the first frame whose candidates changed, None where no unit is left.
     """
     steps: list[_Step] = []
     n_widened, breaks = 0, set()
@@ -271,7 +271,7 @@ def cheapest_path(
 
 
 def _advanced(before: _Step | None, now: Candidates, follows: Follows) -> _Step | None:
-    """Equation (3) for one frame; None where every state is infinitely far."""
+    """Return the search step of one frame by equation (3); None where no state can be reached."""
     if before is None:
         start = np.zeros(len(now.states), dtype=np.int64)
         return _Step(now.states, now.distances, start)
@@ -286,7 +286,7 @@ def _advanced(before: _Step | None, now: Candidates, follows: Follows) -> _Step 
 
 
 def _begun_anew(before: _Step, now: Candidates) -> _Step:
-    """As if every state could follow the best one so far."""
+    """Return the search step of one frame as if every state could follow the best one so far."""
     best = int(before.costs.argmin())
     back = np.full(len(now.states), best, dtype=np.int64)
     return _Step(now.states, now.distances + before.costs[best], back)
@@ -298,7 +298,7 @@ def likeliest_trajectory(
     expected: Array | None = None,
     expected_precision: Array | None = None,
 ) -> Array:
-    """Return positions that maximise the product over t of N(y~_t; 0, K_t), equation (4).
+    """Return the positions that maximise the product over t of N(y~_t; 0, K_t), equation (4).
 
     y~_t = (x_t, x_{t+1} - x_t) - mu_t; in the last frame the speed is that of the step before. With
     W the matrix that takes positions to positions and speeds: W' K^-1 W x = W' K^-1 mu, which is
@@ -355,12 +355,12 @@ def likeliest_trajectory(
 
 
 def banded(diagonal: Array, below: Array) -> Array:
-    """Return the lower bands of a block-tridiagonal symmetric matrix, as SciPy stores them.
+    """Return the lower bands of a block-tridiagonal symmetric matrix, for SciPy's `solveh_banded`.
 
     Parameters
     ----------
     diagonal : Array
-        (n, p, p).
+        (n, p, p), the blocks on the diagonal.
     below : Array
         (n - 1, p, p), the blocks under it.
 
@@ -392,7 +392,7 @@ class ModelledLine:
 
 
 def model_line(model: StateModel, cepstra: Array, events: Sequence[PhonemeEvent]) -> ModelledLine:
-    """Return the motion of a line by the published method.
+    """Return the motion of a line by the method of Edge, Hilton and Jackson.
 
     Parameters
     ----------
@@ -420,7 +420,7 @@ def model_line(model: StateModel, cepstra: Array, events: Sequence[PhonemeEvent]
 
 @dataclass(slots=True)
 class _Ranked:
-    """The stored units of one phone of the line, most similar first, and those in use.
+    """The stored units for one phone of the line, most similar first, and those already in use.
 
     states and distances: of each unit in use, (n_j,) and (n frames of the span, n_j).
     """
@@ -431,7 +431,7 @@ class _Ranked:
 
 
 class _UnitSearch:
-    """Which units are open to a line, and through them which states to each frame."""
+    """The stored units in use for each phone of a line, and the states they allow each frame."""
 
     def __init__(self, model: StateModel, cepstra: Array, spans: Spans) -> None:
         self._model = model
@@ -449,7 +449,7 @@ class _UnitSearch:
             self._take_next(number)
 
     def candidates(self, frame: int) -> Candidates:
-        """Equation (2) from all units in use of the frame's left and right phone."""
+        """Return the states open to a frame, and its distances from them, by equation (2)."""
         states: list[Indices] = []
         distances: list[Array] = []
         for number in {int(self._left[frame]), int(self._right[frame])}:
@@ -459,7 +459,10 @@ class _UnitSearch:
         return nearest_of_each_state(states, distances)
 
     def widen(self, frame: int) -> int | None:
-        """One more unit for the frame's left and right phone; the first frame that is changed."""
+        """Add the next stored unit for each of a frame's two phones.
+
+        Return the first frame whose candidates change; None if no unit is left.
+        """
         taken = [
             number
             for number in sorted({int(self._left[frame]), int(self._right[frame])})
@@ -468,7 +471,7 @@ class _UnitSearch:
         return min(int(self._spans.first[number]) for number in taken) if taken else None
 
     def _order(self, target: Array, phonemes: tuple[str, ...]) -> Indices:
-        """The numbers of all units of these phonemes, those that sound most alike first."""
+        """Return the numbers of all stored units of these phonemes, most similar sound first."""
         units = self._model.units
         numbers = np.concatenate([units.of(PHONEMES.index(p)) for p in phonemes])
         stored = [
@@ -477,7 +480,7 @@ class _UnitSearch:
         return np.asarray(numbers[np.argsort(warped_distances(target, stored), kind="stable")])
 
     def _take_next(self, number: int) -> bool:
-        """Open the next unit of a phone of the line; False where there is none left."""
+        """Start using the next unit for a phone of the line; return False if none is left."""
         ranked = self._ranked[number]
         n_taken = len(ranked.states)
         if n_taken == len(ranked.order):

@@ -1,9 +1,9 @@
-"""All that lines are rendered with: states and units, the expectation of sound, the voice.
+"""The model that lines are rendered with: states and units, the expectation of sound, the voice.
 
 Mel-frequency cepstra are the cosine transform (SciPy's) of the recogniser's own log-mel bands, 100
-a second: Davis and Mermelstein, IEEE Trans. ASSP 28(4), 1980, equation (1). Normalised per
-recording, mean and spread of each coefficient over the frames in which something is heard, so that
-level, microphone and much of a voice fall out (Viikki and Laurila, Speech Communication 25, 1998).
+a second: Davis and Mermelstein, IEEE Trans. ASSP 28(4), 1980, equation (1). They are normalised per
+recording, mean and spread of each coefficient over the audible frames, so that level, microphone
+and much of a voice fall out (Viikki and Laurila, Speech Communication 25, 1998).
 
 The long-term mean of the cepstra distinguishes voices and microphones, whatever the words (Furui,
 IEEE Trans. ASSP 29(2), 1981). Normalising takes it away, and what is left of another voice still
@@ -36,7 +36,7 @@ _SMALLEST_SPREAD = 1e-3
 
 
 def cepstra(samples: NDArray[np.float32]) -> Array:
-    """Return normalised cepstra; that of frame i is centred at i / 100 s.
+    """Return the normalised cepstra of a sound, 100 a second; frame i is centred at i / 100 s.
 
     Parameters
     ----------
@@ -52,14 +52,14 @@ def cepstra(samples: NDArray[np.float32]) -> Array:
 
 
 def at_times(found: Array, times_s: Array) -> Array:
-    """Interpolate cepstra; before and after them their ends'.
+    """Return cepstra interpolated linearly at given times; before and after them, the ends' values.
 
     Parameters
     ----------
     found : Array
         (n, 13), 100 a second.
     times_s : Array
-        (m,).
+        (m,) s.
 
     Returns
     -------
@@ -71,7 +71,7 @@ def at_times(found: Array, times_s: Array) -> Array:
 
 
 def plain_cepstra(samples: NDArray[np.float32]) -> Array:
-    """Return cepstra; the window of frame i has its middle at i / 100 s.
+    """Return the cepstra of a sound, not normalised; frame i has its middle at i / 100 s.
 
     c_k = sqrt(2 / 40) sum_b m_b cos(pi k (b + 1/2) / 40) over the bands m_b, the first one by
     sqrt(1 / 40).
@@ -96,7 +96,7 @@ def plain_cepstra(samples: NDArray[np.float32]) -> Array:
 
 
 def is_heard(found: Array) -> NDArray[np.bool_]:
-    """Return whether a frame is loud enough to count, by its distance to the loudest.
+    """Return for each frame whether its loudness is within 30 dB of the loudest frame's.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def is_heard(found: Array) -> NDArray[np.bool_]:
 
 
 def _normalised(found: Array) -> Array:
-    """Each coefficient with mean 0 and spread 1 over the frames in which something is heard."""
+    """Return cepstra with mean 0 and spread 1 of each coefficient over the audible frames."""
     heard = found[is_heard(found)]
     return np.asarray((found - heard.mean(axis=0)) / (heard.std(axis=0) + _SMALLEST_SPREAD))
 
@@ -122,7 +122,7 @@ def _normalised(found: Array) -> Array:
 class VoiceLikeness:
     """mean (m,) and precision (m, m) of the mean cepstrum of a line, over the lines of one voice.
 
-    limit: what is farther off is another voice.
+    limit: the greatest distance at which a line counts as that voice.
     """
 
     mean: Array
@@ -130,7 +130,7 @@ class VoiceLikeness:
     limit: float
 
     def distance(self, samples: NDArray[np.float32]) -> float:
-        """Return a line's squared Mahalanobis distance from the learned voice, over m.
+        """Return a line's squared Mahalanobis distance from the learned voice, divided by m.
 
         Parameters
         ----------
@@ -140,7 +140,7 @@ class VoiceLikeness:
         Returns
         -------
         float
-            1 on average for the voice that was learned from.
+            0 or more; 1 on average for the lines of the learned voice.
         """
         off = mean_cepstrum(samples) - self.mean
         return float(off @ self.precision @ off) / len(off)
@@ -162,7 +162,7 @@ class VoiceLikeness:
 
 
 def mean_cepstrum(samples: NDArray[np.float32]) -> Array:
-    """Return the mean cepstrum of the loud frames; the level is left out.
+    """Return the mean cepstrum of a sound's loud frames, without its first coefficient, the level.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ _INDEX_OF = {phoneme: index for index, phoneme in enumerate(PHONEMES)}
 def line_inputs(
     events: Sequence[PhonemeEvent], cepstra: Array, times_s: Array, articulation: Array32
 ) -> Array32:
-    """Return the inputs of the networks.
+    """Return the inputs of the networks at each time: articulation, phoneme and sound around it.
 
     Parameters
     ----------
@@ -199,9 +199,9 @@ def line_inputs(
     cepstra : Array
         (m, 13), 100 a second.
     times_s : Array
-        (n,).
+        (n,) s.
     articulation : Array32
-        (40, n_features).
+        (40, n_features), the articulation of each phoneme.
 
     Returns
     -------
@@ -226,7 +226,7 @@ def line_inputs(
 def _phonemes_on_grid(
     events: Sequence[PhonemeEvent], n_frames: int, margin: int
 ) -> NDArray[np.int64]:
-    """The phoneme of each 10 ms from `margin` before the line to `margin` after: numbers."""
+    """Return the phoneme number of each 10 ms of a line, with `margin` frames on both sides."""
     grid = np.full(n_frames + 2 * margin, _INDEX_OF[SILENCE], dtype=np.int64)
     for event in events:
         start = round(event.start_s * FRAMES_PER_S) + margin
@@ -237,7 +237,7 @@ def _phonemes_on_grid(
 
 @dataclass(frozen=True, slots=True)
 class SoundExpectation:
-    """m networks that read `line_inputs`.
+    """m networks that predict faces from `line_inputs`; their mean counts.
 
     articulation: (40, n_features). mean, spread: (n_inputs,), of the inputs in training. layers:
     weights (m, n_in, n_out) and bias (m, 1, n_out) of each layer, alternating; what the last one
@@ -250,12 +250,12 @@ class SoundExpectation:
     layers: tuple[Array32, ...]
 
     def faces(self, events: Sequence[PhonemeEvent], cepstra: Array, times_s: Array) -> Array:
-        """Return the expected faces of a line.
+        """Return the faces expected from a line's phones and sound.
 
         Parameters
         ----------
         events : Sequence[PhonemeEvent]
-            Its phones.
+            Phones of the line.
         cepstra : Array
             (m, 13), 100 a second.
         times_s : Array
@@ -287,13 +287,13 @@ class Units:
     end: Indices
 
     def of(self, phoneme: int) -> Indices:
-        """The numbers of all units of a phoneme."""
+        """Return the numbers of all units of a phoneme, given as its number in PHONEMES."""
         return np.flatnonzero(self.phonemes == phoneme)
 
 
 @dataclass(frozen=True, slots=True)
 class StateModel:
-    """All sentences end to end.
+    """The states and units of all recorded sentences, stored end to end.
 
     frame_rate_hz: of motion and cepstra.
     borders: (n_sentences + 1,), where each sentence begins, and the end. cepstra: (n, m) float32.
@@ -316,29 +316,29 @@ class StateModel:
 
     @property
     def n_states(self) -> int:
-        """How many states there are."""
+        """The number of states."""
         return len(self.means)
 
     @property
     def n_components(self) -> int:
-        """The number p of components of its own basis."""
+        """The number p of components of the model's own basis."""
         return len(self.basis)
 
     def sentence_of(self, frame: int) -> tuple[int, int]:
-        """The first frame of the sentence that a frame lies in, and the one after its last."""
+        """Return the first frame of the sentence that contains `frame`, and one past its last."""
         at = int(np.searchsorted(self.borders, frame, side="right")) - 1
         return int(self.borders[at]), int(self.borders[at + 1])
 
 
 class OfflineModelError(UserError):
-    """An offline model that cannot be used: says which, why, and what to do."""
+    """An offline model cannot be used; the message says which, why, and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
 class OfflineModel:
-    """Made of one corpus, for one face model.
+    """What lines are rendered with, made of one corpus for one face model.
 
-    face_checksum: of that face. training_sentences: by name. provenance: corpus, seed, how much.
+    face_checksum: of that model. training_sentences: by name. provenance: corpus, seed, amount.
     """
 
     face_checksum: str
@@ -349,7 +349,7 @@ class OfflineModel:
     provenance: Mapping[str, str | int | float]
 
     def check_face(self, face: FaceModel, name: str) -> None:
-        """Raises OfflineModelError for a face that this model was not made for."""
+        """Raise OfflineModelError if the model was made for another face. name: of its file."""
         if face.checksum != self.face_checksum:
             raise OfflineModelError(
                 f"{name}: made for face model {self.face_checksum}, this face is {face.checksum}; "

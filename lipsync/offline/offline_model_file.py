@@ -37,7 +37,7 @@ _UNITS = tuple(f.name for f in fields(Units))
 
 
 def save_offline_model(model: OfflineModel, path: Path) -> None:
-    """Write a model file. Raises OutputError."""
+    """Write an offline model to a file, whole or not at all. Raises OutputError."""
     about = {
         "kind": _KIND,
         "version": OFFLINE_VERSION,
@@ -71,12 +71,12 @@ def _narrow(name: str, values: NDArray[Any]) -> NDArray[Any]:
 
 
 def is_offline_model(head: bytes) -> bool:
-    """Whether a file that begins so looks like an offline model: what a replaced file must be."""
+    """Return whether `head`, the first bytes of a file, looks like an offline model file."""
     return head.startswith(b"PK") and b"about.npy" in head
 
 
 def load_offline_model(path: Path | None = None) -> OfflineModel:
-    """A model file; None: the shipped one. Raises OfflineModelError in one line."""
+    """Return the offline model in a file; None: the shipped one. Raises OfflineModelError."""
     name = f"shipped model {SHIPPED}" if path is None else str(path)
     place = resources.files("lipsync.models") / f"{SHIPPED}.npz" if path is None else path
     try:
@@ -142,7 +142,7 @@ def _wide(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _check(model: OfflineModel) -> None:
-    """Shapes agree and numbers are finite; raises ValueError naming the field that is wrong."""
+    """Raise ValueError, naming the wrong field, unless shapes agree and numbers are finite."""
     states, sound = model.states, model.sound
     n, p, n_frames = states.n_states, states.n_components, len(states.states)
     widths = [sound.mean.shape[0], *(layer.shape[-1] for layer in sound.layers[::2])]

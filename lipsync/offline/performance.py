@@ -1,8 +1,8 @@
 """A performance: a line ready to be played, its sound and its faces; and its file, `.perf`.
 
-The file is one zip of arrays without pickle, versioned, written whole. Head and eyes are a member
-more, which a lipservo that does not know it leaves alone: it plays the same mouth, and its own
-head. So version 1 holds for both.
+The file is one zip of arrays without pickle, versioned, written whole. Head and eyes are an
+additional member, which a lipservo that does not know it ignores: it plays the same mouth, and its
+own head. So version 1 holds for both.
 """
 
 import hashlib
@@ -38,7 +38,7 @@ EXPRESSION_NAMES: Final = (
 
 
 class PerformanceError(UserError):
-    """A performance that cannot be played: says which, why, and what to do."""
+    """A performance cannot be played; the message says which, why, and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +46,8 @@ class PerformedSound:
     """The sound of a performance, byte for byte the file it was rendered from.
 
     name: of that file, without folders. sha256: of its bytes, 64 hex digits. content: the bytes
-    that are to be written into the performance file; None where the file stays beside it, and of
-    every performance that was read: `performance_file.sound_file` has them then.
+    that are to be written into the performance file; None where the file stays beside it, and in
+    every performance that was read from a file: `sound_file` gives its sound.
     """
 
     name: str
@@ -56,7 +56,7 @@ class PerformedSound:
 
 
 def performed_sound(path: Path, *, included: bool) -> PerformedSound:
-    """The sound of a file. Raises PerformanceError where it cannot be read."""
+    """Return name, SHA-256 and, if `included`, bytes of a sound file. Raises PerformanceError."""
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -88,7 +88,7 @@ class Performance:
         return (len(self.coefficients) - 1) / RATE_HZ
 
     def check_face(self, face: FaceModel, name: str) -> None:
-        """Raises PerformanceError for a face of another model than this was rendered for."""
+        """Raise PerformanceError unless this was rendered for the face model `face`."""
         if face.checksum != self.face_checksum:
             raise PerformanceError(
                 f"{name}: rendered for face model {self.face_checksum}, this face is "
@@ -122,12 +122,12 @@ _RENDER_AGAIN = "render it again with `lipservo lines render`"
 
 
 def write_performance(performance: Performance, path: Path) -> None:
-    """Write a performance whole or not at all. Raises OutputError."""
+    """Write a performance whole or not at all. Raises OutputError; PerformanceError: too large."""
     write_whole(path, performance_bytes(performance))
 
 
 def performance_bytes(performance: Performance) -> bytes:
-    """The content of its file. Raises PerformanceError where it would be refused."""
+    """Return the content of a performance's file. Raises PerformanceError if it is too large."""
     if performance.duration_s > LONGEST_S:
         raise PerformanceError(f"more than {LONGEST_S / 60:g} minutes of faces; cut the line")
     sound = performance.sound
@@ -166,14 +166,14 @@ def performance_bytes(performance: Performance) -> bytes:
 
 
 def is_performance(head: bytes) -> bool:
-    """Whether a file that begins so looks like a performance: what a replaced one must be."""
+    """Return whether `head`, the first bytes of a file, looks like a performance file."""
     return head.startswith(b"PK") and b"about.npy" in head
 
 
 def read_performance(path: Path) -> Performance:
-    """The performance in a file, but for its sound: `sound_file` has that.
+    """Return the performance in a file, without the bytes of its sound: `sound_file` gives these.
 
-    Raises PerformanceError in one line.
+    Raises PerformanceError in one line if the file cannot be read or is no valid performance.
     """
     with _opened(path) as archive:
         about = json.loads(archive[_ABOUT].tobytes())
@@ -202,11 +202,11 @@ def read_performance(path: Path) -> Performance:
 
 @contextmanager
 def sound_file(sound: PerformedSound, path: Path) -> Iterator[Path]:
-    """The sound of the performance that was read from `path`, as a file to be opened.
+    """Yield the path of a file with the sound of the performance that was read from `path`.
 
-    It is the file beside the performance, or one without a name that is gone afterwards, whatever
-    happens; so it is never in memory as a whole. Raises PerformanceError where it is gone, or is
-    another one now.
+    It is the file beside the performance, or an unnamed temporary file that vanishes afterwards,
+    whatever happens; so the sound is never in memory as a whole. Raises PerformanceError where the
+    sound cannot be read, or has changed since rendering.
     """
     digest = hashlib.sha256()
     with ExitStack() as stack:
@@ -251,7 +251,7 @@ def _no_room(error: OSError) -> PerformanceError:
 
 
 def _chunks(place: Path, performance: Path) -> Iterator[bytes]:
-    """Yield chunks of the sound beside a performance. Raises PerformanceError."""
+    """Yield the bytes of the sound file `place` in chunks. Raises PerformanceError: unreadable."""
     try:
         if not place.is_file():  # a pipe would be waited for without end
             raise FileNotFoundError(ENOENT, "no such file")
@@ -269,7 +269,7 @@ def _chunks(place: Path, performance: Path) -> Iterator[bytes]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[ArrayArchive]:
-    """The archive, while it is read; whatever is wrong with it becomes a PerformanceError."""
+    """Yield the open archive of a performance; reading errors are raised as PerformanceError."""
     try:
         # A pipe in its place would be waited for without end.
         if path.exists() and not path.is_file():
@@ -291,7 +291,10 @@ def _opened(path: Path) -> Iterator[ArrayArchive]:
 def _expression(
     about: dict[str, Any], archive: ArrayArchive, n_frames: int
 ) -> dict[str, NDArray[np.float32]]:
-    """Of the names that are known here; those of a later lipservo are left alone."""
+    """Return the stored head and eye values (n_frames,) by name; names unknown here are left out.
+
+    Raises ValueError for a wrong shape or values beyond 180.
+    """
     if "expression" not in about:
         return {}
     names, found = list(about["expression"]), archive["expression"]
@@ -323,7 +326,7 @@ def _event(phoneme: str, start_s: float, end_s: float) -> PhonemeEvent:
 
 
 def _bare_name(name: str) -> str:
-    """A file's name without folders: what is read lies beside the performance, nowhere else."""
+    """Return `name`; raise ValueError if it has folders, so that no other folder is read."""
     if not isinstance(name, str) or name in ("", ".", "..") or Path(name).name != name:
         raise ValueError(f"sound name {name!r}")
     return name

@@ -1,6 +1,6 @@
 """Performances on a face that does something else before, between and after them.
 
-What plays a face loads this: NumPy only.
+The process that plays a face loads this module, so it needs NumPy only.
 """
 
 import math
@@ -23,7 +23,7 @@ _AHEAD_S: Final[Array] = np.linspace(0.0, 0.2, 11)
 
 
 class StoredMotion:
-    """What a performance shows at any time of it, linear between neighbouring frames.
+    """The faces and expressions of a performance at any time, linear between neighbouring frames.
 
     So lips that are stored closed stay closed.
     """
@@ -36,14 +36,14 @@ class StoredMotion:
         self._last_s = performance.duration_s
 
     def face_at(self, at_s: float, otherwise: Array) -> Array:
-        """Return the stored face; beyond its ends eased to the face of the inner synthesiser.
+        """Return the stored face at a time; outside the performance, one eased to `otherwise`.
 
         Parameters
         ----------
         at_s : float
-            Seconds from its beginning.
+            Seconds from the beginning of the performance.
         otherwise : Array
-            (n_components,), the inner face.
+            (n_components,), the inner synthesiser's face.
 
         Returns
         -------
@@ -57,7 +57,7 @@ class StoredMotion:
         return _eased(end, otherwise, outside_s)
 
     def expression_at(self, at_s: float) -> Expression:
-        """What is stored of head, eyes, lids and brows; beyond its ends, its ends."""
+        """Return the stored expression at a time; outside the performance, that of its end."""
         if not self._names:
             return NO_EXPRESSION
         values = self._between(self._expressions, min(max(0.0, at_s), self._last_s))
@@ -75,7 +75,7 @@ class StoredMotion:
 class PerformedMotion:
     """A synthesiser that plays performed lines, and leaves all other speech to an inner one.
 
-    The one inside goes on meanwhile, and so is where it belongs when the performance is over.
+    The inner one goes on meanwhile, so its state is up to date when the performance is over.
     """
 
     def __init__(
@@ -84,9 +84,10 @@ class PerformedMotion:
         performed_at: Callable[[float], tuple[StoredMotion, float] | None],
         gap: LipGap,
     ) -> None:
-        """performed_at: what is performed at a sound time, and the time in it; None: nothing.
+        """Create the synthesiser around `inner`.
 
-        The time runs from -`EASING_S` to `EASING_S` behind the last face. gap: of the face's lips.
+        performed_at: from a sound time to the motion performed then and the time within it, from
+        -`EASING_S` to `EASING_S` after its last face; None: nothing. gap: between the lips.
         """
         self._inner = inner
         self._gap = gap
@@ -97,7 +98,7 @@ class PerformedMotion:
 
     @property
     def phonemes_planned(self) -> int:
-        """How many phonemes have moved the mouth."""
+        """The number of phonemes that have moved the inner synthesiser's mouth."""
         return self._inner.phonemes_planned
 
     @property
@@ -106,16 +107,16 @@ class PerformedMotion:
         return self._inner.lookahead_s
 
     def reset(self) -> None:
-        """Forget the sound so far; performances stay."""
+        """Reset the inner synthesiser for a new stream; performances stay."""
         self._inner.reset()
         self._newest_s = -math.inf
 
     def push(self, update: PhonemeUpdate) -> None:
-        """Take a revision of the phonemes."""
+        """Pass a revision of the phonemes to the inner synthesiser."""
         self._inner.push(update)
 
     def frame_at(self, time_s: float) -> Frame:
-        """The frame at a sound time."""
+        """Return the performed frame at a sound time; where none is, the inner synthesiser's."""
         frame = self._inner.frame_at(time_s)
         performed = self._performed_at(time_s)
         if performed is None:
@@ -130,7 +131,7 @@ class PerformedMotion:
         return Frame(time_s, face, motion.expression_at(at_s))
 
     def window_after(self, frame: Frame) -> FaceWindow:
-        """Of a performance the faces of the next 200 ms; else what the one inside expects."""
+        """Return the faces after a frame: 200 ms of a performance, else the inner synthesiser's."""
         performed = self._performed_at(frame.time_s)
         if performed is None:
             return self._inner.window_after(frame)
@@ -142,12 +143,12 @@ class PerformedMotion:
         return FaceWindow(_AHEAD_S, rows, closed, self._gap.shut(frame.coefficients))
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
-        """The phoneme of a sound time."""
+        """Return the inner synthesiser's phoneme at a sound time, or None where none is known."""
         return self._inner.event_at(time_s)
 
 
 def _eased(start: Array, end: Array, after_s: float) -> Array:
-    """From one face to the other in `EASING_S`, by a cubic without speed at both ends."""
+    """Return the face `after_s` after `start` on a cubic to `end` that takes `EASING_S`."""
     if after_s >= EASING_S:
         return end
     share = after_s / EASING_S

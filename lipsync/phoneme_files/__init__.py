@@ -1,1 +1,1 @@
-"""Files of phonemes and their times, by any program: one reader a format."""
+"""Readers of files of phonemes and their times, written by any program: one reader a format."""

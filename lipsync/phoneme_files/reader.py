@@ -26,10 +26,10 @@ _LAST_PHONEME_S: Final = 0.1
 
 
 def read_known_phonemes(path: str | PathLike[str]) -> tuple[PhonemeEvent, ...]:
-    """The phonemes of a file in one of the formats of docs/text.md.
+    """Return the phonemes of a file in one of the formats of docs/text.md.
 
-    In order, from 0 on, without gaps (silence between) and each with its end. Raises LabelError,
-    in one line: which file, where in it, what is allowed.
+    They are in order, from 0 on, without gaps (silence between) and each with its end. Raises
+    LabelError, in one line: which file, where in it, what is allowed.
     """
     content = _content(Path(path))
     if is_textgrid(content[:200]):
@@ -38,7 +38,7 @@ def read_known_phonemes(path: str | PathLike[str]) -> tuple[PhonemeEvent, ...]:
 
 
 def read_words(path: str | PathLike[str]) -> tuple[TimedUnit, ...]:
-    """The words of a file that tells when they begin, and no phonemes; else none."""
+    """Return the words of a file that has words with times but no phonemes; else ()."""
     content = _content(Path(path))
     if is_textgrid(content[:200]):
         return ()
@@ -47,7 +47,7 @@ def read_words(path: str | PathLike[str]) -> tuple[TimedUnit, ...]:
 
 
 def sound_beside(path: Path) -> Path:
-    """The sound of which a file tells: that of the same name. Raises LabelError."""
+    """Return the sound file named like `path` in its folder. Raises LabelError if there is none."""
     for ending in _SOUND_ENDINGS:
         if (sound := path.with_suffix(ending)).is_file():
             return sound
@@ -58,7 +58,7 @@ def sound_beside(path: Path) -> Path:
 
 
 def phonemes_in(content: bytes, name: str) -> tuple[PhonemeEvent, ...]:
-    """Read the phonemes from the content of a file of JSON; `name` is for errors."""
+    """Return the phonemes in a JSON file's content. Raises LabelError, with `name` for the file."""
     best = units_in(content, name)[0]
     if best.kind == "word":
         raise LabelError(
@@ -68,7 +68,7 @@ def phonemes_in(content: bytes, name: str) -> tuple[PhonemeEvent, ...]:
 
 
 def units_in(content: bytes, name: str) -> tuple[VendorUnits, ...]:
-    """All that a file of JSON tells, phonemes before visemes before words. Raises LabelError."""
+    """Return a JSON file's phonemes, visemes, words, in this order of kinds. Raises LabelError."""
     try:
         return vendor_units(_parsed(content, name))
     except VendorError as error:
@@ -85,9 +85,9 @@ def _content(path: Path) -> bytes:
 
 
 def events_of(known: VendorUnits, name: str) -> tuple[PhonemeEvent, ...]:
-    """Phonemes or visemes as events from 0 on; the phones of one share its time evenly.
+    """Return phonemes or visemes as events from 0 s on; phones of one unit share its time evenly.
 
-    name: for errors. Raises LabelError for one that its alphabet lacks, and for silence.
+    name: for errors. Raises LabelError for a label that its alphabet lacks, and for silence only.
     """
     events: list[PhonemeEvent] = []
     ends_s = [after.start_s for _, after in pairwise(known.units)]
@@ -120,7 +120,7 @@ def events_of(known: VendorUnits, name: str) -> tuple[PhonemeEvent, ...]:
 def _append(
     events: list[PhonemeEvent], phone: str, start_s: float, end_s: float, *, goes_on: bool = False
 ) -> None:
-    """Add an event unless it has no length; silence, or what goes on, joins its like before it."""
+    """Append an event if it has a length; silence, or what `goes_on`, extends an equal last one."""
     if end_s <= start_s:
         return
     if events and events[-1].phoneme == phone and (goes_on or phone == SILENCE):
@@ -130,7 +130,7 @@ def _append(
 
 
 def _parsed(content: bytes, name: str) -> object:
-    """Return the JSON document, or its lines by name."""
+    """Return the parsed JSON document, or for JSON Lines a dict by `line N`. Raises LabelError."""
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:

@@ -40,7 +40,7 @@ _LOW_PASS_HZ, _TAPS = 1200.0, 49
 
 @dataclass(slots=True)
 class SoundWindow:
-    """What samples (400,) at 16 kHz amount to.
+    """Levels and low-passed samples of a window (400,) of sound at 16 kHz.
 
     loudness_db: root mean square about the mean, dB re full scale. low_db, high_db: levels of 80 to
     500 Hz and of 500 to 4,000 Hz. newest: the last 10 ms (40,) at 4 kHz, 1.5 ms late by the filter.
@@ -82,13 +82,13 @@ def _db(power: float) -> float:
 
 @cache
 def _transform() -> Array32:
-    """(1 + 198 + 40, 400): the mean, bins of a Fourier transform, a low-pass and decimation."""
+    """Return the matrix (1 + 198 + 40, 400) of mean, Fourier bins, low-pass with decimation."""
     mean = np.full((1, WINDOW_SAMPLES), 1.0 / WINDOW_SAMPLES)
     return np.concatenate((mean, _fourier(), _decimation())).astype(np.float32)
 
 
 def _fourier() -> Array32:
-    """Hann-windowed cosines and sines; by Parseval their squares add up to the band's power."""
+    """Return Hann-windowed cosines and sines (198, 400): squares sum to band power (Parseval)."""
     hann = np.hanning(WINDOW_SAMPLES + 1)[:-1]
     hz = np.arange(_LOWEST_HZ, _HIGHEST_HZ + 1.0, _BIN_HZ)
     phases = 2.0 * np.pi / SAMPLE_RATE_HZ * np.outer(hz, np.arange(WINDOW_SAMPLES))
@@ -98,7 +98,7 @@ def _fourier() -> Array32:
 
 
 def _decimation() -> Array32:
-    """(40, 400): a windowed-sinc low-pass (Hamming), applied at every fourth sample."""
+    """Return the matrix (40, 400) of a windowed-sinc low-pass (Hamming) at every fourth sample."""
     step = SAMPLE_RATE_HZ // LOW_RATE_HZ
     offsets = np.arange(_TAPS) - (_TAPS - 1) / 2
     taps = np.sinc(2.0 * _LOW_PASS_HZ / SAMPLE_RATE_HZ * offsets) * np.hamming(_TAPS)
@@ -128,14 +128,14 @@ _LEAST_ENERGY = _COMPARED * 1e-10
 
 
 class PitchTracker:
-    """Blocks of 10 ms in, the pitch of their last 40 ms out; two blocks late by the median."""
+    """The pitch of the last 40 ms, after each block of 10 ms; two blocks late by its median."""
 
     def __init__(self) -> None:
         self._window = np.zeros(_WINDOW)
         self._last: deque[float] = deque([math.nan] * _MEDIAN_OF, maxlen=_MEDIAN_OF)
 
     def push(self, samples: Array32) -> float:
-        """Return the pitch after new samples: the median of the last windows.
+        """Return the pitch after new samples: the median of the last five windows' pitches.
 
         Parameters
         ----------
@@ -145,7 +145,7 @@ class PitchTracker:
         Returns
         -------
         float
-            Hz; NaN where nothing is voiced.
+            Hz; NaN where fewer than three of the five are voiced.
         """
         self._window[:-_NEW] = self._window[_NEW:]
         self._window[-_NEW:] = samples
@@ -155,7 +155,7 @@ class PitchTracker:
 
 
 def pitch_hz(window: Array) -> float:
-    """Return the pitch of a window.
+    """Return the pitch of a window of sound by YIN.
 
     Parameters
     ----------
@@ -185,9 +185,9 @@ def pitch_hz(window: Array) -> float:
 
 
 def _first_dip_hz(normalised: list[float]) -> float:
-    """The rate at the bottom of the first dip below the threshold; [0] belongs to the shortest lag.
+    """Return the frequency in Hz at the bottom of the first dip below YIN's threshold, or else NaN.
 
-    Where the bottom is at either end it may lie beyond: NaN.
+    normalised[0] belongs to the shortest lag. A bottom at either end may lie beyond it: NaN.
     """
     index, last = 0, len(normalised) - 1
     while index < last and normalised[index] >= _THRESHOLD:

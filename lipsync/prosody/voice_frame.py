@@ -1,4 +1,4 @@
-"""What one block of sound says of the voice in it, besides its phonemes."""
+"""Measurements of the voice in one block of sound, besides its phonemes."""
 
 import math
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from typing import Final
 
 @dataclass(frozen=True, slots=True)
 class VoiceFrame:
-    """10 ms of sound, made when its end was heard; nothing later has a part in it.
+    """Measurements of the voice in 10 ms of sound, made from this and earlier sound only.
 
     time_s: sound time of the end. peak: greatest amplitude, 0 to 1. loudness_db: root mean square,
     dB re full scale. pitch_hz: NaN where unvoiced. tilt_db: energy of 500 to 4,000 Hz over that of

@@ -8,7 +8,7 @@ the same. Jumps of a microphone's automatic gain make the loudness say less for 
 Speech is found where sound is loud above the noise, voiced now and then, and not as music is. The
 level opens the gate (`VoiceActivityDetector`: noise floor by minimum statistics), so steady noise
 closes it within 1.2 s. Speech is voiced for a good part of its time, and its pitch glides; notes
-stand still. Bars measured on grid_s1, LibriSpeech, speechocean762 (speech), on made-up chords,
+do not. Bars measured on grid_s1, LibriSpeech, speechocean762 (speech), on made-up chords,
 bands and coloured noise (docs/expression-voice.md). Whispering is no speech here.
 """
 
@@ -34,12 +34,12 @@ _SYLLABLES_S = 0.5
 
 
 def score(z: float) -> float:
-    """2 Phi(z) - 1: from -1 to 1, 0 at the baseline."""
+    """Return the score 2 Phi(z) - 1, Phi being the normal distribution: -1 to 1, 0 at z = 0."""
     return math.erf(z / math.sqrt(2.0))
 
 
 class ArousalTracker:
-    """One 10 ms frame after the other; rises within 0.4 s, falls in 1.5 s, in silence to 0."""
+    """Arousal, -1 to 1, by 10 ms frames; rises within 0.4 s, falls in 1.5 s, in silence to 0."""
 
     def __init__(self) -> None:
         self._voiced_s = 0.0
@@ -49,7 +49,7 @@ class ArousalTracker:
     def push_voiced(
         self, loudness_z: float, pitch_z: float, tilt_z: float, loudness_trust: float
     ) -> float:
-        """A voiced frame of speech. loudness_trust: 0 to 1, what is left of loudness' weight."""
+        """Add a voiced speech frame, loudness weighted by `loudness_trust`; return the arousal."""
         self._voiced_s += _FRAME_S
         fused = (
             _LOUDNESS_WEIGHT * loudness_trust * score(loudness_z)
@@ -60,14 +60,14 @@ class ArousalTracker:
         return self.push_unvoiced()
 
     def push_unvoiced(self) -> float:
-        """A frame within speech that has no pitch: on towards what was voiced last."""
+        """Add a speech frame without pitch, easing to the last voiced score; return the arousal."""
         aim = min(1.0, self._voiced_s / _CONFIDENT_S) * self._fused
         time_s = _ATTACK_S if aim > self.arousal else _RELEASE_S
         self.arousal += _FRAME_S / time_s * (aim - self.arousal)
         return self.arousal
 
     def push_silence(self) -> float:
-        """Advance by a frame without speech."""
+        """Add a frame without speech: let the arousal decay towards 0, and return it."""
         self.arousal -= _FRAME_S / _DECAY_S * self.arousal
         self._fused -= _FRAME_S / _DECAY_S * self._fused
         return self.arousal
@@ -85,7 +85,7 @@ _RECOVERY_FRAMES = 20.0 * _FRAMES_PER_S
 
 
 class GainJumpDetector:
-    """Watches the noise floor: what lifts the voice and the noise together is the microphone.
+    """Detector of jumps of a microphone's gain, by the noise floor, which they lift with the voice.
 
     A voice that grows louder, or comes nearer, leaves the noise as it is. A noise that is switched
     on looks like a jump as well; it costs the loudness its weight for a while, no more.
@@ -99,11 +99,11 @@ class GainJumpDetector:
 
     @property
     def trust(self) -> float:
-        """How far loudness may be trusted: 0 just after a jump, 1 after 20 s without."""
+        """The weight of loudness, 0 to 1: 0 just after a gain jump, 1 after 20 s without one."""
         return min(1.0, self._n_since / _RECOVERY_FRAMES)
 
     def push(self, level_db: float) -> bool:
-        """Take the level of the next 10 ms, silence or not; True where a jump is noticed."""
+        """Add the level of the next 10 ms, silence or not; return True where a jump is noticed."""
         self._n_since += 1
         self._lowest_db = min(self._lowest_db, level_db)
         self._n_in_second += 1
@@ -129,10 +129,10 @@ _MOST_Z = 4.0
 
 
 class SpeakerBaseline:
-    """Mean and standard deviation by exponential forgetting: 60 s of voiced time.
+    """Mean and standard deviation of a feature, by exponential forgetting over 60 s of voiced time.
 
-    Until so much was heard the mean is that of all. The standard deviation is mixed with a prior's
-    that counts as 10 s, so that it is never below 0.38 of it: a monotone voice is no loud one.
+    Before 60 s the mean is over all frames. The standard deviation is mixed with a prior's that
+    counts as 10 s, so that it is never below 0.38 of it: a monotone voice is no loud one.
     """
 
     def __init__(self, prior_sd: float, memory_s: float = 60.0) -> None:
@@ -143,7 +143,7 @@ class SpeakerBaseline:
         self._variance = 0.0
 
     def push(self, value: float) -> None:
-        """Take the feature of one more voiced frame."""
+        """Add the feature's value in one more voiced frame."""
         self._n_frames = min(self._n_frames + 1.0, self._most_frames)
         share = 1.0 / self._n_frames
         away = value - self._mean
@@ -151,7 +151,7 @@ class SpeakerBaseline:
         self._variance += share * ((1.0 - share) * away * away - self._variance)
 
     def z(self, value: float) -> float:
-        """Standard deviations from the mean, -4 to 4; 0 before anything was heard."""
+        """Return (value - mean) / deviation, clipped to -4 to 4; 0 before the first frame."""
         if self._n_frames == 0.0:
             return 0.0
         n_all = self._n_frames + _PRIOR_FRAMES
@@ -160,7 +160,7 @@ class SpeakerBaseline:
         return min(_MOST_Z, max(-_MOST_Z, (value - self._mean) / sd))
 
     def doubt(self, worth_s: float) -> None:
-        """Let all that was heard so far count no more than `worth_s` of voiced time."""
+        """Limit the weight of all frames so far to `worth_s` seconds of voiced time."""
         self._n_frames = min(self._n_frames, worth_s * _FRAMES_PER_S)
 
 
@@ -179,7 +179,7 @@ _LONGEST_UNVOICED_FRAMES = 0.4 * FRAMES_PER_S
 
 
 class SpeechGate:
-    """Level and pitch of one 10 ms frame after the other; says whether speech is going on."""
+    """Detector of speech, by level and pitch of one 10 ms frame after the other."""
 
     def __init__(self) -> None:
         self._activity = VoiceActivityDetector()
@@ -189,11 +189,11 @@ class SpeechGate:
 
     @property
     def floor_db(self) -> float:
-        """The noise floor now."""
+        """The present noise floor in dB."""
         return self._activity.floor_db
 
     def push(self, level_db: float, pitch_st: float) -> bool:
-        """Take the next frame; pitch_st: in semitones re anything, NaN where unvoiced."""
+        """Add the next frame; return whether it is speech. pitch_st: semitones, NaN if unvoiced."""
         is_voiced = pitch_st == pitch_st
         moved_st = abs(pitch_st - self._pitches_st[0])
         self._pitches_st.append(pitch_st)
@@ -221,10 +221,10 @@ _AFTER_JUMP_S = 2.0
 
 
 class VoiceTracker:
-    """What blocks of sound say of the voice in them; one speaker, or the mean of several.
+    """Blocks of sound in, `VoiceFrame`s out, for one speaker or the mean of several.
 
     The z of a frame is against the frames before it. All z are 0 outside speech, and the
-    baselines stand still there.
+    baselines do not change there.
     """
 
     def __init__(self) -> None:
@@ -237,9 +237,9 @@ class VoiceTracker:
         self._arousal = ArousalTracker()
 
     def feed(self, samples: Array32, end_s: float | None = None) -> VoiceFrame:
-        """Return the frame that samples complete.
+        """Return the `VoiceFrame` of the next block of samples.
 
-        The last block of a stream may be shorter. What is no number counts as silence, what is
+        The last block of a stream may be shorter. NaN and infinite samples count as silence, those
         beyond full scale as full scale.
 
         Parameters

@@ -7,7 +7,7 @@ pocketsphinx's own beams. Where these lose the way in the second pass, tight one
 was never compared.
 
 Words that its dictionary does not hold are pronounced by gruut's lexicon, else its model, in IPA;
-docs/decisions/0003-pronunciations.md says why it was taken.
+docs/decisions/0003-pronunciations.md says why.
 
 Forced alignment lays any text over any sound as long as it finds a path. The score is the mean
 over frames of log p(aligned phone) - log p(likeliest phone), the "goodness of pronunciation" of
@@ -45,14 +45,15 @@ _WORD = re.compile(r"[^\W_]+(?:'[^\W_]+)*'?")
 
 
 class AlignmentError(UserError):
-    """Sound and text do not go together; the message is one line."""
+    """Sound and text do not fit each other; the message is one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
     """Phones and words of an utterance, without gaps between the phones.
 
-    words: (word, start_s, end_s), silence left out. guessed: words the dictionary does not hold.
+    words: (word, start_s, end_s), silence left out. beams: those that found it. guessed: words that
+    the dictionary lacks.
     """
 
     phones: tuple[PhonemeEvent, ...]
@@ -66,7 +67,7 @@ def align(
     text: str,
     pronouncer: Callable[[str], tuple[str, ...]] = pronounce,
 ) -> Alignment:
-    """Align a sound with the words of a text.
+    """Return when each word and each phone of a text is spoken in a sound.
 
     Parameters
     ----------
@@ -112,19 +113,19 @@ def align(
 
 
 def check_aligner() -> None:
-    """Raises MissingExtraError where `align` could not work; before a corpus is begun, too."""
+    """Raise MissingExtraError if pocketsphinx, which `align` needs, is not installed."""
     check_extra("pocketsphinx", "finding when each phone of a text is spoken")
 
 
 def words_of(text: str) -> list[str]:
-    """The words of a text in lower case, without punctuation."""
+    """Return the words of a text in lower case, without punctuation."""
     return _WORD.findall(text.lower().replace("\N{RIGHT SINGLE QUOTATION MARK}", "'"))
 
 
 def _teach(
     decoder: "Decoder", words: list[str], pronouncer: Callable[[str], tuple[str, ...]]
 ) -> tuple[str, ...]:
-    """Make sure that the decoder knows all words; returns those that had to be guessed."""
+    """Add the words that the decoder's dictionary lacks, by `pronouncer`; return these words."""
     missing = tuple(word for word in dict.fromkeys(words) if decoder.lookup_word(word) is None)
     for word in missing:
         decoder.add_word(word, " ".join(pronouncer(word)), False)
@@ -134,7 +135,10 @@ def _teach(
 def _segments(
     decoder: "Decoder", pcm: bytes, words: list[str]
 ) -> list[tuple[str, list[tuple[str, int, int]]]]:
-    """(word, its phones as (name, first frame, n frames)) in order."""
+    """Align words with sound; return (word, [(phone, first frame, n frames), ...]) in order.
+
+    Raises RuntimeError if pocketsphinx finds no alignment.
+    """
     decoder.set_align_text(" ".join(words))
     _process(decoder, pcm)
     # Only now: asked after the second pass, pocketsphinx 5.1.1 crashes.
@@ -191,7 +195,7 @@ def goodness_of_pronunciation(
     phones: tuple[PhonemeEvent, ...],
     weights: NetworkWeights | None = None,
 ) -> float:
-    """Return the score (<= 0) of an alignment's phones; low where the text is not spoken.
+    """Return the mean score (<= 0) of an alignment's phones; low where the text is not spoken.
 
     Counted are the frames in which the alignment or the network has a phone that is not silence.
     Raises WeightsError.
@@ -226,7 +230,7 @@ def goodness_of_pronunciation(
 
 
 def _late_posteriors(weights: NetworkWeights, samples: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(n_frames, n_phonemes) of the head that waits longest, frame k beginning at k hops."""
+    """Return the longest-waiting head's posteriors (n_frames, n_phonemes); frame k is at k hops."""
     n_frames, delay = max(1, -(-len(samples) // HOP)), weights.delays[-1]
     posteriors = recording_posteriors(weights, samples, n_frames + delay)
     return posteriors[delay:, -1]

@@ -1,4 +1,4 @@
-"""What the live recogniser settles on, for whole recordings at once. Offline.
+"""The phonemes that the live recogniser settles on, for whole recordings at once. Offline.
 
 The arithmetic of `NetworkRecognizer` without its waiting: the network takes a recording in one go,
 the decoder goes forward frame by frame, but through many recordings side by side.
@@ -35,16 +35,16 @@ _TAIL_S = 0.5
 def settled_phonemes(
     weights: NetworkWeights, recordings: Sequence[Array32], latency_s: float = LATENCY_S
 ) -> Iterator[tuple[PhonemeEvent, ...]]:
-    """Return the phonemes of each recording as they are final live.
+    """Yield the phonemes of each recording that the live recogniser would report as final.
 
     Parameters
     ----------
     weights : NetworkWeights
-        Of the network.
+        Weights of the network.
     recordings : Sequence[Array32]
         (n,) samples each at 16 kHz.
     latency_s : float
-        Of the live recogniser.
+        Latency of the live recogniser, s.
 
     Returns
     -------
@@ -64,21 +64,21 @@ def settled_phonemes(
 
 
 def recording_posteriors(weights: NetworkWeights, samples: Array32, n_frames: int) -> Array32:
-    """Return the posteriors of a recording, filled up with silence.
+    """Return the network's posteriors of a recording, which is padded with silence to `n_frames`.
 
     Parameters
     ----------
     weights : NetworkWeights
-        Of the network.
+        Weights of the network.
     samples : Array32
         (n,) at 16 kHz.
     n_frames : int
-        Of 10 ms.
+        Number of frames of 10 ms.
 
     Returns
     -------
     Array32
-        (n_frames, n_heads, n_phonemes); in frame k the head that waits d frames has frame k - d.
+        (n_frames, n_heads, n_phonemes); in frame k the head that waits d frames gives frame k - d.
     """
     padded = np.zeros((n_frames - 1) * HOP + WINDOW, np.float32)
     padded[: len(samples)] = samples
@@ -86,10 +86,10 @@ def recording_posteriors(weights: NetworkWeights, samples: Array32, n_frames: in
 
 
 def _settled(posteriors: Array32, delays: tuple[int, ...], delay: int) -> NDArray[np.int64]:
-    """(n_recordings, n_frames, n_heads, n_phonemes) -> (n_recordings, n_frames - delay).
+    """Return the phonemes that `ViterbiDecoder` would settle, (n_recordings, n_frames - delay).
 
-    What `ViterbiDecoder` settles: `delay` frames after a frame, by the best path through the frames
-    heard since.
+    posteriors: (n_recordings, n_frames, n_heads, n_phonemes). A frame is settled `delay` frames
+    later, by the best path through the frames heard since.
     """
     scores = log_scores(posteriors, SMOOTH)
     penalties = np.stack((change_penalties(SMOOTH), waking_penalties(SMOOTH)))

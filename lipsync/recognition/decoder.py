@@ -1,7 +1,7 @@
 """From posteriors to phonemes by Viterbi search, in time for closures.
 
-At the delay D the phoneme of frame n - D is settled when frame n was heard. For every frame of the
-stretch in between the best head that has spoken about it is taken (the one with the longest delay).
+At the delay D the phoneme of frame n - D is settled when frame n was heard. Every frame of the
+stretch in between has the scores of the best head that covers it (the one with the longest delay).
 A Viterbi search with a penalty for every change of phoneme runs over all of it: the frames after
 n - D, known from the quick heads, smooth what is settled without waiting any longer.
 
@@ -26,7 +26,7 @@ PAUSE_FRAMES = 17
 
 @dataclass(frozen=True, slots=True)
 class DecoderSettings:
-    """Chosen on two speakers of the training set that trained nothing (docs/recognition.md).
+    """Penalties and weights, chosen on two speakers not used in training (docs/recognition.md).
 
     switch_penalty: of a change of phoneme, in natural-log units; closure_penalty: of a change to a
     closure (P B M, F V), which smoothing would swallow; closure_bonus: added to a closure's score;
@@ -50,11 +50,11 @@ SMOOTH = DecoderSettings()
 
 @dataclass(frozen=True, slots=True)
 class PosteriorFormat:
-    """What the posteriors (n_frames, n_heads, n_names) of a recogniser mean, whichever it is.
+    """The names and delays that belong to a recogniser's posteriors (n_frames, n_heads, n_names).
 
     names: of the last axis. delays: frames that each head waits, rising: in frame k the head that
-    waits d frames speaks about frame k - d. The posteriors of a head in a frame sum to 1, as they
-    were learned: no temperature is applied.
+    waits d frames gives frame k - d. The posteriors of a head in a frame sum to 1, as they were
+    learned: no temperature is applied.
     """
 
     names: tuple[str, ...]
@@ -62,9 +62,9 @@ class PosteriorFormat:
 
 
 class ViterbiDecoder:
-    """Takes one frame of scores after the other; see the module's text.
+    """Decoder of scores to phonemes, one frame after the other, each settled D frames later.
 
-    heard: what the posteriors mean; their names are `PHONEMES`. delay: D, at least the first of
+    heard: the format of the posteriors; their names are `PHONEMES`. delay: D, at least the first of
     the heads' delays.
     """
 
@@ -94,11 +94,11 @@ class ViterbiDecoder:
 
     @property
     def is_awake(self) -> bool:
-        """Whether speech was settled within the last `PAUSE_FRAMES`."""
+        """Whether the decoder has settled speech within the last `PAUSE_FRAMES` frames."""
         return self._n_silent < PAUSE_FRAMES
 
     def scores(self, posteriors: Array32) -> Array32:
-        """Return scores for `push`.
+        """Return the log scores of posteriors, which `push` takes frame by frame.
 
         Parameters
         ----------
@@ -113,12 +113,12 @@ class ViterbiDecoder:
         return log_scores(posteriors, self._settings)
 
     def push(self, scores: Array32) -> tuple[int | None, list[int]]:
-        """Decode one frame.
+        """Decode one frame: settle the phoneme `delay` frames ago, and update the later ones.
 
         Parameters
         ----------
         scores : Array32
-            (n_heads, n_phonemes), of `scores`.
+            (n_heads, n_phonemes), as `scores` returns them.
 
         Returns
         -------
@@ -155,14 +155,17 @@ class ViterbiDecoder:
         return SILENCE_INDEX not in path[: self._settings.waking_frames]
 
     def _changed(self, best: Array32) -> tuple[Array32, Array32, int]:
-        """The best way to each phoneme, whether it stays there, and where it comes from else."""
+        """Return each phoneme's best score before the next frame, by staying or by a change.
+
+        Also whether staying gives it, for each phoneme, and the phoneme that changes come from.
+        """
         leader = int(best.argmax())
         is_waking = leader == SILENCE_INDEX and not self.is_awake
         changed = best[leader] - (self._waking_penalties if is_waking else self._penalties)
         return np.maximum(best, changed), best >= changed, leader
 
     def _path(self, best: Array32, frames: list[Array32]) -> list[int]:
-        """The best way through the frames, the one before them included.
+        """Return the best path of phonemes through the frames and the one before them.
 
         In each frame a phoneme stays, or comes from the best one at the penalty of a change.
         """
@@ -181,7 +184,7 @@ class ViterbiDecoder:
 
 
 def best_heads(delays: tuple[int, ...], delay: int) -> list[int]:
-    """Of a frame delays[0], ..., delay frames old: the head with the longest delay that spoke."""
+    """Return the head of the longest delay <= age for each age from delays[0] to `delay` frames."""
     return [
         max(index for index, d in enumerate(delays) if d <= age)
         for age in range(delays[0], delay + 1)
@@ -224,7 +227,7 @@ def waking_penalties(settings: DecoderSettings) -> Array32:
 
 
 def log_scores(posteriors: Array32, settings: DecoderSettings) -> Array32:
-    """Return weighted log probabilities of the viseme class and of the phone within it.
+    """Return the scores of phonemes: weighted log posteriors of the viseme class and of the phone.
 
     Parameters
     ----------

@@ -19,14 +19,14 @@ _QUIET, _WIDE = "AH", "AA"
 
 
 class EnergyRecognizer:
-    """A `LiveRecognizer` that tells loud from quiet: AA, AH and silence are all it gives."""
+    """A `LiveRecognizer` by level alone: it gives AA (loud), AH (quieter) and silence, no more."""
 
     def __init__(self) -> None:
         self.reset()
 
     @property
     def latency_s(self) -> float:
-        """At sound time t the phonemes before t - latency_s are settled."""
+        """Seconds until phonemes are settled: at sound time t, those before t - latency_s are."""
         return LATENCY_S
 
     def reset(self) -> None:
@@ -40,7 +40,7 @@ class EnergyRecognizer:
         self._n_heard = self._n_reported = 0
 
     def feed(self, block: AudioBlock) -> None:
-        """Take the next block: any size, any rate; a gap before it counts as silence."""
+        """Process the next block of any size and rate; a gap before it counts as silence."""
         silence, jump_s, samples = self._input.take(block)
         self._process(silence)
         n_jumped = round(jump_s * FRAMES_PER_S)
@@ -49,7 +49,7 @@ class EnergyRecognizer:
         self._process(samples)
 
     def updates(self) -> list[PhonemeUpdate]:
-        """One update if a whole frame was heard since the last call, else none."""
+        """Return one update if a whole frame was heard since the last call, else []."""
         if self._n_heard == self._n_reported:
             return []
         self._n_reported = self._n_heard
@@ -87,11 +87,11 @@ class NeutralRecognizer:
         self._heard_s = self._reported_s = 0.0
 
     def feed(self, block: AudioBlock) -> None:
-        """Take note of the time."""
+        """Note the end time of the block; its sound is ignored."""
         self._heard_s = max(self._heard_s, block.end_s)
 
     def updates(self) -> list[PhonemeUpdate]:
-        """Silence, from the beginning to what was heard."""
+        """Return one update of silence if sound was fed since the last call, else []."""
         if self._heard_s <= self._reported_s:
             return []
         replace_from_s, self._reported_s = self._reported_s, self._heard_s

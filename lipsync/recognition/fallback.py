@@ -60,7 +60,7 @@ _PAUSE_S = 0.2
 
 
 class Pace:
-    """Follows one recogniser: `note` the cost of each step, then read `failing`."""
+    """A check that one recogniser keeps up: `note` the cost of each step, then read `failing`."""
 
     def __init__(self) -> None:
         self._shares: deque[float] = deque(maxlen=_REMEMBERED)
@@ -72,28 +72,28 @@ class Pace:
     def share(self) -> float:
         """Seconds that a second of sound takes: the median of the last steps, 0 before the first.
 
-        Of a computer that is busy it tells little, as a step is shorter than a time slice.
+        On a busy computer this is inexact, as a step is shorter than a time slice.
         """
         return median(self._shares) if self._shares else 0.0
 
     @property
     def may_hurry(self) -> bool:
-        """Whether several blocks at once would not take too long."""
+        """Whether the recogniser is fast enough to process several blocks at once."""
         return len(self._shares) >= _FEWEST_TRIED and self.share < _HOPELESS_SHARE
 
     @property
     def is_too_slow_to_be_tried(self) -> bool:
-        """Whether it needs more than half of the time: too much beside the level in use."""
+        """Whether the recogniser takes over half of the time, too much beside another level."""
         return len(self._shares) >= _FEWEST_TRIED and self.share > _TRIED_SHARE
 
     def note(self, cost_s: float, sound_s: float) -> None:
-        """Add a step that cost `cost_s` by the clock for `sound_s` of sound."""
+        """Add a step that cost `cost_s` seconds by the clock for `sound_s` seconds of sound."""
         self._spent_s += cost_s
         if sound_s > 0.0:
             self._shares.append(cost_s / sound_s)
 
     def failing(self, now_s: float, waiting_s: float) -> str | None:
-        """Why this recogniser should be left, in words; None: it keeps up, or may yet.
+        """Return why the recogniser should be replaced, in words; None if it keeps up, or may yet.
 
         waiting_s: of the sound that has come, what was not recognised after the step just noted.
         """
@@ -113,7 +113,7 @@ class Pace:
 
 
 class LadderLevel:
-    """A recogniser with a name; sound time in and out, whenever it was begun.
+    """A named recogniser of the ladder, with sound times in and out, whenever it was begun.
 
     The recogniser itself counts from there: one that begins after hours would otherwise fill the
     hours with silence, frame by frame.
@@ -131,44 +131,44 @@ class LadderLevel:
 
     @property
     def ahead_s(self) -> float:
-        """How much sound `prepare` is best given at once; 0: it cannot prepare."""
+        """Seconds of sound to give `prepare` at once; 0 if the recogniser cannot prepare."""
         preparing = self._recognizer
         return preparing.ahead_s if isinstance(preparing, PreparingRecognizer) else 0.0
 
     @property
     def hearing(self) -> Hearing | None:
-        """Its class of the sound: speech, noise, silence; None where it gives none."""
+        """The recogniser's class of the sound: speech, noise, silence; None if it reports none."""
         return None if self._listener is None else self._listener.hearing
 
     def begin(self, sound_s: float) -> None:
-        """Forget everything; the next block is at `sound_s` or later."""
+        """Reset the recogniser for a new stream, whose first block is at `sound_s` or later."""
         self._recognizer.reset()
         self.pace = Pace()
         self._offset_s = sound_s
         self.is_pause = True
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """Pass the servos' speeds on; ignored by a recogniser that cannot use them."""
+        """Pass the servos' speeds (n_servos,) in deg/s to the recogniser if it can use them."""
         if isinstance(self._recognizer, ServoListener):
             self._recognizer.note_servo_speeds(sound_s - self._offset_s, speeds_deg_s)
 
     @property
     def moved_by(self) -> MovedBy | None:
-        """Whether what is settled now was found in a text, or heard."""
+        """`text` if the phonemes now settled were found in a given text, `sound` if recognised."""
         return self._follower.moved_by if self._follower is not None else "sound"
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """Words around the one that is spoken now, and its index; ((), 0): no text is known."""
+        """The words around the one being spoken, and its index in them; ((), 0) without a text."""
         return ((), 0) if self._follower is None else self._follower.saying
 
     def forget(self) -> None:
-        """Drop the words that were given and are not spoken yet."""
+        """Drop the words of the given text that are not spoken yet."""
         if self._follower is not None:
             self._follower.forget()
 
     def tell(self, words: Sequence[PronouncedWord], behind_s: float) -> None:
-        """Give the words that come next, in sound time; ignored by a level that follows no text."""
+        """Give the recogniser the next words, in sound time; ignored if it follows no text."""
         if self._follower is None:
             return
         offset_s = self._offset_s
@@ -179,17 +179,17 @@ class LadderLevel:
         self._follower.tell(own_time, behind_s)
 
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
-        """Work on blocks that will be fed next; nothing for one that cannot."""
+        """Let the recogniser compute ahead on the next blocks; ignored if it cannot."""
         if isinstance(self._recognizer, PreparingRecognizer):
             self._recognizer.prepare([self._of_its_own_time(block) for block in blocks])
 
     def feed(self, blocks: Iterable[AudioBlock]) -> None:
-        """Feed blocks in order, one by one."""
+        """Feed blocks to the recogniser in order, one by one."""
         for block in blocks:
             self._recognizer.feed(self._of_its_own_time(block))
 
     def updates(self) -> list[PhonemeUpdate]:
-        """What became known since the last call, in sound time."""
+        """Return the recogniser's updates since the last call, in sound time."""
         updates = self._recognizer.updates()
         if updates:
             self.is_pause = _ends_in_pause(updates[-1])
@@ -204,14 +204,14 @@ class LadderLevel:
 
 
 class Trial:
-    """A level that is tried beside the one in use: with the last seconds of sound and what comes.
+    """A level that is tried beside the one in use, on the last seconds of sound and new sound.
 
-    `go_on` in each step, after `add`; then look whether it failed, or is ready to take over: it
-    has caught up, and there is a pause. Memory is bounded: a try that falls behind has failed.
+    Call `add` and `go_on` in each step; then read `failed`, and `is_ready`: the level has caught
+    up, and there is a pause. Memory is bounded: a trial that falls behind has failed.
     """
 
     def __init__(self, level: LadderLevel, recent: Iterable[AudioBlock], now_s: float) -> None:
-        """recent: the sound before, at least one block."""
+        """Start a trial. recent: the sound before `now_s`, at least one block."""
         self.level = level
         self.failed = False
         self.is_ready = False
@@ -221,11 +221,11 @@ class Trial:
         level.begin(self._waiting[0].start_s)
 
     def add(self, blocks: Iterable[AudioBlock]) -> None:
-        """Add the newest sound to the backlog."""
+        """Add the newest blocks to those that wait for the level."""
         self._waiting.extend(blocks)
 
     def go_on(self, timer_s: Callable[[], float]) -> None:
-        """Feed a part of what waits. Raises what the level raises."""
+        """Feed some waiting blocks; set `failed` and `is_ready`. Raises what the level raises."""
         began_s = now_s = timer_s()
         n_fed = 0
         while self._waiting and n_fed < _TRIED_IN_A_STEP and now_s < began_s + _TRIED_FOR_S:
@@ -251,7 +251,7 @@ class Trial:
 def _fed(
     level: LadderLevel, blocks: Sequence[AudioBlock], timer_s: Callable[[], float], before_s: float
 ) -> float:
-    """Feed blocks that follow each other, several at once where there are several; the time then.
+    """Feed consecutive blocks to a level, several at once if possible; return the time afterwards.
 
     before_s: the time now. The step's cost is noted in the level's pace.
     """
@@ -298,7 +298,7 @@ _KEPT_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class FallbackLevel:
-    """A recogniser that can be made."""
+    """The name of a recogniser, and the function that makes it."""
 
     name: str
     make: Callable[[], LiveRecognizer]
@@ -334,15 +334,12 @@ class FallbackRecognizer:
 
     @property
     def latency_s(self) -> float:
-        """At sound time t the phonemes before t - latency_s are settled."""
+        """Seconds until phonemes are settled: at sound time t, those before t - latency_s are."""
         return self._latency_s
 
     @property
     def ahead_s(self) -> float:
-        """Seconds of sound that `prepare` is best given at once.
-
-        0 where each block's time is measured.
-        """
+        """Seconds of sound to give `prepare` at once; 0 where a clock measures each block."""
         return 0.0 if self._timer_s is not None else self._level.ahead_s
 
     @property
@@ -352,34 +349,38 @@ class FallbackRecognizer:
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Why each better level is not in use, the best first; empty while the best is."""
+        """Why each better level is not in use, the best first; empty if the best is in use."""
         better = zip(self._levels, self._why_not[: self._current], strict=False)
         return tuple(f"{level.name}: {reason}" for level, reason in better)
 
     @property
     def hearing(self) -> Hearing | None:
-        """The class of the sound by the level in use; None where it gives none."""
+        """The class of the sound (speech, noise, silence) by the level in use; None if unknown."""
         return self._level.hearing
 
     @property
     def moved_by(self) -> MovedBy | None:
-        """Whether what is settled now was found in a text, or heard."""
+        """`text` if the phonemes now settled were found in a given text, `sound` if recognised."""
         return self._level.moved_by
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """Words around the one that is spoken now, and its index; ((), 0): no text is known."""
+        """The words around the one being spoken, and its index in them; ((), 0) without a text."""
         return self._level.saying
 
     def forget(self) -> None:
-        """Drop the words that were given and are not spoken yet."""
+        """Drop the words of the given text that are not spoken yet."""
         try:
             self._level.forget()
         except Exception as error:  # as in feed
             self._fall_back(_in_words(error))
 
     def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
-        """To the level in use, until it is left; else as a `TextFollower`. Raises TextError."""
+        """Give the level in use the next words of a text. Raises TextError for too many words.
+
+        behind_s: seconds of these words' sound that were fed already. A level that raises anything
+        else is replaced.
+        """
         try:
             self._level.tell(words, behind_s)
         except TextError:
@@ -388,7 +389,7 @@ class FallbackRecognizer:
             self._fall_back(_in_words(error))
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """Pass servo speeds to the level in use and the one on trial; never raises for them."""
+        """Pass speeds (n_servos,) in deg/s to the level in use and the one on trial."""
         try:
             self._level.note_servo_speeds(sound_s, speeds_deg_s)
         except Exception as error:  # as in feed
@@ -400,15 +401,15 @@ class FallbackRecognizer:
             self._end_trial(_LONGEST_WAIT_S)
 
     def reset(self) -> None:
-        """Back to the best level that could be made, ready for a new stream at sound time 0."""
+        """Switch to the best usable level, ready for a new stream at sound time 0."""
         self._forget()
 
     def feed(self, block: AudioBlock) -> None:
-        """Feed the next block; never raises for what a level raises."""
+        """Feed the next block; a level that raises is replaced by the next one."""
         self.feed_all((block,))
 
     def feed_all(self, blocks: Sequence[AudioBlock]) -> None:
-        """Feed all blocks that have come, the oldest first; never raises for what a level raises.
+        """Feed all blocks that have come, the oldest first; a level that raises is replaced.
 
         Where a clock is given, of more than `LONGEST_WAITING_S` the oldest are left out.
         """
@@ -419,14 +420,14 @@ class FallbackRecognizer:
             self._keep_up(blocks, self._timer_s)
 
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
-        """Let the level in use work on blocks that will be fed next; never raises for it."""
+        """Let the level in use compute ahead on the next blocks; one that raises is replaced."""
         try:
             self._level.prepare(blocks)
         except Exception as error:  # as in feed
             self._fall_back(_in_words(error))
 
     def updates(self) -> list[PhonemeUpdate]:
-        """What became known; nothing that was final before changes, whichever level found it."""
+        """Return the level's new updates, cut so that nothing final changes; [] if it raises."""
         try:
             updates = self._level.updates()
         except Exception as error:  # as in feed
@@ -442,7 +443,7 @@ class FallbackRecognizer:
         return self._levels[self._current]
 
     def _add(self, level: FallbackLevel) -> None:
-        """Make a level; one that cannot be made keeps its place, and is never used."""
+        """Make a level's recogniser and add it; one that cannot be made is marked unusable."""
         recognizer: LiveRecognizer = NeutralRecognizer()
         reason = None
         try:
@@ -468,9 +469,9 @@ class FallbackRecognizer:
         self._level.begin(0.0)
 
     def _keep_up(self, blocks: Sequence[AudioBlock], timer_s: Callable[[], float]) -> None:
-        """`feed_all` by the clock: in a backlog several at once, and away from a level that fails.
+        """Feed blocks, in a backlog several at once, and replace a level that does not keep up.
 
-        Sound goes on coming meanwhile: what waits is what is left, and as much as time has passed.
+        As sound arrives meanwhile, the backlog is what is left plus the time that has passed.
         """
         end_s = blocks[-1].end_s
         if end_s - blocks[0].start_s > LONGEST_WAITING_S:
@@ -498,7 +499,7 @@ class FallbackRecognizer:
     def _hear(
         self, blocks: Sequence[AudioBlock], timer_s: Callable[[], float], now_s: float
     ) -> float:
-        """Feed the level in use, or the first below that can; the time then."""
+        """Feed blocks to the level in use, or the first below that works; return the time then."""
         while True:
             try:
                 now_s = _fed(self._level, blocks, timer_s, now_s)
@@ -511,7 +512,7 @@ class FallbackRecognizer:
     def _fall_back(
         self, reason: str, longest_wait_s: float = _LONGEST_WAIT_S, next_s: float = 0.0
     ) -> None:
-        """Leave the level in use for the next one; next_s: of the block that comes next."""
+        """Replace the level in use by the next one. next_s: start of the next block, in s."""
         left = self._current
         if left == self._usable[-1]:
             return  # the neutral one: nothing is below
@@ -539,7 +540,7 @@ class FallbackRecognizer:
     def _try_better(
         self, heard: Sequence[AudioBlock], timer_s: Callable[[], float], now_s: float
     ) -> None:
-        """Begin a try when it is due, go on with one that was begun, let one that is ready work."""
+        """Start a trial of a better level if it is due, or continue it; switch to a ready level."""
         try:
             if self._trial is not None:
                 self._trial.add(heard)
@@ -560,7 +561,7 @@ class FallbackRecognizer:
             self._take(self._trial.level, timer_s())
 
     def _end_trial(self, longest_wait_s: float) -> None:
-        """A try failed: the next level's turn, later."""
+        """Drop a failed trial; schedule the next level's, at most `longest_wait_s` from now."""
         self._trial = None
         self._next_tried += 1
         self._wait_s = min(2.0 * self._wait_s, longest_wait_s)
@@ -568,7 +569,7 @@ class FallbackRecognizer:
             self._try_at_s = self._timer_s() + self._wait_s
 
     def _take(self, level: LadderLevel, now_s: float) -> None:
-        """A level that was tried takes over: what is not final yet is its from here on."""
+        """Switch to a level after its trial: all that is not final yet comes from it then on."""
         self._trial = None
         self._current = self._levels.index(level)
         self._next_tried = 0
@@ -585,7 +586,7 @@ def _in_words(error: Exception) -> str:
 
 
 def _after(update: PhonemeUpdate, final_until_s: float) -> PhonemeUpdate:
-    """The update without what lies before `final_until_s`."""
+    """Return the update without its events that end before `final_until_s`."""
     if update.replace_from_s >= final_until_s:
         return update
     return replace(

@@ -45,7 +45,7 @@ _OFFSETS = np.arange(WINDOW)
 
 
 def log_mel(emphasised: Array32) -> Array32:
-    """Return log-mel power.
+    """Return the log-mel power of frames of 25 ms, one every 10 ms.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def log_mel(emphasised: Array32) -> Array32:
 
 
 class LogMelStream:
-    """Samples in pieces of any size, log-mel frames out as soon as their 25 ms are complete."""
+    """Samples in pieces of any size in, log-mel frames out as soon as their 25 ms are complete."""
 
     def __init__(self) -> None:
         self._last_sample = np.float32(0.0)
@@ -84,7 +84,7 @@ class LogMelStream:
         Returns
         -------
         Array32
-            (n, 40).
+            (n, 40); n may be 0.
         """
         if len(samples) > 0:
             previous = np.concatenate(([self._last_sample], samples[:-1]))
@@ -101,14 +101,14 @@ class LogMelStream:
 
 @dataclass(frozen=True, slots=True)
 class FeatureScale:
-    """What training found typical: mean and standard deviation of each band (40,), below peak."""
+    """Mean and standard deviation (40,) of each band below the peak, measured in training."""
 
     mean: Array32
     deviation: Array32
 
     @classmethod
     def of(cls, recordings: Iterable[Array32]) -> "FeatureScale":
-        """Measure the scale of the loud frames of recordings.
+        """Return the scale of the loud frames of recordings: mean and deviation of each band.
 
         Parameters
         ----------
@@ -131,13 +131,13 @@ class FeatureScale:
 
 
 class PeakFollower:
-    """Takes a slowly falling peak off all bands and says which frames are loud."""
+    """A slowly falling peak of log-mel frames, which is subtracted from all their bands."""
 
     def __init__(self) -> None:
         self._peak = _FIRST_PEAK
 
     def push(self, frame: Array32, level: float) -> tuple[Array32, bool]:
-        """Return one frame below its running peak, and whether it is within 35 dB of it.
+        """Return one frame less its running peak, and whether it is within 35 dB of that peak.
 
         Parameters
         ----------
@@ -149,7 +149,7 @@ class PeakFollower:
         Returns
         -------
         tuple[Array32, bool]
-            (40,), and the flag.
+            (40,), 0 at the peak, and the flag.
         """
         if level > self._peak:
             self._peak += _ATTACK * (level - self._peak)
@@ -160,7 +160,7 @@ class PeakFollower:
 
 
 class LevelNormalizer:
-    """Log-mel frames in, features out; causal, one frame at a time."""
+    """Log-mel frames in, features independent of the level out; causal, one frame at a time."""
 
     def __init__(self, scale: FeatureScale) -> None:
         self._deviation = scale.deviation
@@ -169,7 +169,7 @@ class LevelNormalizer:
         self._peak = PeakFollower()
 
     def push(self, frames: Array32) -> Array32:
-        """Return features, independent of the level.
+        """Return the features of log-mel frames, independent of the sound's level.
 
         Parameters
         ----------
@@ -199,7 +199,7 @@ def _window() -> Array32:
 
 @cache
 def _mel_filters() -> Array32:
-    """Triangles (257, 40) with corners evenly spaced on the mel scale 2595 log10(1 + f / 700)."""
+    """Return mel filters (257, 40): triangles evenly spaced in 2595 log10(1 + f / 700)."""
 
     def mel(hz: float) -> float:
         return float(2595.0 * np.log10(1.0 + hz / 700.0))

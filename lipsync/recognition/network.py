@@ -44,7 +44,7 @@ class Layer:
 
 @dataclass(frozen=True, slots=True)
 class NetworkWeights:
-    """All that was learned.
+    """All learned weights of the network.
 
     output: (n_channels, n_heads n_phonemes); delays: frames that each head waits, rising.
     """
@@ -59,7 +59,7 @@ class NetworkWeights:
 
 
 class StreamingNetwork:
-    """Features in, posteriors out; a new one starts from silence.
+    """The network on a stream: features in, posteriors out; a new one starts from silence.
 
     A single frame, as live, costs a product of a vector and a matrix a layer. Several frames at
     once cost one product of two matrices a layer, a fraction of that for each frame.
@@ -71,7 +71,7 @@ class StreamingNetwork:
         self._residuals = [_StreamingLayer(layer) for layer in weights.residuals]
 
     def push(self, features: Array32) -> Array32:
-        """Return the posteriors of new frames.
+        """Return the posteriors of new frames of features.
 
         Parameters
         ----------
@@ -98,7 +98,7 @@ class StreamingNetwork:
 
 
 class _StreamingLayer:
-    """relu of one convolution; remembers as many inputs as its kernel reaches back."""
+    """One convolution with relu, which stores as many inputs as its kernel reaches back."""
 
     def __init__(self, layer: Layer) -> None:
         self._layer = layer
@@ -109,7 +109,7 @@ class _StreamingLayer:
         self._newest = 0
 
     def step(self, frame: Array32) -> Array32:
-        """(n_in,) to (n_out,)."""
+        """Return the layer's output (n_out,) for the next frame (n_in,)."""
         n_ring, n_in = self._past.shape
         self._newest = (self._newest + 1) % n_ring
         self._past[self._newest] = frame
@@ -120,7 +120,7 @@ class _StreamingLayer:
         return np.maximum(output, np.float32(0.0), out=output)
 
     def push(self, frames: Array32) -> Array32:
-        """(n, n_in) to (n, n_out)."""
+        """Return the layer's outputs (n, n_out) for the next frames (n, n_in)."""
         n, dilation = len(frames), self._layer.dilation
         in_order = np.roll(self._past, -1 - self._newest, axis=0)
         known = np.concatenate((in_order, frames))
@@ -133,7 +133,7 @@ class _StreamingLayer:
 
 
 def _product(rows: Array32, matrix: Array32) -> Array32:
-    """`rows @ matrix`, (n, n_in) by (n_in, n_out), a few rows at a time."""
+    """Return `rows @ matrix`, (n, n_in) by (n_in, n_out), computed a few rows at a time."""
     n = len(rows)
     padded = np.zeros((-(-n // _ROWS) * _ROWS, rows.shape[1]), np.float32)
     padded[:n] = rows
@@ -157,7 +157,7 @@ SHIPPED = {DEFAULT_WEIGHTS: "recognizer.npz", "grid": "recognizer_grid.npz"}
 
 
 class WeightsError(UserError):
-    """A weights file cannot be used; the message is one line: which, what, what to do."""
+    """A weights file cannot be used; the message is one line: which, why, what to do."""
 
 
 def save_weights(
@@ -165,10 +165,10 @@ def save_weights(
     path: str | PathLike[str],
     provenance: Mapping[str, object] | None = None,
 ) -> None:
-    """Write the weights, whole or not at all. Raises OutputError.
+    """Write the weights to a file, whole or not at all. Raises OutputError.
 
     Half precision changes posteriors by less than 0.01 (tested). provenance: where they are from,
-    kept beside them as JSON (`provenance`); nothing that runs reads it.
+    stored in the file as JSON (`provenance`); nothing that runs reads it.
     """
     layers = (weights.entry, *weights.residuals)
     arrays: dict[str, NDArray[np.generic]] = {
@@ -191,12 +191,12 @@ def save_weights(
 
 
 def is_weights(head: bytes) -> bool:
-    """Whether a file that begins so looks like weights: a zip archive that begins with `format`."""
+    """Return whether `head`, the first bytes of a file, looks like a file of weights."""
     return head.startswith(b"PK") and b"format.npy" in head
 
 
 def load_weights(path: str | PathLike[str]) -> NetworkWeights:
-    """Read weights; WeightsError for a file that is missing, damaged or does not fit together."""
+    """Return the weights in a file; raise WeightsError if missing, damaged or inconsistent."""
     try:
         with Path(path).open("rb") as file:
             arrays = arrays_of(file, _MOST_BYTES)
@@ -216,13 +216,13 @@ def load_weights(path: str | PathLike[str]) -> NetworkWeights:
 
 
 def load_shipped_weights(name: str = DEFAULT_WEIGHTS) -> NetworkWeights:
-    """The weights that come with the package; WeightsError where they are missing or damaged."""
+    """Return weights that come with the package; raise WeightsError if missing or damaged."""
     with resources.as_file(resources.files("lipsync.models") / SHIPPED[name]) as path:
         return load_weights(path)
 
 
 def find_weights(name_or_path: str) -> NetworkWeights:
-    """Shipped weights by name, or those of a file; WeightsError for neither."""
+    """Return shipped weights by name, or those of a file; raise WeightsError for neither."""
     _check_name(name_or_path)
     if name_or_path in SHIPPED:
         return load_shipped_weights(name_or_path)
@@ -230,7 +230,7 @@ def find_weights(name_or_path: str) -> NetworkWeights:
 
 
 def weights_digest(name_or_path: str) -> str:
-    """16 hex digits that tell weights from others; WeightsError for none, or for no file."""
+    """Return 16 hex digits of the SHA-256 of a weights file; raise WeightsError if unreadable."""
     _check_name(name_or_path)
     shipped = SHIPPED.get(name_or_path)
     place = Path(name_or_path) if shipped is None else resources.files("lipsync.models") / shipped
@@ -241,10 +241,10 @@ def weights_digest(name_or_path: str) -> str:
 
 
 def check_weights(name_or_path: str) -> None:
-    """Raises WeightsError for what is neither shipped nor a file of weights that can be used.
+    """Raise WeightsError for what is neither shipped nor a file of weights that can be used.
 
-    Of the default ones nothing is read: where they are damaged a lesser recogniser takes over. What
-    weights given by name are used, or refused.
+    The default weights are not read: where they are damaged a lesser recogniser takes over. Other
+    weights are loaded to check them.
     """
     if name_or_path != DEFAULT_WEIGHTS:
         find_weights(name_or_path)
@@ -279,7 +279,7 @@ def _float(array: NDArray[np.generic]) -> NDArray[np.float32]:
 
 
 def _mistake(weights: NetworkWeights) -> str:
-    """Return what does not fit together in weights; "" if all fits."""
+    """Return the first inconsistency of the weights, in words; "" if there is none."""
     n_channels = len(weights.entry.bias)
     n_outputs = len(weights.delays) * len(weights.phonemes)
     shapes: list[tuple[NDArray[np.float32], tuple[int, ...]]] = [

@@ -44,7 +44,7 @@ FOLLOWING_LATENCY_S: Final = _WINDOW_S + FOLLOWING.settled_frames / FRAMES_PER_S
 
 
 class NetworkRecognizer:
-    """A `PreparingRecognizer`; takes any rate and block size, gaps as silence.
+    """A `PreparingRecognizer` of phonemes; takes any rate and block size, gaps as silence.
 
     Where words are given it is a `TextFollower`: what it finds of them in the sound is reported as
     soon as its phonemes, but settled later, when the network's last head has spoken. A look-ahead
@@ -74,17 +74,17 @@ class NetworkRecognizer:
 
     @property
     def latency_s(self) -> float:
-        """At sound time t the phonemes before t - latency_s are settled."""
+        """Seconds until phonemes are settled: at sound time t, those before t - latency_s are."""
         return _WINDOW_S + self._delay / FRAMES_PER_S
 
     @property
     def ahead_s(self) -> float:
-        """How much sound `prepare` is best given at once."""
+        """Seconds of sound that `prepare` is best given at once."""
         return _AHEAD_S
 
     @property
     def hearing(self) -> Hearing:
-        """What is believed about the sound that was settled last; speech until a pause."""
+        """The class of the last settled sound: speech until a pause, then noise or silence."""
         if self._decoder.is_awake:
             return "speech"
         quiet_s = (self._n_heard - self._noticed_at) / FRAMES_PER_S
@@ -92,26 +92,26 @@ class NetworkRecognizer:
 
     @property
     def moved_by(self) -> MovedBy:
-        """Whether what is settled now was found in the text, or heard."""
+        """`text` if the phonemes now settled were found in a given text, `sound` if recognised."""
         is_text = bool(self._followed) and self._followed[0] != HEARD
         return "text" if is_text else "sound"
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """Words around the one that is spoken now, and its index; ((), 0): no text is known."""
+        """The words around the one being spoken, and its index in them; ((), 0) without a text."""
         return ((), 0) if self._text is None else self._text.saying
 
     def forget(self) -> None:
-        """Drop the words that were given and are not spoken yet."""
+        """Drop the words of the given text that are not spoken yet."""
         if self._text is not None:
             self._text.forget()
 
     def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
-        """Add the words that come next, after all earlier ones.
+        """Add the words that come next in the sound, after all earlier ones.
 
         Raises TextError for too many words.
 
-        behind_s: so much of their sound was heard already.
+        behind_s: seconds of these words' sound that were fed already.
         """
         if not words:
             return
@@ -139,16 +139,16 @@ class NetworkRecognizer:
         self._followed: list[int] = []  # of the same newest frames, as the text has them
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """Note the speeds of the robot's servos, whose noise is not taken for a voice.
+        """Note the speeds of the robot's servos, so that their noise is not taken for a voice.
 
-        The noise is learned on the way, and kept through `reset`.
+        The noise is learned while sound is fed, and kept through `reset`.
 
         Parameters
         ----------
         sound_s : float
             Seconds.
         speeds_deg_s : Array
-            (n_servos,).
+            (n_servos,) in deg/s.
         """
         if self._own_noise is None:
             self._own_noise = OwnNoise(self._weights.delays[-1] + round(_AHEAD_S * FRAMES_PER_S))
@@ -156,7 +156,7 @@ class NetworkRecognizer:
         self._own_noise.note_speeds(sound_s, speeds_deg_s)
 
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
-        """Compute the scores of the blocks that will be fed next, all in one go.
+        """Compute the scores of the blocks that will be fed next, all in one pass.
 
         Raises ValueError for what `feed` refuses; then only `reset` helps.
         """
@@ -185,7 +185,7 @@ class NetworkRecognizer:
             self._prepared.append(_PreparedBlock(start_s, before, n_jumped, heard, is_noticed))
 
     def feed(self, block: AudioBlock) -> None:
-        """Take the next block: any size, any rate; a gap before it counts as silence.
+        """Process the next block of any size; a gap before it counts as silence.
 
         Raises ValueError for a block that starts before the last one's end, for another rate than
         the stream began with, and for another block than the one prepared.
@@ -210,7 +210,7 @@ class NetworkRecognizer:
             self._noticed_at = self._n_heard
 
     def updates(self) -> list[PhonemeUpdate]:
-        """One update if a frame's window was completed since the last call, else none."""
+        """Return one update if a frame's window was completed since the last call, else []."""
         if self._n_heard == self._n_reported:
             return []
         self._n_reported = self._n_heard
@@ -239,7 +239,7 @@ class NetworkRecognizer:
         return FramePosteriors(FRAMES_PER_S, self._n_heard - len(values), delays, values)
 
     def _n_completed(self, n_samples: int) -> int:
-        """Return how many frames `n_samples` more samples complete."""
+        """Add `n_samples` to the samples counted; return how many frames they complete."""
         n_before = _n_frames(self._n_samples)
         self._n_samples += n_samples
         return _n_frames(self._n_samples) - n_before
@@ -259,7 +259,7 @@ class NetworkRecognizer:
 
 @dataclass(frozen=True, slots=True)
 class _Frames:
-    """Posteriors and what the decoder makes of them, (n, n_heads, n_phonemes) each."""
+    """Posteriors of frames and the decoder's scores of them, (n, n_heads, n_phonemes) each."""
 
     posteriors: Array32
     scores: Array32
@@ -267,10 +267,10 @@ class _Frames:
 
 @dataclass(frozen=True, slots=True)
 class _PreparedBlock:
-    """The frames that a block completes, and how many are jumped over.
+    """The frames that a block completes, and the number of frames jumped over in a gap.
 
     In order: the silence put in place of a gap, the jump over the rest of it, the block's sound.
-    is_noticed: a person would hear something in it.
+    is_noticed: whether a person would hear something in it.
     """
 
     start_s: float
@@ -281,12 +281,12 @@ class _PreparedBlock:
 
 
 def frames_of_delay(latency_s: float) -> int:
-    """How many frames are heard after one before it is settled."""
+    """Return the number of frames after which a frame is settled, for a latency in seconds."""
     return int((latency_s - _WINDOW_S) * FRAMES_PER_S + 1e-6)
 
 
 def _n_frames(n_samples: int) -> int:
-    """Return the whole windows in `n_samples` samples."""
+    """Return the number of whole windows in `n_samples` samples."""
     return max(0, (n_samples - WINDOW) // HOP + 1)
 
 

@@ -1,4 +1,4 @@
-"""Sound that is no voice: the robot's own servos, and what stands still.
+"""Detection of sound that is no voice: the noise of the robot's own servos, and steady sound.
 
 What servos sound like at each speed is learned while the robot listens. The power of each mel band
 that servo j adds at speed v is interpolated between a few speeds, and all servos together add up:
@@ -10,10 +10,10 @@ the sound, so that what is learned beside a voice is partly that voice. Each suc
 frame moves log N to where it was heard by a part of the way, shared among the E as they share in N
 (normalised least mean squares, Haykin, Adaptive Filter Theory, in logarithms).
 
-Sound that is no louder than the servos are expected to be is explained by them. Nothing is taken
-off the sound: that made hearing worse (docs/decisions/0036).
+Sound that is no louder than the servos are expected to be is explained by them. Nothing is
+subtracted from the sound: that made recognition worse (docs/decisions/0036).
 
-Hum, buzz, fans and a note held by a machine stand still; no voice does. The floor of each mel band
+Hum, buzz, fans and a note held by a machine are steady; no voice is. The floor of each mel band
 is the least that it had in the last seconds (minimum statistics, after R. Martin, "Noise power
 spectral density estimation", IEEE Trans. Speech and Audio Processing 9(5), 2001), of levels
 smoothed over 50 ms. A sound is steady as long as all bands together stay within `_WITHIN_DB` of
@@ -34,25 +34,26 @@ _MOST_S = 0.2
 
 
 class ServoSpeeds:
-    """Takes places as they are read, gives speeds."""
+    """Servo speeds from encoder readings."""
 
     def __init__(self) -> None:
         self._read: deque[tuple[float, Array]] = deque(maxlen=8)
 
     def take(self, time_s: float, positions_deg: Array) -> tuple[float, Array] | None:
-        """Add an encoder reading; return the newest speeds.
+        """Add an encoder reading; return the speeds between it and one at least 25 ms earlier.
 
         Parameters
         ----------
         time_s : float
-            Of the reading; one that is not newer than the last is ignored.
+            Time of the reading; one that is not newer than the last is ignored.
         positions_deg : Array
             (n_servos,), NaN for a servo that did not answer.
 
         Returns
         -------
         tuple[float, Array] | None
-            The newest time, and (n_servos,) in deg/s then; None until two readings are there.
+            The middle of both times, and (n_servos,) in deg/s; None without a reading 25 to
+            200 ms earlier.
         """
         if self._read and time_s <= self._read[-1][0]:
             return None
@@ -88,14 +89,14 @@ _EXPLAINED_AT_REST, _EXPLAINED_AWAKE, _AWAKE_FRAMES = 0.7, 0.25, 50
 
 
 class OwnNoise:
-    """One robot's servos; outlives the streams that it listens to.
+    """The learned noise of one robot's servos; it outlives the streams of sound that it is used on.
 
-    `note_speeds` as they are read, `explains` for each frame in order, `learn` once it is known
-    to hold no speech. Memory and time of a call are bounded by the number of servos.
+    Call `note_speeds` for each reading, `explains` for each frame in order, `learn` once a frame is
+    known to contain no speech. Memory and time of a call are bounded by the number of servos.
     """
 
     def __init__(self, most_frames: int) -> None:
-        """most_frames: how many frames after it was heard a frame is learned from at the latest."""
+        """Create the model. most_frames: how many frames late `learn` may be called for a frame."""
         self._speeds: deque[tuple[float, Array]] = deque(maxlen=_MOST_SPEEDS)
         self._heard: deque[tuple[Array32, Array | None]] = deque(maxlen=most_frames + 1)
         self._power = np.zeros((0, N_BANDS))  # (n_servos n_knots, n_bands)
@@ -104,7 +105,7 @@ class OwnNoise:
         self._n_explained = 0  # frames on end within the narrower margin
 
     def begin(self) -> None:
-        """A new stream begins, and sound time with it; what was learned stays."""
+        """Forget the speeds and frames of the last stream; the learned noise stays."""
         self._speeds.clear()
         self._heard.clear()
         self._louder, self._n_explained = None, 0
@@ -117,7 +118,7 @@ class OwnNoise:
         sound_s : float
             Seconds.
         speeds_deg_s : Array
-            (n_servos,); NaN: not known, taken for 0.
+            (n_servos,) in deg/s; NaN: not known, taken for 0.
         """
         n = len(speeds_deg_s) * len(_KNOTS_DEG_S)
         if n != len(self._power):
@@ -126,16 +127,16 @@ class OwnNoise:
         self._speeds.append((sound_s, knot_shares(speeds_deg_s)))
 
     def explains(self, frame: Array32, sound_s: float, *, is_awake: bool) -> bool:
-        """Return whether the servos explain a frame of sound.
+        """Return whether a frame's level is within a margin of the noise of the moving servos.
 
         Parameters
         ----------
         frame : Array32
             (40,) log-mel.
         sound_s : float
-            Of its middle.
+            Sound time of the frame's middle.
         is_awake : bool
-            Whether there was speech a moment ago; then it takes more to be explained.
+            Whether speech was recognised just before; then the margin is narrower.
 
         Returns
         -------
@@ -156,7 +157,7 @@ class OwnNoise:
         return self._louder < _EXPLAINED_AT_REST
 
     def learn(self, n_ago: int) -> None:
-        """Learn from the frame `n_ago` frames before the last one, which held no speech."""
+        """Learn servo noise from the frame `n_ago` frames before the last; it has no speech."""
         if n_ago >= len(self._heard):
             return
         frame, shares = self._heard[-1 - n_ago]
@@ -173,7 +174,7 @@ class OwnNoise:
         self._power[used] *= np.exp(step[:, None] * share * off)
 
     def _shares_at(self, sound_s: float) -> Array | None:
-        """Weight of each E then, (n_servos n_knots,); None: not known, or no servo moved."""
+        """Return the weights (n_servos n_knots,) of learned noise at a time; None: no motion."""
         nearest = min(self._speeds, key=lambda entry: abs(entry[0] - sound_s), default=None)
         if nearest is None or abs(nearest[0] - sound_s) > _LASTS_S or not nearest[1].any():
             return None
@@ -181,12 +182,12 @@ class OwnNoise:
 
 
 def knot_shares(speeds_deg_s: Array) -> Array:
-    """Return how much each knot of speed counts at these speeds.
+    """Return the interpolation weight of each servo's speed knots at the servos' speeds.
 
     Parameters
     ----------
     speeds_deg_s : Array
-        (n_servos,); NaN: 0.
+        (n_servos,) in deg/s; NaN: 0.
 
     Returns
     -------
@@ -211,7 +212,7 @@ _DB_PER_NAT = 10.0 / np.log(10.0)
 
 
 class SteadySoundDetector:
-    """Takes one log-mel frame after the other and says whether the sound stands still."""
+    """Detector of steady sound (hum, fans) in one log-mel frame after the other."""
 
     def __init__(self) -> None:
         n_steps = round(FLOOR_S * FRAMES_PER_S) // _STEP_FRAMES
@@ -222,7 +223,7 @@ class SteadySoundDetector:
         self._floor: Array32 = self._minima[0].copy()
 
     def push(self, frame: Array32) -> bool:
-        """Return whether the sound has been steady for `STEADY_S`.
+        """Add a frame; return whether the sound has been steady for `STEADY_S`.
 
         Parameters
         ----------
@@ -232,7 +233,7 @@ class SteadySoundDetector:
         Returns
         -------
         bool
-            True once it has been, for as long as it is.
+            True from then on, for as long as it stays steady.
         """
         self._level = self._level + _STEADY_SMOOTHING * (frame - self._level)
         step, within = divmod(self._n_frames, _STEP_FRAMES)

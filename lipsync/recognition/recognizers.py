@@ -10,7 +10,7 @@ from lipsync.recognition.network import DEFAULT_WEIGHTS, LATENCY_S
 
 
 def recognizer_kind(name: str) -> RecognizerKind:
-    """The kind of this name, loaded. Raises PluginError."""
+    """Load and return the recogniser kind of a name. Raises PluginError if there is none."""
     kind = RECOGNIZERS.load(name)
     if not isinstance(kind, RecognizerKind):
         raise PluginError(f"recogniser {name}: what is installed under this name is none")
@@ -23,11 +23,11 @@ def make_recognizer(
     weights: str = DEFAULT_WEIGHTS,
     latency_s: float = LATENCY_S,
 ) -> FallbackRecognizer:
-    """The live recogniser: the engine's, and those of ours below it; all are below another's.
+    """Return a live recogniser that falls back from `engine` to the built-in ones below it.
 
-    timer_s: a clock in seconds, to leave a level that does not keep up with its sound, and to try
-    better ones again; None in offline use. latency_s: raised to what the slowest level
-    needs. Raises PluginError.
+    All built-in ones are below another package's. timer_s: a clock in seconds, to leave a level
+    that does not keep up with its sound, and to try better ones again; None in offline use.
+    latency_s: raised to what the slowest level needs. Raises PluginError.
     """
     ours = list(RECOGNIZERS.built_in)
     names = ours[ours.index(engine) :] if engine in ours else [engine, *ours]
@@ -40,5 +40,5 @@ def make_recognizer(
 
 
 def no_recognizer() -> FallbackRecognizer:
-    """Return a recogniser without levels: all phonemes are known beforehand."""
+    """Return a recogniser that gives only silence, for phonemes that are all known beforehand."""
     return FallbackRecognizer((), 0.0)

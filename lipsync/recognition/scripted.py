@@ -1,4 +1,4 @@
-"""Phonemes that are known beforehand, from a label file or a voice, let out in time."""
+"""Phonemes that are known beforehand, from a label file or a voice, released in time."""
 
 import math
 from collections.abc import Iterable
@@ -8,11 +8,11 @@ from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 
 
 class ScriptedPhonemes:
-    """A `PhonemeSource` that lets out known events only as a perfect listener would learn them.
+    """A `PhonemeSource` that releases known events only as a perfect recogniser would find them.
 
-    Heard until t, it tells the starts before t + `lookahead_s` and the ends not after it, nothing
-    more; all it tells is final. Raises ValueError for events out of order or overlapping, and for
-    an open one that is not the last.
+    For sound until t, it gives the starts before t + `lookahead_s` and the ends not after it,
+    nothing more; all of it is final. Raises ValueError for events out of order or overlapping, and
+    for an open one that is not the last.
     """
 
     def __init__(self, events: Iterable[PhonemeEvent], lookahead_s: float = 0.0) -> None:
@@ -27,16 +27,16 @@ class ScriptedPhonemes:
 
     @property
     def latency_s(self) -> float:
-        """0: scripted phonemes are settled at once."""
+        """Seconds until phonemes are settled: 0, as scripted phonemes are settled at once."""
         return 0.0
 
     @property
     def heard_until_s(self) -> float:
-        """The sound time of the last call of `updates`, in s."""
+        """The latest sound time that `updates` was called with, in s."""
         return self._heard_until_s
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
-        """One update if time went on since the last call, else none."""
+        """Return one update if `until_s` is later than in the last call, else []."""
         self._heard_until_s = max(self._heard_until_s, until_s)
         known_until_s = until_s + self._lookahead_s
         if known_until_s <= self._known_until_s:

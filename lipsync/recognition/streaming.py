@@ -1,7 +1,7 @@
 """The one way to run a recogniser over a stream of sound: live, in replay, and when measured.
 
-`RecognizerStream` feeds blocks, collects what became known, takes the time, and tells observers.
-`SoundAhead` hands out a source's blocks at their times; where no caller waits for a tick it shows
+`RecognizerStream` feeds blocks, collects what became known, times it, and calls observers.
+`SoundAhead` gives out a source's blocks at their times; where no caller waits for a tick it gives
 the recogniser much sound at once before, which is cheaper and changes no result and no time of one.
 
 Recognisers share `AudioInput`, which makes 16 kHz without gaps of blocks of any size and rate, and
@@ -27,33 +27,33 @@ from lipsync.phonemes import SILENCE, LiveRecognizer, PhonemeEvent, PhonemeUpdat
 
 @runtime_checkable
 class PreparingRecognizer(LiveRecognizer, Protocol):
-    """A recogniser that can do a part of its work before the time of the sound has come."""
+    """A recogniser that can compute ahead on sound whose time has not come yet."""
 
     @property
     def ahead_s(self) -> float:
         """Seconds of sound that `prepare` is best given at once.
 
-        0: none, a caller waits for each tick.
+        0: nothing is prepared, as a caller waits for each tick.
         """
 
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
-        """Work on the blocks that will be fed next, one by one.
+        """Compute ahead on the blocks that will be fed next, one by one.
 
-        What `updates` gives depends on what was fed, not on what was prepared.
+        What `updates` returns depends on what was fed, not on what was prepared.
         """
 
 
 @runtime_checkable
 class BacklogRecognizer(LiveRecognizer, Protocol):
-    """A recogniser that wants to see at once all that waits for it."""
+    """A recogniser that takes all waiting blocks in one call."""
 
     def feed_all(self, blocks: Sequence[AudioBlock]) -> None:
-        """Hear blocks that follow each other, the oldest first."""
+        """Process blocks that follow each other, the oldest first."""
 
 
 @dataclass(frozen=True, slots=True)
 class StreamStep:
-    """What one step of a stream brought.
+    """The input and the result of one step of a stream.
 
     blocks: what was fed; updates: what became known by it; cost_s: processor time of this thread,
     0 without an observer (reading that clock is a system call).
@@ -65,14 +65,14 @@ class StreamStep:
 
 
 class StreamObserver(Protocol):
-    """Sees every step of a stream, in order."""
+    """An observer, which is called with every step of a stream, in order."""
 
     def observe(self, step: StreamStep) -> None:
-        """Take note of one step."""
+        """Process one step; called after the recogniser was fed."""
 
 
 class RecognizerStream:
-    """Feeds a recogniser step by step."""
+    """A recogniser that is fed step by step, with observers of each step."""
 
     def __init__(
         self,
@@ -80,14 +80,14 @@ class RecognizerStream:
         observers: Sequence[StreamObserver] = (),
         clock_ns: Callable[[], int] = time.thread_time_ns,
     ) -> None:
-        """clock_ns: what costs are counted in; other programs' load is no cost of ours."""
+        """Create the stream. clock_ns: counts costs in ns; default: this thread's CPU time."""
         self._recognizer = recognizer
         self._backlog = recognizer if isinstance(recognizer, BacklogRecognizer) else None
         self._observers = tuple(observers)
         self._clock_ns = clock_ns
 
     def feed(self, blocks: Sequence[AudioBlock]) -> StreamStep:
-        """Feed the blocks, ask once for updates, and tell the observers."""
+        """Feed the blocks, get the updates once, call the observers, and return the step."""
         began_ns = self._clock_ns() if self._observers else 0
         if self._backlog is not None:
             self._backlog.feed_all(blocks)
@@ -108,7 +108,7 @@ class RecognizerStream:
 
 
 class SoundAhead:
-    """A source's blocks at their times; a `PreparingRecognizer` is shown them before.
+    """A source's blocks at their times; a `PreparingRecognizer` gets them ahead of time.
 
     Of a live source nothing is known ahead, and nothing is prepared.
     """
@@ -124,7 +124,7 @@ class SoundAhead:
         self._waiting: deque[AudioBlock] = deque()
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
-        """The blocks not handed out before that end at or before sound time `until_s`."""
+        """Return the blocks, not returned before, that end at or before sound time `until_s`."""
         if self._preparing is not None and until_s > self._shown_until_s:
             ahead_s = self._preparing.ahead_s
             if ahead_s > 0.0:
@@ -142,7 +142,7 @@ class SoundAhead:
 def blocks_of(
     samples: NDArray[np.float32], n_first: int = BLOCK_SAMPLES, n_block: int = BLOCK_SAMPLES
 ) -> Iterator[AudioBlock]:
-    """Cut samples into blocks from sound time 0; the last block may be shorter.
+    """Yield samples cut into blocks from sound time 0; the last block may be shorter.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def blocks_of(
     Returns
     -------
     Iterator[AudioBlock]
-        Blocks of 16 kHz.
+        Blocks of sound at 16 kHz.
     """
     edges = [0, *range(n_first, len(samples), n_block), len(samples)]
     for start, end in pairwise(edges):
@@ -166,7 +166,7 @@ HEARD_GAP_S = 2.0
 
 
 class AudioInput:
-    """Keeps sound time: what is missing between blocks becomes silence of the same length.
+    """The input of a stream, which puts silence into gaps between blocks, to keep sound time.
 
     Sound at another rate is resampled as it comes (soxr), which holds back up to 40 ms of it. NaN
     and infinity become silence, what is beyond full scale is clipped.
@@ -178,12 +178,12 @@ class AudioInput:
         self._resampler: soxr.ResampleStream | None = None
 
     def take(self, block: AudioBlock) -> tuple[Array32, float, Array32]:
-        """Bring a block to 16 kHz, and fill what is missing before it.
+        """Return the silence and the jump that fill a gap before a block, and its samples.
 
         Parameters
         ----------
         block : AudioBlock
-            Of any rate; the same rate for a whole stream.
+            Sound of any rate; the same rate for a whole stream.
 
         Returns
         -------
@@ -230,7 +230,7 @@ class AudioInput:
 
 
 class UpdateBuilder:
-    """Turns a recogniser's phonemes, one for each frame, into `PhonemeUpdate`s.
+    """A builder of `PhonemeUpdate`s from a recogniser's phonemes, one for each frame.
 
     Frames count from sound time 0, `frames_per_s` a second. The first `n_final` frames are final:
     at each update all but the last `latency_frames` become so. An event is a run of equal frames.
@@ -245,14 +245,14 @@ class UpdateBuilder:
 
     @property
     def n_final(self) -> int:
-        """How many frames are final; also the number of the first that is not."""
+        """The number of final frames, which is also the number of the first one not final."""
         return self._n_final
 
     def update(self, phonemes: Sequence[str], n_later: int = 0) -> PhonemeUpdate:
-        """The update when `phonemes` are those of the frames from the first not final to now.
+        """Return the update for the phonemes of all frames from the first not final to now.
 
-        n_later: so many frames more than usual may still change. The first event keeps the start
-        it had when the last final frame belongs to it.
+        n_later: the number of frames more than usual that may still change. The first event keeps
+        its earlier start when the last final frame belongs to it.
         """
         runs = self._runs(phonemes)
         replace_from, heard = self._n_final, self._n_final + len(phonemes)
@@ -276,7 +276,7 @@ class UpdateBuilder:
         )
 
     def _runs(self, phonemes: Sequence[str]) -> list[tuple[str, int]]:
-        """(phoneme, first frame) of each run of equal phonemes."""
+        """Return (phoneme, first frame) of each run of equal phonemes."""
         runs, start = [], self._n_final
         for phoneme, frames in groupby(phonemes):
             goes_on = start == self._n_final > 0 and phoneme == self._last_final

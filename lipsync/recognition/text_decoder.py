@@ -1,14 +1,14 @@
-"""From posteriors and words that are known to phonemes: where in its text a voice is.
+"""From posteriors and a known text to phonemes, by following the voice through its text.
 
-The words are a graph from left to right: silence may stand before each, each has one or several
+The words are a graph from left to right: silence may come before each, each has one or several
 pronunciations, one may be left out, repeated or broken off, at a penalty. Beside it runs a path
 without constraint, the escape, which costs a little more in every frame than the likeliest phoneme
-does: it wins where the sound does not say the text, and there what is heard counts. Viterbi's
+does: it wins where the sound does not follow the text, and there what is heard counts. Viterbi's
 search over both (Rabiner, Proceedings of the IEEE 77(2), 1989; the escape is the filler model of
 keyword spotting, Rose and Paul, ICASSP 1990).
 
-A frame's scores change while the network's later heads speak about it. So one step of the search a
-frame is kept, of the frame that the last head has just spoken about; those after it are taken anew.
+A frame's scores change until the last of the network's heads has scored it. So the search keeps one
+step a frame, up to the frame that the last head has just scored; later frames are searched anew.
 """
 
 from collections import deque
@@ -45,20 +45,20 @@ MovedBy = Literal["sound", "text", "words", "phonemes", "visemes"]
 
 
 class TextError(UserError):
-    """Words that cannot be followed; the message is one line."""
+    """Words cannot be followed; the message is one line."""
 
 
 @runtime_checkable
 class MouthMover(Protocol):
-    """A source of phonemes that says where it has them from."""
+    """A source of phonemes that reports where they come from."""
 
     @property
     def moved_by(self) -> MovedBy | None:
-        """What moves the mouth, of what is settled now; None where that is not known."""
+        """The origin of the phonemes now settled (`sound`, `text`, ...); None if not known."""
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """Words around the one that is spoken now, and its index; ((), 0): no text is known."""
+        """The words around the one being spoken, and its index in them; ((), 0) without a text."""
 
 
 @runtime_checkable
@@ -68,18 +68,18 @@ class TextFollower(MouthMover, Protocol):
     def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
         """Add the words that come next, after all earlier ones.
 
-        Before their sound, with it or late.
+        They may be added before their sound, with it or late.
 
-        behind_s: so much of their sound was heard already. Raises TextError for too many words.
+        behind_s: seconds of their sound that were heard already. Raises TextError: too many words.
         """
 
     def forget(self) -> None:
-        """Drop the words that were given and are not spoken yet."""
+        """Drop the words of the given text that are not spoken yet."""
 
 
 @dataclass(frozen=True, slots=True)
 class TextSettings:
-    """In natural-log units; chosen on two talkers that are not scored (docs/recognition.md).
+    """Costs in natural-log units, chosen on two talkers that are not scored (docs/recognition.md).
 
     settled_frames: so many frames after it the path to a frame is settled. n_heads: of the
     network's, the quickest; the one that waits longest adds nothing where words are known.
@@ -111,7 +111,7 @@ FOLLOWING: Final = TextSettings()
 
 
 class TextDecoder:
-    """Takes one frame of scores after the other, as `ViterbiDecoder`, and words at any time."""
+    """Decoder of scores to the phonemes of a text, frame by frame; words are added at any time."""
 
     def __init__(
         self,
@@ -120,9 +120,9 @@ class TextDecoder:
         first_frame: int = 0,
         settings: TextSettings = FOLLOWING,
     ) -> None:
-        """first_frame: the number in its stream of the first frame that is pushed.
+        """Create the decoder. first_frame: the number in its stream of the first frame pushed.
 
-        Raises ValueError for a path settled before the last head has spoken.
+        Raises ValueError if a path would be settled before the last head has spoken.
         """
         self._delays = heard.delays[: settings.n_heads]
         if settings.settled_frames < self._delays[-1]:
@@ -151,23 +151,23 @@ class TextDecoder:
 
     @property
     def place(self) -> int:
-        """The number of the word that is spoken, as far as it is settled."""
+        """The number of the word being spoken, as far as it is settled."""
         return int(self._place)
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """Words around the one that is spoken now, and its index among them."""
+        """The words around the one being spoken, and its index among them."""
         return self._words.around(self.place)
 
     @property
     def is_over(self) -> bool:
-        """Whether all words were spoken, or passed over, a while ago."""
+        """Whether all words were spoken, or passed over, more than a second ago."""
         return self._n_idle > _IDLE_S * self._frames_per_s
 
     def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
         """Add words of the text, after all earlier ones. Raises TextError for too many words.
 
-        behind_s: so much of their sound was heard already: the voice is looked for around there.
+        behind_s: seconds of their sound heard already: the voice is searched for around there.
         """
         n_waiting = self._words.n_words - self.place + len(words)
         if n_waiting > MOST_WORDS:
@@ -185,7 +185,7 @@ class TextDecoder:
             self._replace_newest(window, np.full(window.n_states, _NEVER), np.float32(0.0))
 
     def forget(self) -> None:
-        """Drop the words that were given and are not spoken yet."""
+        """Drop the words of the given text that are not spoken yet."""
         newest = self._newest
         state = int(newest.scores.argmax())
         place = self.place
@@ -205,11 +205,11 @@ class TextDecoder:
         self._newest = self._kept[-1] = _Front(window, scores, escape, begins)
 
     def jump(self, n_frames: int) -> None:
-        """So many frames were passed over, after two seconds of silence."""
+        """Advance the frame number by `n_frames` that are not pushed, after 2 s of silence."""
         self._first_frame += n_frames
 
     def push(self, scores: Array32) -> list[int]:
-        """Decode one frame.
+        """Decode one frame of scores, and settle which word is being spoken.
 
         Parameters
         ----------
@@ -219,7 +219,7 @@ class TextDecoder:
         Returns
         -------
         list[int]
-            The phonemes of the last frames, the newest that a head has scored last, or `HEARD`.
+            Phonemes of the newest frames in order; `HEARD` where the sound leaves the text.
         """
         n, length = self._n_heard, len(self._recent)
         self._n_heard += 1
@@ -243,7 +243,7 @@ class TextDecoder:
         return self._path([*self._kept, *steps])
 
     def _step(self, front: "_Front", frame: int, age: int, *, keep: bool = False) -> "_Front":
-        """The search one frame on. keep: the window may move."""
+        """Return the search's front after one more frame. keep: the window of words may move."""
         settings = self._settings
         window = self._words.window(self.place) if keep else front.window
         scores = front.scores
@@ -273,7 +273,7 @@ class TextDecoder:
         return _Front(window, found, escape, begins)
 
     def _begins(self, window: "_Window", scores: Array32, escape: np.float32) -> Array32:
-        """(n_words,): the best score with which each word may begin in a frame."""
+        """Return the best score (n_words,) with which each word may begin in a frame."""
         ends = np.empty(window.ends.shape[1] + 1, np.float32)
         np.maximum.reduce(scores.take(window.ends), axis=0, out=ends[:-1])
         ends[-1] = escape
@@ -281,7 +281,7 @@ class TextDecoder:
         return begins
 
     def _path(self, fronts: "list[_Front]") -> list[int]:
-        """Back from the best end of the last front: a phoneme for each front but the first."""
+        """Return the best path's phonemes, one for each front but the first; settle the word."""
         last = fronts[-1]
         state = int(last.scores.argmax())
         is_heard = bool(last.escape >= last.scores[state])
@@ -305,7 +305,7 @@ class TextDecoder:
         return path[::-1]
 
     def _left_from(self, front: "_Front") -> tuple[np.float32, int]:
-        """With which score, and from which state of a front, the escape is best gone over to."""
+        """Return the best score of changing from a front to the escape, and the state it leaves."""
         best = int(front.scores.argmax())
         pause = int(front.window.silences[front.scores.take(front.window.silences).argmax()])
         from_best = front.scores[best] - np.float32(self._settings.leave)
@@ -313,7 +313,7 @@ class TextDecoder:
         return (from_pause, pause) if from_pause > from_best else (from_best, best)
 
     def _source(self, front: "_Front", before: "_Front", state: int) -> tuple[bool, int]:
-        """Whether the escape, or which state of the window before, a state was reached from."""
+        """Return (True, state) if a state was reached from the escape, else (False, its source)."""
         window = front.window
         scores = before.scores if before.window is window else window.taken_over(before)
         shift = window.first_state - before.window.first_state
@@ -341,7 +341,7 @@ class TextDecoder:
 
 @dataclass(frozen=True, slots=True)
 class _Window:
-    """The words that the search goes through now; all arrays are of its states or words."""
+    """The words that the search goes through now, as arrays over their states or over words."""
 
     first_word: int
     first_state: int
@@ -359,7 +359,7 @@ class _Window:
     has_times: bool
 
     def taken_over(self, front: "_Front") -> Array32:
-        """(n_states,): the scores of a front of another window, where both have a state."""
+        """Return a front's scores (n_states,) of this window's states; -1e9 where it has none."""
         scores = np.full(self.n_states, _NEVER)
         shift = front.window.first_state - self.first_state
         first, end = max(0, shift), min(self.n_states, shift + front.window.n_states)
@@ -371,7 +371,7 @@ class _Window:
 class _Front:
     """The best score of a path to each state, and to the escape, after a frame.
 
-    begins: (n_words,) with which each word could begin in it.
+    begins: (n_words,), the score with which each word could begin in that frame.
     """
 
     window: _Window
@@ -409,7 +409,7 @@ class _Words:
     start_frames: Array32
 
     def part(self, first: int, end: int) -> "_Words":
-        """The words from one until another, by their numbers."""
+        """Return the words numbered from `first` to before `end`."""
         states = slice(*np.searchsorted(self.words, (first, end)))
         firsts = slice(*np.searchsorted(self.word_of_first, (first, end)))
         words = slice(first - int(self.words[0]), end - int(self.words[0]))
@@ -421,7 +421,7 @@ class _Words:
 
 
 class _WordGraph:
-    """The given words; laid out once, so that in a tick a window is cut out of them."""
+    """The given words, laid out once, so that each tick only cuts a window out of them."""
 
     def __init__(self, settings: TextSettings) -> None:
         self._settings = settings
@@ -432,11 +432,11 @@ class _WordGraph:
 
     @property
     def n_words(self) -> int:
-        """How many words were given, dropped ones included."""
+        """The number of words given so far, spoken and dropped ones included."""
         return int(self._words.words[-1])
 
     def append(self, words: Sequence[PronouncedWord], frames_per_s: int) -> None:
-        """Append words; drop those that the window has left behind."""
+        """Append words; drop those before the present window."""
         end_state = int(self._words.silences[-1])
         parts = [self._words.part(self._first_word, self.n_words)]
         for number, word in enumerate(words, self.n_words):
@@ -447,7 +447,7 @@ class _WordGraph:
         self._lay_out(*parts, _end(self.n_words + len(words), end_state))
 
     def drop_after(self, number: int) -> None:
-        """Forget the words behind one."""
+        """Drop all words after the one of this number."""
         first, end = int(self._words.words[0]), max(self._first_word, min(number + 1, self.n_words))
         end_state = int(self._words.silences[end - first])
         del self._labels[end - first :]
@@ -463,7 +463,7 @@ class _WordGraph:
         self._window = None
 
     def around(self, place: int) -> tuple[tuple[str, ...], int]:
-        """The labels of the words around one, and which of them it is."""
+        """Return the labels of the words around word number `place`, and its index in them."""
         labels = self._labels_from(self._first_word)
         return tuple(labels[:_WINDOW]), place - self._first_word
 
@@ -471,7 +471,7 @@ class _WordGraph:
         return self._labels[number - int(self._words.words[0]) :]
 
     def window(self, place: int) -> _Window:
-        """The words around a place; after the last one silence is a word."""
+        """Return the window around word number `place`; silence after the last is a word."""
         first = self._first_word = max(self._first_word, min(place, self.n_words) - _BEHIND)
         if self._window is None or self._window.first_word != first:
             end = first + _WINDOW
@@ -532,9 +532,9 @@ def _window_of(words: _Words, place: int, settings: TextSettings) -> _Window:
 
 @cache
 def _between(n_words: int, place: int, settings: TextSettings) -> Array32:
-    """(n_words + 1, n_words): what it costs to go from the end of a word to another's beginning.
+    """Return the scores (n_words + 1, n_words) of going from each word's end to a word's beginning.
 
-    The last row is of the escape. place: the present word.
+    The last row is from the escape. place: the present word. A score is a cost times -1.
     """
     ahead = np.arange(n_words)[None] - np.arange(n_words)[:, None] - 1
     words = np.where(

@@ -56,13 +56,13 @@ def level_db(frame: NDArray[np.float32]) -> float:
 
 @cache
 def _parabolas(n_samples: int) -> NDArray[np.float32]:
-    """An orthonormal basis (n_samples, 3) of the polynomials up to degree 2."""
+    """Return an orthonormal basis (n_samples, 3) of the polynomials up to degree 2."""
     powers = np.vander(np.linspace(-1.0, 1.0, n_samples), 3)
     return np.linalg.qr(powers)[0].astype(np.float32)
 
 
 class VoiceActivityDetector:
-    """Takes the level of one 10 ms frame after the other and says whether speech is going on.
+    """Detector of speech by the level of one 10 ms frame after the other.
 
     Speech begins `OPEN_AFTER_S` after the first loud frame, so a recogniser that needs the onset
     keeps a pre-roll, and ends `HANG_OVER_S` after the last one.
@@ -84,11 +84,11 @@ class VoiceActivityDetector:
 
     @property
     def floor_db(self) -> float:
-        """The noise floor now."""
+        """The present noise floor in dB."""
         return min(self._step_minima_db)
 
     def push(self, frame_db: float) -> bool:
-        """Take the next frame's level; True while speech is going on."""
+        """Add the next frame's level in dB; return whether speech is going on."""
         self._follow_floor(frame_db)
         above_floor_db = CLOSE_ABOVE_FLOOR_DB if self._is_open else OPEN_ABOVE_FLOOR_DB
         if frame_db >= max(QUIETEST_SPEECH_DB, self.floor_db + above_floor_db):

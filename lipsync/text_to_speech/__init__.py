@@ -1,1 +1,1 @@
-"""Text becomes sound, with the times of its phonemes and words: no recogniser is needed."""
+"""Text to speech, with the times of phonemes and words, so that no recogniser is needed."""

@@ -2,8 +2,8 @@
 
 `sound: {synthesizer: command, voice: "my-tts --out {wav}"}` in a face's YAML. The text of a
 sentence goes to the program's standard input in UTF-8; it writes the sound to `{wav}`, or to its
-standard output where the command does not name it. Who knows times writes them to `{words}`, in
-any of the forms of docs/text.md. No shell: `sh -c '...'` is one.
+standard output where the command does not name it. A program that knows times writes them to
+`{words}`, in any of the forms of docs/text.md. No shell: `sh -c '...'` is one.
 """
 
 import shlex
@@ -39,7 +39,7 @@ _FULL_SCALE: Final = 32768.0
 
 
 class CommandVoice:
-    """The `Synthesizer` of programs; the name of a voice is its command."""
+    """The `Synthesizer` that runs a program for each text; the name of a voice is its command."""
 
     longest_text = 5000
 
@@ -47,15 +47,18 @@ class CommandVoice:
         self._process = _process()
 
     def languages(self) -> tuple[str, ...]:
-        """Return no languages: a program speaks its own."""
+        """Return an empty tuple: a program speaks its own language."""
         return ()
 
     def voices(self) -> tuple[str, ...]:
-        """Return no voices: every program is one."""
+        """Return an empty tuple: every program is a voice."""
         return ()
 
     def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
-        """See `Synthesizer`; without phoneme times the speech has `units` in place of phonemes."""
+        """Return the speech that the voice's command makes of a text. Raises SynthesisError.
+
+        Without phoneme times from the command, it has `units` in place of phonemes.
+        """
         written = checked_text(text, self.longest_text)
         _check(voice)
         answer, sound = self._process.request(
@@ -67,7 +70,7 @@ class CommandVoice:
 def speech_of(
     sound: bytes, sample_rate_hz: int, text: str, words: str, name: str = _WORDS
 ) -> SynthesizedSpeech:
-    """Sound (int16) with what is known of it. words: JSON as docs/text.md has it, or "".
+    """Return the speech of int16 bytes, timed by `words`: JSON as in docs/text.md, or "".
 
     Raises SynthesisError for words that cannot be used, UnspeakableTextError for no sound.
     """
@@ -123,7 +126,7 @@ def _process() -> VoiceProcess:
 
 
 def _answered(request: Request) -> tuple[dict[str, object], bytes]:
-    """Run the command. Raises SynthesisError."""
+    """Run a request's command; return its sound, rate and words. Raises SynthesisError."""
     with tempfile.TemporaryDirectory(prefix="lipservo-voice-") as folder:
         wav, words = Path(folder) / "sound.wav", Path(folder) / "words.json"
         named = {_WAV: str(wav), _WORDS: str(words), _LANGUAGE: request["language"]}

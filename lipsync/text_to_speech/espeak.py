@@ -1,8 +1,8 @@
-"""espeak-ng speaks: a hundred languages, with the time of every phoneme.
+"""The synthesiser espeak-ng: a hundred languages, with the time of every phoneme.
 
 Why espeak-ng, and what its times are worth: docs/decisions/0018-text-to-speech.md.
 
-The events of its phonemes are set right against its own sound. Measured on version 1.51
+The events of its phonemes are corrected by its own sound. Measured on version 1.51
 (docs/speech.md, times): most events lie at the sound to the millisecond. Two kinds do not.
 
 - The event of a stop or an affricate lies at its burst. The closure before it, silent but where it
@@ -62,16 +62,16 @@ _SHARE_OF_JOINED = 1 / 3
 def refined(
     phonemes: list[TimedPhones], samples: NDArray[np.float32], sample_rate_hz: int
 ) -> list[TimedPhones]:
-    """Return the phonemes with times corrected as the module describes, in order and without gaps.
+    """Return the phonemes with espeak-ng's times corrected by the sound, in order, without gaps.
 
     Parameters
     ----------
     phonemes : list[TimedPhones]
-        With espeak-ng's times.
+        Phonemes with espeak-ng's times.
     samples : NDArray[np.float32]
         (n,).
     sample_rate_hz : int
-        Of them.
+        Rate of the samples.
 
     Returns
     -------
@@ -105,7 +105,7 @@ def refined(
 
 
 def _with_joined_apart(phonemes: list[TimedPhones]) -> list[TimedPhones]:
-    """Copies, of which each that sounds within the one before has its share of the time."""
+    """Return copies of phonemes; one without duration gets a third of the one before it."""
     found: list[TimedPhones] = []
     for each in phonemes:
         each = replace(each)
@@ -120,7 +120,7 @@ def _with_joined_apart(phonemes: list[TimedPhones]) -> list[TimedPhones]:
 
 
 def _closure_start_s(burst_s: float, loud_s: NDArray[np.float64]) -> float:
-    """Where the silence began that ends with a burst; the burst itself where there is none."""
+    """Return when the silence that ends with a burst began; the burst's time if there is none."""
     n_before = int(np.searchsorted(loud_s, burst_s - _BURST_EARLY_S))
     start_s = float(loud_s[n_before - 1]) if n_before else 0.0
     return start_s if start_s < burst_s - 2 * _BURST_EARLY_S else burst_s
@@ -129,7 +129,7 @@ def _closure_start_s(burst_s: float, loud_s: NDArray[np.float64]) -> float:
 def _release_s(
     event_s: float, earliest_s: float, edges: NDArray[np.float32], sample_rate_hz: int
 ) -> float:
-    """Where the sound rises most shortly before the event of a vowel; the event if it does not.
+    """Return when the sound rises most before a vowel's event; the event's time if it does not.
 
     edges: differences of successive samples, which weigh what an open mouth lets out, the higher
     formants, above the murmur of a closed one.
@@ -169,15 +169,15 @@ class Espeak:
         self._process = espeak()
 
     def languages(self) -> tuple[str, ...]:
-        """Language tags as espeak-ng has them: `en-us`, `de`, `pt-br`."""
+        """Return the language tags of espeak-ng, such as `en-us`, `de`, `pt-br`."""
         return self._process.languages()
 
     def voices(self) -> tuple[str, ...]:
-        """None: a language is a voice."""
+        """Return an empty tuple: a language is a voice."""
         return ()
 
     def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
-        """See `Synthesizer`; one text at a time in a process, others wait."""
+        """Return a spoken text with phoneme and word times. Raises SynthesisError."""
         written = checked_text(text, self.longest_text)
         self._check_voice(voice)
         spoken = self._process.synthesize(written, voice)
@@ -212,7 +212,7 @@ class Espeak:
 
 
 def _timed_phones(spoken: Synthesis) -> tuple[list[TimedPhones], tuple[str, ...]]:
-    """What the marks say, from 0 to the end of the sound without gaps, and what was guessed."""
+    """Return phones from 0 to the end of the sound without gaps, and the IPA that was guessed."""
     duration_s = len(spoken.samples) / spoken.sample_rate_hz
     found = [TimedPhones((SILENCE,), 0.0, duration_s)]
     guessed: dict[str, None] = {}
@@ -245,7 +245,7 @@ def _timed_phones(spoken: Synthesis) -> tuple[list[TimedPhones], tuple[str, ...]
 
 
 def _with_ends(spoken: Synthesis) -> list[tuple[PhonemeMark | WordMark, int]]:
-    """Each mark but switches of language, and the sample where the next phoneme's mark lies."""
+    """Return each mark but switches of language, and the sample of the next phoneme's mark."""
     result: list[tuple[PhonemeMark | WordMark, int]] = []
     end = len(spoken.samples)
     for mark in reversed(spoken.marks):

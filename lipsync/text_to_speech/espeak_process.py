@@ -25,7 +25,7 @@ _FULL_SCALE: Final = 32768.0
 
 
 class EspeakProcess:
-    """One process of espeak-ng, started again when it was lost; there is one a process (`espeak`).
+    """A child process with espeak-ng, started again when lost; `espeak` returns the only one.
 
     Raises SynthesisError where espeak-ng is not installed.
     """
@@ -39,15 +39,15 @@ class EspeakProcess:
 
     @property
     def pid(self) -> int | None:
-        """The id of the process that speaks just now; None: none."""
+        """The id of the child process that was started last; None: none was."""
         return self._process.pid
 
     def languages(self) -> tuple[str, ...]:
-        """The tags of all languages, in alphabetical order."""
+        """Return the tags of all languages, in alphabetical order."""
         return self._languages
 
     def synthesize(self, text: str, voice: Voice) -> Synthesis:
-        """Speak a text without control characters in a language of `languages()`.
+        """Return sound and marks of a text without control characters in one of `languages()`.
 
         Raises SynthesisError, also for a text at which espeak-ng crashes or hangs.
         """
@@ -57,7 +57,7 @@ class EspeakProcess:
         return Synthesis(samples, answer["sample_rate_hz"], marks)
 
     def close(self) -> None:
-        """End the process; a later text starts it again."""
+        """End the child process; a later text starts it again."""
         self._process.close()
 
 
@@ -65,7 +65,7 @@ _starting: Final = threading.Lock()
 
 
 def espeak() -> EspeakProcess:
-    """Return this process's espeak-ng, started at the first call."""
+    """Return the `EspeakProcess` of this process, started at the first call."""
     with _starting:
         return _started_once()
 
@@ -80,7 +80,7 @@ def _mark(mark: Mapping[str, Any]) -> PhonemeMark | WordMark:
 
 
 def _answered(request: Request) -> tuple[dict[str, object], bytes]:
-    """Raises SynthesisError where the library is missing."""
+    """Return the answer to a request, languages or speech. Raises SynthesisError for no library."""
     library = _library()
     if "languages" in request:
         return {"languages": library.languages()}, b""

@@ -1,4 +1,4 @@
-"""flite speaks English: a small synthesiser whose segments hold their closures already.
+"""The synthesiser flite: English, small, and its segments include their closures already.
 
 The command `flite -psdur` prints each segment with the time of its end, in seconds.
 """
@@ -43,7 +43,7 @@ _TIMEOUT_S = 60.0
 class Flite:
     """The `Synthesizer` flite. Raises SynthesisError where it is not installed.
 
-    It tells no times of words, and has one pitch for each voice.
+    It gives no times of words, and has one pitch for each voice.
     """
 
     longest_text = 5000
@@ -55,16 +55,16 @@ class Flite:
         self._command = found
 
     def languages(self) -> tuple[str, ...]:
-        """The languages it speaks: American English alone."""
+        """Return the languages that flite speaks: American English alone."""
         return (_LANGUAGE,)
 
     def voices(self) -> tuple[str, ...]:
-        """The voices that `flite -lv` lists, such as `kal`, `rms` and `slt`."""
+        """Return the voices that `flite -lv` lists, such as `kal`, `rms` and `slt`."""
         listed = self._run("-lv").partition(":")[2].split()
         return tuple(sorted(set(listed) - {_TALKING_CLOCK}))
 
     def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
-        """See `Synthesizer`; a process of its own for each text."""
+        """Return a spoken text with phoneme times; flite is started for each text."""
         written = checked_text(text, self.longest_text)
         self._check_voice(voice)
         name = voice.name or _BEST_VOICE
@@ -115,10 +115,10 @@ class Flite:
 
 
 def segments(printed: str, duration_s: float) -> list[TimedPhones]:
-    """Parse the output of `-psdur`, `pau:0.193 p:0.271 ...`, as far as the sound goes.
+    """Return the phones in the output of `-psdur`, `pau:0.193 p:0.271 ...`, up to the sound's end.
 
     The last pause is longer or shorter than the sound, by up to 0.12 s; it ends with the sound.
-    Raises SynthesisError for another print.
+    Raises SynthesisError for other output.
     """
     found: list[TimedPhones] = []
     start_s = 0.0

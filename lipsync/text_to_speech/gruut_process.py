@@ -15,7 +15,7 @@ _LOWER_PRIORITY: Final = 10
 
 
 def written_out(text: str, language: str) -> list[tuple[str, list[str]]]:
-    """The spoken words of a text, numbers and abbreviations in letters, each with its IPA.
+    """Return the spoken words of a text with their IPA, numbers and abbreviations written out.
 
     Raises SynthesisError for a text that gruut cannot read.
     """

@@ -30,9 +30,9 @@ _RATES_WPM = range(80, 401)
 
 
 class Piper:
-    """The `Synthesizer` Piper; the name of a voice is its model.
+    """The `Synthesizer` Piper; the name of a voice is the path of its model.
 
-    Raises SynthesisError where it is not installed.
+    Raises SynthesisError where Piper is not installed.
     """
 
     longest_text = 2000
@@ -45,15 +45,15 @@ class Piper:
         self._process = _process()
 
     def languages(self) -> tuple[str, ...]:
-        """Return no languages: a model speaks one."""
+        """Return an empty tuple: a model speaks one language."""
         return ()
 
     def voices(self) -> tuple[str, ...]:
-        """Return no voices: every model is one."""
+        """Return an empty tuple: every model is a voice."""
         return ()
 
     def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
-        """See `Synthesizer`. In brackets, as Piper would take them, are words as any others."""
+        """Return a spoken text and its phonemes, without times; `[[ ]]` are read as text."""
         written = checked_text(text, self.longest_text).replace("[[", "[ [")
         if not Path(voice.name).is_file():
             raise SynthesisError(
@@ -89,7 +89,7 @@ def _loaded(model: str) -> Any:
 
 
 def _answered(request: Request) -> tuple[dict[str, object], bytes]:
-    """Raises SynthesisError for a model that cannot be loaded, and for another language."""
+    """Speak a request's text by its model; return phonemes and sound. Raises SynthesisError."""
     from piper import SynthesisConfig
 
     try:
@@ -108,7 +108,7 @@ def _answered(request: Request) -> tuple[dict[str, object], bytes]:
 
 
 def joined(letters: Sequence[str]) -> list[str]:
-    """Letters as phonemes: the two of a diphthong or an affricate are one, in one word."""
+    """Return IPA letters with the two of each diphthong or affricate joined to one phoneme."""
     found: list[str] = []
     for letter in letters:
         if found and found[-1] + letter in ipa_table():

@@ -1,7 +1,7 @@
-"""How the words of a text may sound: dictionary first, then a model of spelling.
+"""Pronunciations of the words of a text: dictionary first, then a model of spelling.
 
 English comes from gruut: its normaliser writes numbers, money, dates and abbreviations out in
-words, its lexicon (the CMU dictionary in IPA) holds the pronunciations of 124,000, and its model
+words, its lexicon (the CMU dictionary in IPA) has the pronunciations of 124,000, and its model
 guesses the others. Other languages, and English where gruut is not installed, come from espeak-ng,
 whose own phonemes for the text are taken. Why these: docs/decisions/0057-known-words.md.
 
@@ -51,7 +51,7 @@ class PronunciationError(UserError):
 
 
 def pronounced(text: str, language: str = DEFAULT_LANGUAGE) -> tuple[PronouncedWord, ...]:
-    """The words of a text as they may sound; none for a text without words, as of emoji alone.
+    """Return the words of a text with their pronunciations; () for a text without words (emoji).
 
     SSML's marks are left out. Raises PronunciationError for a text longer than `LONGEST_TEXT`, a
     language that cannot be pronounced, and where neither gruut nor espeak-ng is installed.
@@ -73,9 +73,9 @@ def pronounced(text: str, language: str = DEFAULT_LANGUAGE) -> tuple[PronouncedW
 
 
 def spoken_words(text: str) -> tuple[PronouncedWord, ...]:
-    """The words of an English text that is known to be spoken.
+    """Return the words of an English text with their pronunciations, at least one word.
 
-    Raises PronunciationError as `pronounced`, and for a text without a word.
+    Raises PronunciationError as `pronounced` does, and for a text without a word.
     """
     if words := pronounced(text):
         return words
@@ -87,9 +87,9 @@ def spoken_words(text: str) -> tuple[PronouncedWord, ...]:
 def pronounced_units(
     spoken: SpokenText, language: str = DEFAULT_LANGUAGE
 ) -> tuple[PronouncedWord, ...]:
-    """The words of text, words or phonemes without times, with times in seconds where it has them.
+    """Return a spoken text's words with their pronunciations, and times in s where it has them.
 
-    Raises PronunciationError as `pronounced`.
+    Phonemes become words of up to six phones. Raises PronunciationError as `pronounced` does.
     """
     words: list[PronouncedWord] = []
     if spoken.kind == "phoneme":
@@ -111,7 +111,7 @@ def pronounced_units(
 
 
 def _english(text: str) -> Iterator[PronouncedWord]:
-    """Plain words come from the lexicon alone; gruut itself takes seconds to load."""
+    """Yield an English text's words from the lexicon, or by gruut, which takes seconds to load."""
     plain = _plain_words(text)
     if plain is not None:
         yield from plain
@@ -130,7 +130,7 @@ def _english(text: str) -> Iterator[PronouncedWord]:
 
 
 def _plain_words(text: str) -> list[PronouncedWord] | None:
-    """The words of a text; None where the lexicon lacks one, or it may be written short."""
+    """Return a text's words from the lexicon; None if it lacks one, or one may be abbreviated."""
     words = []
     for written in text.split():
         word = written.strip(_PUNCTUATION)
@@ -167,7 +167,7 @@ def _phones(ipa: Sequence[str]) -> tuple[str, ...]:
 
 
 def _by_espeak(text: str, language: str) -> Iterator[PronouncedWord]:
-    """Return espeak-ng's phonemes of a text, cut into words."""
+    """Yield the words of a text with espeak-ng's phonemes. Raises PronunciationError."""
     from lipsync.text_to_speech.synthesis import SynthesisError, Voice
     from lipsync.text_to_speech.synthesizers import speak_in_pieces, synthesizer_for
 
@@ -192,7 +192,7 @@ def _between(events: tuple[PhonemeEvent, ...], start_s: float, end_s: float) -> 
 
 @cache
 def pronounce(word: str) -> tuple[str, ...]:
-    """The phones of one lower-case English word, ARPAbet without stress, for forced alignment.
+    """Return the phones of a lower-case English word, ARPAbet without stress, for forced alignment.
 
     Raises PronunciationError for a word without letters, one that gruut cannot say, and where
     gruut is not installed.

@@ -1,4 +1,4 @@
-"""What a speech synthesiser here can do, the texts it gets, and the speech that it makes."""
+"""The contract of speech synthesisers, the texts that they get, and the speech that they make."""
 
 import re
 import unicodedata
@@ -19,12 +19,12 @@ class SynthesisError(UserError):
 
 
 class UnspeakableTextError(SynthesisError):
-    """A text holds nothing that sounds: empty, dashes, signs that the voice does not read."""
+    """A text contains nothing that sounds: empty, dashes, signs that the voice does not read."""
 
 
 @dataclass(frozen=True, slots=True)
 class Voice:
-    """How to speak. What a synthesiser lacks it refuses with SynthesisError.
+    """Language, voice, rate and pitch of speech; what a synthesiser lacks raises SynthesisError.
 
     language: one of the synthesiser's `languages()`. name: one of its `voices()`; "" is its own
     choice for the language. rate_wpm: words a minute, 80 to 400, 175 as the voice was made.
@@ -43,7 +43,7 @@ DEFAULT_VOICE = Voice()
 
 @dataclass(frozen=True, slots=True)
 class SpokenWord:
-    """A word as it stands in the text, from its first phoneme to the end of its last."""
+    """A word of the text, from the start of its first phoneme to the end of its last."""
 
     text: str
     start_s: float
@@ -55,9 +55,9 @@ class SynthesizedSpeech:
     """Sound with its phonemes or units; times in seconds from the first sample.
 
     samples: float32 (n,), within [-1, 1]. phonemes: of our inventory, in order, each beginning
-    where the one before ends, SIL in pauses, from 0 to the end of the sound. A stop holds its
-    closure; none where the voice does not tell them: then `units` is known, the text, or words with
-    their beginnings. guessed: phonemes of the voice that lipsync/ipa.yaml lacks, each once.
+    where the one before ends, SIL in pauses, from 0 to the end of the sound. A stop includes its
+    closure. Without phonemes of the voice, `units` has the text, phonemes without times, or words
+    with their starts. guessed: phonemes of the voice that lipsync/ipa.yaml lacks, each once.
     """
 
     samples: NDArray[np.float32]
@@ -69,26 +69,26 @@ class SynthesizedSpeech:
 
     @property
     def duration_s(self) -> float:
-        """Seconds of sound."""
+        """The duration of the sound in seconds."""
         return len(self.samples) / self.sample_rate_hz
 
 
 class Synthesizer(Protocol):
-    """A speech synthesiser that tells what it says, most of them when."""
+    """A speech synthesiser, which gives sound and its text or phonemes, mostly with times."""
 
     #: Texts longer than this, in characters, are to be cut (`speak_in_pieces` does).
     longest_text: int
 
     def languages(self) -> tuple[str, ...]:
-        """The languages that it speaks, in alphabetical order."""
+        """Return the languages that the synthesiser speaks, in alphabetical order."""
 
     def voices(self) -> tuple[str, ...]:
-        """The names of its voices, in alphabetical order; none where a language is a voice."""
+        """Return the names of its voices, in alphabetical order; () if each language is a voice."""
 
     def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
-        """Speak a text of at most `longest_text` characters.
+        """Return the speech of a text of at most `longest_text` characters.
 
-        Text is text: marks of SSML are read out as they stand. Raises SynthesisError for a text in
+        Text is text: marks of SSML are read out literally. Raises SynthesisError for a text in
         which nothing can be spoken (UnspeakableTextError), and for a voice that it lacks.
         """
 
@@ -106,12 +106,12 @@ _SPACE = re.compile(r"\s+")
 
 
 def readable(text: str) -> str:
-    """The text with a space for each character that is none, so that positions stay."""
+    """Return the text with a space for each control or unassigned character, so positions stay."""
     return "".join(" " if unicodedata.category(each) in _NOT_TEXT else each for each in text)
 
 
 def checked_text(text: str, longest: int) -> str:
-    """The readable text.
+    """Return the text with a space for each control or unassigned character.
 
     Raises UnspeakableTextError where it is empty, SynthesisError where it is longer than `longest`.
     """
@@ -127,7 +127,7 @@ def checked_text(text: str, longest: int) -> str:
 
 
 def pieces(text: str, longest: int) -> Iterator[str]:
-    """The text in sentences, in order; one longer than `longest` is cut at a comma or a space.
+    """Yield the sentences of a text; one longer than `longest` is cut at a comma or a space.
 
     White space alone gives no piece. A word longer than `longest` is cut where it must be.
     """
@@ -165,7 +165,7 @@ class TimedPhones:
 
 
 def phoneme_events(timed: list[TimedPhones]) -> tuple[PhonemeEvent, ...]:
-    """One event a phone: those of one phoneme share its time evenly, pauses in a row are one."""
+    """Return one event a phone: phones of one phoneme share its time, successive pauses are one."""
     events: list[PhonemeEvent] = []
     for each in timed:
         n = len(each.phones)
@@ -180,7 +180,7 @@ def phoneme_events(timed: list[TimedPhones]) -> tuple[PhonemeEvent, ...]:
 
 
 def word_times(timed: list[TimedPhones]) -> dict[int, tuple[float, float]]:
-    """The start and end in seconds of each word's phonemes, by the number of the word."""
+    """Return the start and end in seconds of each word's phonemes, by the number of the word."""
     times_s: dict[int, tuple[float, float]] = {}
     for each in timed:
         if each.word >= 0:

@@ -17,7 +17,7 @@ LONGEST_PIECE = 400
 
 
 def synthesizer_for(name: str = DEFAULT_SYNTHESIZER) -> Synthesizer:
-    """One of `lipsync.plugins.SYNTHESIZERS`.
+    """Return a new synthesiser of a name in `lipsync.plugins.SYNTHESIZERS`.
 
     Raises PluginError for another, and SynthesisError where what it needs is not installed.
     """
@@ -28,11 +28,11 @@ def synthesizer_for(name: str = DEFAULT_SYNTHESIZER) -> Synthesizer:
 def speak_in_pieces(
     synthesizer: Synthesizer, text: str, voice: Voice = DEFAULT_VOICE
 ) -> Iterator[SynthesizedSpeech]:
-    """Speak a text of any length sentence by sentence, each when the iterator is advanced.
+    """Yield the speech of a text of any length by sentences, each made when the iterator advances.
 
-    So the first sounds soon, and no more than one is held. Pieces in which nothing can be spoken,
-    as a line of dashes, are left out. Raises UnspeakableTextError at the end where all were, and
-    SynthesisError as `speak` does.
+    So the first sounds soon, and no more than one is in memory. Pieces in which nothing can be
+    spoken, as a line of dashes, are left out. Raises UnspeakableTextError at the end where all
+    were, and SynthesisError as `speak` does.
     """
     is_spoken = False
     for piece in pieces(text, LONGEST_PIECE):

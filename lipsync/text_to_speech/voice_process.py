@@ -28,9 +28,9 @@ Request = Mapping[str, Any]
 
 
 class VoiceProcess:
-    """One process, started at the first request and again when it was lost; others wait.
+    """A child process that answers requests one by one, started at the first and again when lost.
 
-    module: what it runs; ends in `serve`. failed: what a text is refused with at which it crashes
+    module: what it runs; ends in `serve`. failed: the error message for a text at which it crashes
     or hangs.
     """
 
@@ -43,11 +43,11 @@ class VoiceProcess:
 
     @property
     def pid(self) -> int | None:
-        """The id of the process that speaks just now; None: none."""
+        """The id of the child process that was started last; None: none was."""
         return None if self._child is None else self._child.pid
 
     def request(self, request: Request) -> tuple[dict[str, Any], bytes]:
-        """The answer and its bytes. Raises SynthesisError: what is wrong, or that it failed."""
+        """Send a request to the child; return its answer and bytes. Raises SynthesisError."""
         with self._lock:
             if self._child is None or self._child.poll() is not None:
                 self._child = self._started()
@@ -65,7 +65,7 @@ class VoiceProcess:
         return answer, content
 
     def close(self) -> None:
-        """End the process and all that it has started; a later request starts it again."""
+        """Kill the child process and all that it has started; a later request starts it again."""
         if self._child is not None:
             self._kill()
             self._child.communicate()
@@ -87,7 +87,10 @@ class VoiceProcess:
 
 
 def _exchange(child: "subprocess.Popen[bytes]", request: Request) -> tuple[dict[str, Any], bytes]:
-    """Raises OSError or ValueError when the process ends before its answer does."""
+    """Send a request to the child process; return its answer and bytes.
+
+    Raises OSError or ValueError when the process ends before its answer does.
+    """
     assert child.stdin is not None
     assert child.stdout is not None
     child.stdin.write(json.dumps(request).encode() + b"\n")
@@ -102,7 +105,7 @@ def _exchange(child: "subprocess.Popen[bytes]", request: Request) -> tuple[dict[
 def serve(answered: Callable[[Request], tuple[dict[str, object], bytes]]) -> None:
     """Answer requests until the pipe ends, then end this process and all that it has started.
 
-    A SynthesisError of `answered` is the answer.
+    The message of a SynthesisError that `answered` raises is sent as the answer.
     """
     import resource
 

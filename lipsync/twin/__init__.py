@@ -1,1 +1,1 @@
-"""A human face to look at: a mesh that the markers of a face model deform as a thin shell."""
+"""A human face for displays: a mesh that the markers of a face model deform as a thin shell."""

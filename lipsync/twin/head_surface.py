@@ -55,7 +55,7 @@ SHIPPED_FACE = "mean_face"
 
 @dataclass(frozen=True, slots=True)
 class MeanFace:
-    """A head without colour or motion.
+    """A head mesh without colour or motion.
 
     vertices_mm (n, 3): x to the picture's right, y up, z to the viewer; the first 468 are numbered
     as in the 478-point face mesh. triangles (n_triangles, 3), outward. behind (n,): 0 on the face,
@@ -70,7 +70,7 @@ class MeanFace:
 
 
 def load_mean_face() -> MeanFace:
-    """Load the mean face of the package. Raises OSError or ValueError where it is damaged."""
+    """Return the mean face of the package. Raises OSError or ValueError where it is damaged."""
     place = resources.files("lipsync.models") / f"{SHIPPED_FACE}.npz"
     with place.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
         return MeanFace(
@@ -98,7 +98,7 @@ _SEAM_MM, _SEAM_RINGS = (-115.0, -70.0, 30.0), (4.5, 1.6, 0.9)
 
 
 def skin_colours(mean: MeanFace) -> Array:
-    """Return the colour of each vertex.
+    """Return the colour of each vertex of a head: skin, cheeks, lips, brows, lashes, robot's back.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def _cheeks(places: Array) -> Array:
 
 
 def _lips(mean: MeanFace) -> Array:
-    """1 within the outer line of the lips as the viewer sees it, with a soft edge."""
+    """Return 0 to 1 (n,): 1 within the lips' outer line as the viewer sees it, with a soft edge."""
     outline = mean.vertices_mm[list(OUTER_LIP), :2]
     closed = np.vstack([outline, outline[:1]])
     flat = mean.vertices_mm[:, :2]
@@ -141,7 +141,7 @@ def _lips(mean: MeanFace) -> Array:
 
 
 def _brows(places: Array) -> Array:
-    """Along the middle of each eyebrow, with soft edges, thinner at both ends."""
+    """Return 0 to 1 (n,): 1 along the middle of each eyebrow, with soft edges, thin at the ends."""
     amount = np.zeros(len(places))
     for lower, upper in (RIGHT_BROW, LEFT_BROW):
         line = _line((places[list(lower)] + places[list(upper)]) / 2, 10)
@@ -154,7 +154,7 @@ def _brows(places: Array) -> Array:
 
 
 def _lashes(places: Array) -> Array:
-    """Along the edge of the upper lids."""
+    """Return 0 to 1 (n,): 1 along the edge of the upper lids, with a soft edge."""
     lines = [_line(places[list(each[:N_UPPER_LID])], 8)[8:] for each in (RIGHT_EYE, LEFT_EYE)]
     away, _ = cKDTree(np.vstack(lines)).query(places, distance_upper_bound=_FAR_MM)
     return np.asarray(np.clip(1.0 - away / _LASH_EDGE_MM, 0.0, 1.0), dtype=np.float64)
@@ -166,14 +166,14 @@ def _robot(mean: MeanFace) -> Array:
 
 
 def _line(corners: Array, steps: int) -> Array:
-    """Points along a polygon line, `steps` from one corner to the next."""
+    """Return points along a polygon line, `steps` from one corner to the next."""
     at = np.linspace(0, len(corners) - 1, steps * (len(corners) - 1) + 1)
     known = np.arange(len(corners))
     return np.column_stack([np.interp(at, known, column) for column in corners.T])
 
 
 def _inside(points: Array, polygon: Array) -> Array:
-    """1 for points (n, 2) within a polygon (m, 2): an odd number of edges to their right."""
+    """Return 1 (n,) for points within a polygon (m, 2), else 0: odd edges to their right."""
     start, end = polygon, np.roll(polygon, -1, axis=0)
     x, y = points[:, :1], points[:, 1:]
     spans = (start[:, 1] > y) != (end[:, 1] > y)
@@ -190,14 +190,14 @@ _LEAST_AREA_MM2 = 1e-9
 
 
 def influence(stiffness: sparse.csr_array, handles: Sequence[int], anchors: Sequence[int]) -> Array:
-    """Return how far each vertex goes with a handle that moves by 1.
+    """Return how far each vertex moves with each handle that moves by 1.
 
     1 at the handle itself, 0 at the others and at the anchors; a vertex that is both is a handle.
 
     Parameters
     ----------
     stiffness : sparse.csr_array
-        Of `shell_stiffness`.
+        As `shell_stiffness` returns it.
     handles,anchors : Sequence[int]
         Vertex numbers.
 
@@ -209,7 +209,7 @@ def influence(stiffness: sparse.csr_array, handles: Sequence[int], anchors: Sequ
     Raises
     ------
     ValueError
-        A handle stands there twice, or a part of the surface hangs on neither handle nor anchor.
+        A handle is given twice, or a part of the surface has neither handle nor anchor.
     """
     if len(set(handles)) != len(handles):
         raise ValueError("a vertex is a handle twice")
@@ -219,20 +219,20 @@ def influence(stiffness: sparse.csr_array, handles: Sequence[int], anchors: Sequ
 
 
 def spread(stiffness: sparse.csr_array, held: Indices, given: Array) -> Array:
-    """Return displacements of the whole surface, of which some are known.
+    """Return the displacements of all vertices of a surface when those of some are given.
 
-    Raises as `influence` does.
+    Raises ValueError if a piece of the surface has no vertex that is given.
 
-    Each of the k columns is a problem of its own.
+    Each of the k columns is independent of the others.
 
     Parameters
     ----------
     stiffness : sparse.csr_array
-        Of `shell_stiffness`.
+        As `shell_stiffness` returns it.
     held : Indices
         (n_held,) vertex numbers.
     given : Array
-        (n_held, k).
+        (n_held, k), displacements of these vertices.
 
     Returns
     -------
@@ -262,7 +262,7 @@ def spread(stiffness: sparse.csr_array, held: Indices, given: Array) -> Array:
 def shell_stiffness(
     vertices_mm: Array, triangles: Indices, membrane_per_mm2: float = MEMBRANE_PER_MM2
 ) -> sparse.csr_array:
-    """Return Q = L^T M^-1 L - k_s L: symmetric, positive semi-definite.
+    """Return a shell's stiffness Q = L^T M^-1 L - k_s L: symmetric, positive semi-definite.
 
     Parameters
     ----------
@@ -326,7 +326,7 @@ _UPPER_FACE_MM, _BACK_MM = -20.0, -80.0
 
 @dataclass(frozen=True)
 class HeadSurface:
-    """places_mm (n, 3) and triangles, as of `MeanFace`; colours (n, 3), 0 to 1, sRGB."""
+    """A coloured head: places_mm (n, 3), triangles (m, 3), colours (n, 3), 0 to 1, in sRGB."""
 
     places_mm: Array
     triangles: Indices
@@ -334,23 +334,23 @@ class HeadSurface:
 
     @cached_property
     def anchors(self) -> Indices:
-        """Vertices of the upper face, the eyes and the back of the head."""
+        """The vertices of the upper face, the eyes and the back of the head, which do not move."""
         above = self.places_mm[:, 1] > _UPPER_FACE_MM
         behind = self.places_mm[:, 2] < _BACK_MM
         return np.flatnonzero(above | behind)
 
     @cached_property
     def stiffness(self) -> sparse.csr_array:
-        """The stiffness matrix of its shell."""
+        """The stiffness matrix of the surface's shell."""
         return shell_stiffness(self.places_mm, self.triangles)
 
     @cached_property
     def loops(self) -> list[list[int]]:
-        """Vertices along each hole of the surface, in order."""
+        """The vertices along each hole of the surface, in order."""
         return boundary_loops(self.triangles)
 
     def loop_from(self, first: int, then: int) -> list[int]:
-        """The hole that begins at one vertex and goes on towards another."""
+        """Return the vertices round a hole from `first` on, in the direction of `then`."""
         (loop,) = (each for each in self.loops if first in each)
         at = loop.index(first)
         turned = loop[at:] + loop[:at]
@@ -360,12 +360,12 @@ class HeadSurface:
 
 
 def head_surface(mean: MeanFace) -> HeadSurface:
-    """Make the surface that is drawn."""
+    """Return the surface of a mean face with the colours in which it is drawn."""
     return HeadSurface(mean.vertices_mm, mean.triangles, skin_colours(mean))
 
 
 def boundary_loops(triangles: Indices) -> list[list[int]]:
-    """The closed rows of edges that belong to one triangle only, each in its triangles' sense."""
+    """Return the vertices round each hole, in order: its edges belong to one triangle only."""
     start = triangles.ravel()
     end = np.roll(triangles, -1, axis=1).ravel()
     n = int(triangles.max()) + 1

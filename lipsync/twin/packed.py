@@ -1,7 +1,7 @@
 """A twin as bytes for a page: a header in JSON, then arrays, little-endian.
 
 The first four bytes are the length of the header (u32); arrays begin after it, at multiples of four
-bytes, and the header says of each at which byte it lies, counted from the first one. Places are
+bytes, and the header gives the byte at which each begins, counted from the first one. Places are
 float32 in mm; morph targets int16 times a step in mm, and their turn of the normals int8 times a
 step; colours and triangles are u8 and u16.
 """
@@ -36,7 +36,7 @@ _MOST = {np.dtype(np.int16): 32767, np.dtype(np.int8): 127}
 
 
 def pack(twin: Twin) -> bytes:
-    """The whole twin; the header's fields are those of `Twin`, `Part` and `Eyeball`."""
+    """Return the twin as bytes; the header's fields are those of `Twin`, `Part` and `Eyeball`."""
     body = Body()
     amounts = dict(zip(twin.components, twin.deviations.tolist(), strict=True))
     header = {
@@ -61,9 +61,9 @@ def pack(twin: Twin) -> bytes:
 
 
 def unpack(packed: bytes) -> dict[str, dict[str, Any]]:
-    """Parts by name, each with `places_mm` (n, 3), `triangles` and `morphs` as a page reads them.
+    """Return a packed twin's parts by name, each with `places_mm` (n, 3), `triangles` and `morphs`.
 
-    float32, in mm.
+    Places and morphs are float32, in mm, as a page reads them.
     """
     (length,) = struct.unpack_from("<I", packed)
     header = json.loads(packed[4 : 4 + length])
@@ -84,20 +84,20 @@ def unpack(packed: bytes) -> dict[str, dict[str, Any]]:
 
 
 class Body:
-    """Arrays as bytes, one after another."""
+    """Arrays as bytes, one after another, at multiples of four bytes."""
 
     def __init__(self) -> None:
         self.pieces: list[bytes] = []
         self._length = 0
 
     def behind(self, header: Mapping[str, object]) -> bytes:
-        """All of it behind its header."""
+        """Return the packed bytes: the header in JSON, then all arrays."""
         text = json.dumps(header).encode()
         text += b" " * (-(4 + len(text)) % 4)
         return struct.pack("<I", len(text)) + text + b"".join(self.pieces)
 
     def add(self, values: NDArray[Any], kind: str) -> dict[str, object]:
-        """Where the array lies and how it is read."""
+        """Append an array; return its first byte, its number of values and their type."""
         data = np.ascontiguousarray(values, dtype=kind).tobytes()
         place = {"at": self._length, "count": int(values.size), "type": kind}
         padded = data + b"\0" * (-len(data) % 4)
@@ -106,7 +106,7 @@ class Body:
         return place
 
     def add_scaled(self, values: Array, kind: str) -> dict[str, object]:
-        """The same, as whole numbers times a step."""
+        """Append an array as whole numbers times a step; return `add`'s result and the step."""
         most = _MOST[np.dtype(kind)]
         step = max(float(np.abs(values).max()), 1e-9) / most
         return {**self.add(np.rint(values / step), kind), "step": step}
@@ -133,19 +133,19 @@ def _part(part: Part, amounts: Mapping[str, float], body: Body) -> dict[str, obj
 
 
 def _rotated(part: Part, moves: Array, amount: float) -> Array:
-    """How the normals turn with 1 of a target; taken over as much of it as occurs."""
+    """Return the change of the normals (n, 3) with 1 of a morph target, over +-`amount` of it."""
     there = vertex_normals(part.places_mm + amount * moves, part.triangles)
     back = vertex_normals(part.places_mm - amount * moves, part.triangles)
     return np.asarray((there - back) / (2 * amount), dtype=np.float64)
 
 
 def vertex_normals(places: Array, triangles: Indices) -> Array:
-    """Return normals of length 1: the mean of the triangles round each vertex, by their area.
+    """Return a mesh's normals of length 1: the mean over the triangles round each vertex, by area.
 
     Parameters
     ----------
     places : Array
-        (n, 3).
+        (n, 3), vertices.
     triangles : Indices
         (n_triangles, 3).
 

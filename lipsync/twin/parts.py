@@ -1,4 +1,4 @@
-"""What a twin is put together from, beside the skin: eyeballs, jaw, teeth, tongue and neck.
+"""The parts of a twin beside the skin: eyeballs, jaw, teeth, tongue and neck.
 
 Simple shapes that are generated, not measured.
 """
@@ -16,7 +16,7 @@ from lipsync.twin.head_surface import LEFT_EYE, RIGHT_EYE, HeadSurface
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One mesh.
+    """One mesh of a twin.
 
     places_mm (n, 3), triangles (n_triangles, 3), outward; colours (n, 3), 0 to 1, sRGB.
     morphs: displacements in mm (n, 3) of the targets that move it, by name. It turns with the head
@@ -52,12 +52,12 @@ _LINING, _LASHES = (0.80, 0.55, 0.50), (0.22, 0.15, 0.12)
 
 
 def eyeballs(surface: HeadSurface, irises_mm: Array) -> tuple[Eyeball, Eyeball]:
-    """Return the left and the right eyeball.
+    """Return the left and the right eyeball of a head.
 
     Parameters
     ----------
     surface : HeadSurface
-        Of the head.
+        Surface of the head.
     irises_mm : Array
         (2, 5, 3), right first: how wide the irises are.
 
@@ -74,7 +74,7 @@ def eyeballs(surface: HeadSurface, irises_mm: Array) -> tuple[Eyeball, Eyeball]:
 
 
 def _eyeball(side: Literal["left", "right"], rim_mm: Array, iris_mm: float) -> Eyeball:
-    """Between the corners, as far back as the middle third of both lids asks for."""
+    """Return an eyeball between the eye's corners, just behind the middle third of both lids."""
     corners = rim_mm[[0, len(rim_mm) // 2]]
     x = corners[:, 0].mean()
     y = (rim_mm[:, 1].max() + rim_mm[:, 1].min()) / 2
@@ -90,11 +90,11 @@ def lid_lining(surface: HeadSurface, morphs: dict[str, Array], eye: Eyeball) -> 
     Parameters
     ----------
     surface : HeadSurface
-        Of the head.
+        Surface of the head.
     morphs : dict[str, Array]
-        (n_vertices, 3) mm each.
+        Displacements of the head's vertices, (n_vertices, 3) mm each.
     eye : Eyeball
-        Its eyeball.
+        Eyeball of that eye.
 
     Returns
     -------
@@ -123,7 +123,7 @@ def lid_lining(surface: HeadSurface, morphs: dict[str, Array], eye: Eyeball) -> 
 
 
 def jaw_motion(chin_mm: Array, joint_mm: Array, chin_moves_mm: Array) -> Array:
-    """Return the opening, forward and sideways motion that explain best how the chin moves.
+    """Return the jaw's opening, forward and sideways motion that best explain the chin's.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def jaw_motion(chin_mm: Array, joint_mm: Array, chin_moves_mm: Array) -> Array:
     joint_mm : Array
         (3,).
     chin_moves_mm : Array
-        (n_morphs, n, 3).
+        (n_morphs, n, 3), displacements.
 
     Returns
     -------
@@ -145,7 +145,7 @@ def jaw_motion(chin_mm: Array, joint_mm: Array, chin_moves_mm: Array) -> Array:
 
 
 def jaw_modes(places_mm: Array, joint_mm: Array) -> Array:
-    """Return what 1 rad of opening, 1 mm forward and 1 mm sideways do to places of the jaw.
+    """Return how places of the jaw move with 1 rad of opening, 1 mm forward and 1 mm sideways.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def jaw_modes(places_mm: Array, joint_mm: Array) -> Array:
 
 
 def on_jaw(places_mm: Array, joint_mm: Array, motion: Array) -> Array:
-    """Return displacements of places on the jaw.
+    """Return the displacements of places on the jaw for given motions of the jaw.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def on_jaw(places_mm: Array, joint_mm: Array, motion: Array) -> Array:
     joint_mm : Array
         (3,).
     motion : Array
-        (n_morphs, 3), of `jaw_motion`.
+        (n_morphs, 3), as `jaw_motion` returns it.
 
     Returns
     -------
@@ -208,7 +208,7 @@ _ROWS, _INSIDE_MM = 9, (24.0, 15.0)
 
 @dataclass(frozen=True, slots=True)
 class MouthFrame:
-    """Where the mouth is.
+    """The position of the mouth, and its displacements in each morph.
 
     places_mm (n, 3): the inner rim of the lips, in order; morphs: its displacements (n, 3).
     middle_mm: between both lips. joint_mm: of the jaw. jaw: its motion (3,) in each morph.
@@ -221,7 +221,7 @@ class MouthFrame:
     jaw: Mapping[str, Array]
 
     def with_jaw(self, places_mm: Array) -> dict[str, Array]:
-        """Return displacements of places on the lower jaw, by morph.
+        """Return the displacements of places on the lower jaw, by morph.
 
         Parameters
         ----------
@@ -240,7 +240,7 @@ class MouthFrame:
 
 
 def mouth_parts(frame: MouthFrame) -> tuple[Part, ...]:
-    """Upper teeth, lower teeth with tongue, and the inside of the mouth."""
+    """Return the upper teeth, the lower teeth with the tongue, and the inside of the mouth."""
     upper_at = frame.middle_mm + _UPPER_AT_MM
     lower_at = frame.middle_mm + _LOWER_AT_MM
     upper = _dental_arch(upper_at, _UPPER_WIDTHS_MM, _UPPER_HEIGHT_MM, 1.0)
@@ -258,7 +258,7 @@ Piece = tuple[Array, Indices, Array]
 
 
 def _dental_arch(at: Array, widths_mm: tuple[float, ...], height_mm: float, up: float) -> Piece:
-    """Teeth of both sides and their gum; `at`: the edge of the front teeth, in the middle."""
+    """Return teeth and gum of both sides; `at`: the edge of the front teeth, in the middle."""
     pieces = []
     edges = np.concatenate([[0.0], np.cumsum(widths_mm)])
     for side in (-1.0, 1.0):
@@ -277,7 +277,7 @@ def _dental_arch(at: Array, widths_mm: tuple[float, ...], height_mm: float, up: 
 
 
 def _on_arch(along_mm: float) -> tuple[float, float, float]:
-    """x, z and heading of the parabola at an arc length from its middle."""
+    """Return x, z (mm) and heading (rad) of the dental parabola, `along_mm` from its middle."""
     bend = _ARCH_DEPTH_MM / _ARCH_HALF_WIDTH_MM**2
     x = np.linspace(0.0, 2 * _ARCH_HALF_WIDTH_MM, 400)
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(bend * x**2)))])
@@ -286,7 +286,7 @@ def _on_arch(along_mm: float) -> tuple[float, float, float]:
 
 
 def _gum(at: Array, half_length_mm: float) -> Piece:
-    """A round bar along the arch."""
+    """Return a round bar along the dental arch, as the gum of both sides."""
     stations = np.linspace(-half_length_mm, half_length_mm, 25)
     round_it = np.linspace(0, 2 * np.pi, 10, endpoint=False)
     rows = []
@@ -308,7 +308,7 @@ def _ball(
     colour: tuple[float, ...],
     roundness: float = 1.0,
 ) -> Piece:
-    """A superellipsoid: an ellipsoid at roundness 1, a box with round edges below."""
+    """Return a superellipsoid: an ellipsoid at roundness 1, a box with round edges below."""
     up = np.linspace(-np.pi / 2, np.pi / 2, 9)
     about = np.linspace(0, 2 * np.pi, 16, endpoint=False)
 
@@ -329,7 +329,7 @@ def _ball(
 
 
 def _inside(frame: MouthFrame) -> Part:
-    """From the inner rim of the lips backwards, wider than the lips, to a dark end.
+    """Return the inside of the mouth: from the lips' inner rim backwards, wider, to a dark end.
 
     Its front moves with the lips, its lower back with the jaw, its upper back not at all.
     """
@@ -363,7 +363,7 @@ def _inside(frame: MouthFrame) -> Part:
 
 
 def _grid(n_rows: int, n_round: int) -> Indices:
-    """Triangles of rows of vertices, each row closed."""
+    """Return the triangles between rows of vertices, each row a closed ring."""
     corner = np.arange(n_rows * n_round).reshape(n_rows, n_round)
     here, above = corner[:-1], corner[1:]
     ahead, above_ahead = np.roll(here, -1, axis=1), np.roll(above, -1, axis=1)
@@ -400,7 +400,7 @@ _NECK_ROWS = 40
 
 
 def neck() -> Part:
-    """Make the neck, from inside the head downwards."""
+    """Return the neck, from inside the head downwards; it does not turn with the head."""
     profile = np.array(_PROFILE)
     steps = np.linspace(0, len(profile) - 1, _NECK_ROWS)
     height, radius, grey = PchipInterpolator(np.arange(len(profile)), profile)(steps).T

@@ -71,15 +71,15 @@ _SMILING_LID_MM = 0.9
 
 
 def expression_morphs(surface: HeadSurface, eyes: tuple[Eyeball, ...]) -> dict[str, Array]:
-    """Return displacements for 1 of each expression: lid_left, lid_right, brow, smile.
+    """Return the displacements for 1 of each expression: lid_left, lid_right, brow, smile.
 
-    And lid_left_over, lid_right_over, for lid (1 - lid) of each: a straight way would lead a lid
+    And lid_left_over, lid_right_over, for lid (1 - lid) of each: a straight path would lead a lid
     through the eyeball; with it the lid passes over.
 
     Parameters
     ----------
     surface : HeadSurface
-        Of the head.
+        Surface of the head.
     eyes : tuple[Eyeball, ...]
         Left and right.
 
@@ -110,7 +110,7 @@ def expression_morphs(surface: HeadSurface, eyes: tuple[Eyeball, ...]) -> dict[s
 
 
 def _lower_lid(n: int) -> Array:
-    """(n,): 0 on the upper lid, along the lower one from 0 at a corner up to 1 and back."""
+    """Return (n,): 0 on the upper lid, along the lower one from 0 at a corner up to 1 and back."""
     along = np.arange(n) / n
     return np.maximum(0.0, -np.sin(2 * np.pi * along))
 
@@ -124,7 +124,7 @@ def _smile_mm(landmark: int) -> tuple[float, float, float]:
 
 
 def _shutting(rim_mm: Array) -> Array:
-    """(n, 3): what brings both lids together; the first half of the rim is the upper lid."""
+    """Return displacements (n, 3) that shut both lids; the rim's first half is the upper lid."""
     half = len(rim_mm) // 2
     upper, lower = rim_mm[: half + 1], np.vstack([rim_mm[half:], rim_mm[:1]])[::-1]
     meeting = (1 - _LOWER_SHARE) * lower + _LOWER_SHARE * upper
@@ -136,7 +136,7 @@ def _shutting(rim_mm: Array) -> Array:
 
 
 def _over_eyeball(name: str, places: Array, lid: Array, eye: Eyeball) -> dict[str, Array]:
-    """Both targets of a lid, outside the eyeball when shut and when half shut."""
+    """Return the two targets of a lid, which keep it outside the eyeball, shut and half shut."""
     near = np.linalg.norm(lid, axis=1) > 0.05
 
     def outside(at: Array) -> Array:
@@ -151,12 +151,12 @@ def _over_eyeball(name: str, places: Array, lid: Array, eye: Eyeball) -> dict[st
 
 
 class TwinError(UserError):
-    """A face model that this head cannot wear: says why."""
+    """A face model cannot be shown on this head; the message says why."""
 
 
 @dataclass(frozen=True, slots=True)
 class Twin:
-    """A head to draw.
+    """A head to draw, with morph targets of mouth and expression.
 
     parts: the first is the skin. components: names of the targets of the mouth, in the order of the
     model's coefficients; rest: (n_components,), the closed mouth; deviations: (n_components,), how
@@ -176,7 +176,7 @@ class Twin:
 
 @dataclass(frozen=True, slots=True)
 class SkinMorphs:
-    """The skin as a linear function of the coefficients.
+    """The skin of a head as a linear function of a face model's coefficients.
 
     places_mm (n, 3): V + T_0. targets_mm (n_components, n, 3). weights (n, n_points): of the shell,
     the points being those of the model that lie on skin; `points`: their rows in the model.
@@ -189,12 +189,12 @@ class SkinMorphs:
 
 
 def make_twin(face: FaceModel, mean: MeanFace | None = None, own: Array | None = None) -> Twin:
-    """Make the twin of a model; on the shipped head unless another is given. Raises TwinError.
+    """Return the twin of a face model, on the shipped head or a given one. Raises TwinError.
 
     Parameters
     ----------
     face : FaceModel
-        The model.
+        The face model.
     mean : MeanFace | None
         A head; None: the shipped one.
     own : Array | None
@@ -230,7 +230,7 @@ def make_twin(face: FaceModel, mean: MeanFace | None = None, own: Array | None =
 
 
 def skin_morphs(face: FaceModel, surface: HeadSurface) -> SkinMorphs:
-    """V + T_0 and T_k of a model on a surface. Raises TwinError."""
+    """Return skin V + T_0 and targets T_k of a face model on a head surface. Raises TwinError."""
     landmarks = face.layout.landmarks
     points = tuple(i for i, landmark in enumerate(landmarks) if landmark < N_SKIN)
     handles = [landmarks[i] for i in points]
@@ -248,7 +248,7 @@ def skin_morphs(face: FaceModel, surface: HeadSurface) -> SkinMorphs:
 
 
 def worn_face(face: FaceModel, on_head_mm: Array, points: tuple[int, ...]) -> tuple[Array, Array]:
-    """Return mean and basis of the model, laid on the head.
+    """Return mean and basis of a face model, laid on the head by a similarity.
 
     The model's head is turned as its speaker sat, and another speaker's has another size; the
     similarity that lays the closed mouth on the head's own removes both.
@@ -256,9 +256,9 @@ def worn_face(face: FaceModel, on_head_mm: Array, points: tuple[int, ...]) -> tu
     Parameters
     ----------
     face : FaceModel
-        The model.
+        The face model.
     on_head_mm : Array
-        (n_points, 3): the points on the head.
+        (n_points, 3) mm: the points on the head.
     points : tuple[int, ...]
         Their numbers in the model.
 

@@ -1,4 +1,4 @@
-"""Where a face is in a picture: BlazeFace for short range, and the square that landmarks look at.
+"""Detection of faces in a picture by BlazeFace, and the square for the network of landmarks.
 
 Bazarevsky, Kartynnik, Vakunov, Raveendran and Grundmann, "BlazeFace: sub-millisecond neural face
 detection on mobile GPUs", 2019: 896 anchors on grids of 16 x 16 (two a place) and 8 x 8 (six), and
@@ -30,7 +30,7 @@ _SAME_FACE = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Detection:
-    """A face in a square picture, all in parts of its side.
+    """A face detected in a square picture; lengths are shares, 0 to 1, of the picture's side.
 
     box: (4,), left, top, right, bottom. eyes: (2, 2), the speaker's right one first.
     """
@@ -41,7 +41,7 @@ class Detection:
 
 
 def _anchors() -> Array:
-    """(896, 2): the middles that boxes are relative to."""
+    """Return (896, 2): the middles that boxes are relative to, 0 to 1."""
     rows = []
     for n_places, n_each in _GRIDS:
         steps = (np.arange(n_places) + 0.5) / n_places
@@ -54,7 +54,7 @@ _ANCHORS = _anchors()
 
 
 def detections(regressors: Array, classificators: Array) -> tuple[Detection, ...]:
-    """Return detected faces, the surest first.
+    """Return the faces in the outputs of the detector network, the surest first.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def detections(regressors: Array, classificators: Array) -> tuple[Detection, ...
     Returns
     -------
     tuple[Detection, ...]
-        Boxes and eyes in pixels, overlapping ones blended.
+        Boxes and eyes in shares of the picture's side, 0 to 1; overlapping ones are blended.
     """
     scores = 1.0 / (1.0 + np.exp(-np.clip(classificators, -100.0, 100.0)))
     likely = np.flatnonzero(scores >= _LEAST_SCORE)
@@ -99,7 +99,7 @@ def _blended(scores: Array, boxes: Array, eyes: Array) -> tuple[Detection, ...]:
 
 
 def _overlaps(box: Array, boxes: Array) -> Array:
-    """(n,): the shared area of a box (4,) with each of (n, 4) over that of their union."""
+    """Return (n,): the shared area of a box (4,) and each of (n, 4) over that of their union."""
     low = np.maximum(box[:2], boxes[:, :2])
     high = np.minimum(box[2:], boxes[:, 2:])
     shared = np.clip(high - low, 0.0, None).prod(axis=1)
@@ -114,7 +114,7 @@ _MARGIN = 1.5
 
 @dataclass(frozen=True, slots=True)
 class FaceBox:
-    """A square in a picture, in pixels; turn_rad: of its x axis, clockwise as one looks at it."""
+    """A square in a picture, in pixels; turn_rad: of its x axis, clockwise to the viewer."""
 
     x_px: float
     y_px: float
@@ -122,7 +122,7 @@ class FaceBox:
     turn_rad: float
 
     def to_picture(self, points: Array) -> Array:
-        """Return points of the square as pixels of the picture.
+        """Return points of the square, 0 to 1, as pixels of the picture.
 
         Parameters
         ----------
@@ -146,19 +146,19 @@ class FaceBox:
 
 
 def box_around(points_px: Array, right_eye_px: Array, left_eye_px: Array) -> FaceBox:
-    """Return the square for a face.
+    """Return the square around a face: 1.5 times its size, turned so that the eyes are level.
 
     Parameters
     ----------
     points_px : Array
-        (n, 2).
+        (n, 2), of the face.
     right_eye_px,left_eye_px : Array
         (2,), the speaker's.
 
     Returns
     -------
     FaceBox
-        Turned so that the eyes are level; pixels and radians.
+        Pixels and radians.
     """
     low, high = points_px.min(axis=0), points_px.max(axis=0)
     x_px, y_px = (low + high) / 2
@@ -172,7 +172,7 @@ def box_around(points_px: Array, right_eye_px: Array, left_eye_px: Array) -> Fac
 
 
 def cut_out(picture: Picture, box: FaceBox, n_pixels: int) -> NDArray[np.float32]:
-    """Cut a square out of a picture, interpolated linearly; beyond its edge the edge is repeated.
+    """Return a square of a picture, interpolated linearly; beyond its edge the edge is repeated.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def cut_out(picture: Picture, box: FaceBox, n_pixels: int) -> NDArray[np.float32
     box : FaceBox
         The square.
     n_pixels : int
-        Of each side.
+        Number of pixels of each side.
 
     Returns
     -------
@@ -214,7 +214,7 @@ def cut_out(picture: Picture, box: FaceBox, n_pixels: int) -> NDArray[np.float32
 def _split(
     places_px: NDArray[np.floating], n_pixels: int
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """The pixel before each place, kept in the picture, and how far it is to the next one."""
+    """Return the pixel before each position, kept in the picture, and the fraction behind it."""
     inside = np.clip(places_px, 0, n_pixels - 1).astype(np.float32)
     before = np.minimum(inside.astype(np.int32), max(0, n_pixels - 2))
     return before, (inside - before).astype(np.float32)[..., None]

@@ -1,12 +1,12 @@
-"""What finds the points of faces in pictures, and which tracker a user gets.
+"""Trackers, which find the points of faces in pictures, and the choice of one.
 
 Points are numbered as the 478-point face mesh does (`lipsync/markers.py`).
 
 By the networks inside a `face_landmarker.task`, run by `ai-edge-litert`: Grishchenko, Ablavatski,
 Kartynnik, Raveendran and Grundmann, "Attention mesh: high-fidelity face mesh prediction in
 real-time", 2020. The file is the user's (docs/own-face.md): a zip archive of TensorFlow Lite
-networks. Everything around the networks is here: where they look, and where what they say lies in
-the picture.
+networks. Everything around the networks is here: the squares that they get, and the positions of
+their outputs in the picture.
 
 By mediapipe's own face mesh, whose network its wheel carries: only the versions before 0.10.30 have
 it (docs/decisions/0026-video-and-face-tracking.md).
@@ -36,18 +36,18 @@ from lipsync.video.face_detection import (
 
 
 class TrackerError(UserError):
-    """No tracker can be had; one line: what is missing, what to do."""
+    """No tracker can be used; the message is one line: what is missing, what to do."""
 
 
 class FaceTracker(Protocol):
-    """Finds the points of every face in a picture."""
+    """A tracker that finds the points of every face in a picture."""
 
     @property
     def name(self) -> str:
         """The tracker's name, for reports."""
 
     def faces(self, picture: Picture) -> tuple[Array, ...]:
-        """Return the points of each face, the largest face first; none where there is none.
+        """Return the points of each face, the largest face first; () if there is no face.
 
         Pictures are independent of each other: nothing is smoothed over time.
 
@@ -74,7 +74,7 @@ _MOST_BYTES = 64_000_000
 
 
 class LitertTracker:
-    """The networks of one landmarker file. Raises TrackerError for a file that is none."""
+    """A tracker by the networks of a landmarker file. Raises TrackerError for another file."""
 
     def __init__(self, landmarker: Path) -> None:
         check_extra("ai_edge_litert", "--landmarker")
@@ -90,11 +90,11 @@ class LitertTracker:
 
     @property
     def name(self) -> str:
-        """The names of model file and library."""
+        """The tracker's name: its model file and library."""
         return self._name
 
     def faces(self, picture: Picture) -> tuple[Array, ...]:
-        """Return the points of each face, the largest first; see `FaceTracker`.
+        """Return the points of each face, the largest face first; () if there is no face.
 
         Parameters
         ----------
@@ -176,7 +176,7 @@ def _networks(landmarker: Path) -> dict[str, bytes]:
 
 
 class MediapipeTracker:
-    """The face mesh with attention, on every picture alone."""
+    """A tracker by mediapipe's face mesh with attention, each picture by itself."""
 
     def __init__(self) -> None:
         check_extra("mediapipe", "tracking without --landmarker")
@@ -189,11 +189,11 @@ class MediapipeTracker:
 
     @property
     def name(self) -> str:
-        """Library and version."""
+        """The tracker's name: library and version."""
         return self._name
 
     def faces(self, picture: Picture) -> tuple[Array, ...]:
-        """Return the points of each face, the largest first; see `FaceTracker`.
+        """Return the points of each face, the largest face first; () if there is no face.
 
         Parameters
         ----------
@@ -213,7 +213,10 @@ class MediapipeTracker:
 
 
 def open_tracker(landmarker: Path | None) -> FaceTracker:
-    """A tracker. Raises TrackerError, MissingExtraError where there is none."""
+    """Return a tracker by a landmarker file; None: by mediapipe.
+
+    Raises TrackerError or MissingExtraError where what it needs is missing.
+    """
     if landmarker is not None:
         return LitertTracker(landmarker)
     if find_spec("mediapipe") is None:

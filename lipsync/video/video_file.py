@@ -28,19 +28,19 @@ _HOLE_S = 0.02
 
 
 class VideoError(UserError):
-    """A video that cannot be used; one line: which, why, what to do."""
+    """A video cannot be used; the message is one line: which, why, what to do."""
 
 
 @dataclass(frozen=True, slots=True)
 class VideoSound:
-    """samples: (n,) in [-1, 1] at 16 kHz, mono; begins_s: when, on the pictures' axis of time."""
+    """samples: (n,) in [-1, 1] at 16 kHz, mono; begins_s: their start in the pictures' time."""
 
     samples: NDArray[np.float32]
     begins_s: float
 
 
 def video_pictures(path: Path) -> Iterator[tuple[float, Picture]]:
-    """Every picture with its time stamp in seconds, in order. Raises VideoError."""
+    """Yield every picture with its time stamp in seconds, in order. Raises VideoError."""
     with _opened(path) as video:
         if not video.streams.video:
             raise VideoError(f"{path}: holds no pictures; give a video")
@@ -53,7 +53,7 @@ def video_pictures(path: Path) -> Iterator[tuple[float, Picture]]:
 
 
 def video_sound(path: Path) -> VideoSound:
-    """The sound of a video, or of NAME.wav beside it, which begins with the first picture.
+    """Return the sound of a video, or of NAME.wav beside it, which begins with the first picture.
 
     Raises VideoError for a video without any, or with nothing in it but digital silence.
     """
@@ -68,7 +68,7 @@ def video_sound(path: Path) -> VideoSound:
 
 
 def video_duration_s(path: Path) -> float:
-    """How long a video says it is; 0 where it does not. Raises VideoError."""
+    """Return the duration in s that a video file states; 0 if it states none. Raises VideoError."""
     with _opened(path) as video:
         duration: float = (video.duration or 0) / _av().time_base
         return duration
@@ -106,7 +106,7 @@ def _first_picture_s(path: Path) -> float:
 
 
 def _upright(frame: Any, aspect: float) -> Picture:
-    """Turned as the camera was held, and widened where its pixels are not square."""
+    """Return a picture, rotated as the camera was, and widened where its pixels are not square."""
     width = round(frame.width * aspect)
     picture: Picture = frame.to_ndarray(format="rgb24", width=width, height=frame.height)
     n_right_angles = round(frame.rotation / 90) % 4
@@ -115,7 +115,7 @@ def _upright(frame: Any, aspect: float) -> Picture:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """A video; what FFmpeg says against it, then or while it is read, becomes a VideoError."""
+    """Yield an open video; errors of FFmpeg, while opening or reading, are raised as VideoError."""
     av = _av()
     try:
         with av.open(str(path)) as video:

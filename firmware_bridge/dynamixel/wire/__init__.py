@@ -1,1 +1,1 @@
-"""DYNAMIXEL Protocol 2.0 on a half-duplex line: packets, questions, answers, deadlines."""
+"""DYNAMIXEL Protocol 2.0 on a half-duplex line: packets, requests, answers, deadlines."""

@@ -1,4 +1,4 @@
-"""Protocol 2.0 packets as bytes, found in a stream, and prepared once for every tick: no time.
+"""Protocol 2.0 packets as bytes: made, found in a stream, or prepared once for every tick.
 
 https://emanual.robotis.com/docs/en/dxl/protocol2/
 
@@ -40,7 +40,7 @@ ALERT_BIT: Final = 0x80
 
 
 class Instruction(IntEnum):
-    """https://emanual.robotis.com/docs/en/dxl/protocol2/#instruction ."""
+    """Instructions: https://emanual.robotis.com/docs/en/dxl/protocol2/#instruction ."""
 
     PING = 0x01
     READ = 0x02
@@ -61,7 +61,7 @@ class Instruction(IntEnum):
 
 
 class StatusError(IntEnum):
-    """https://emanual.robotis.com/docs/en/dxl/protocol2/#error ."""
+    """Error numbers: https://emanual.robotis.com/docs/en/dxl/protocol2/#error ."""
 
     NONE = 0
     RESULT_FAIL = 1
@@ -74,7 +74,7 @@ class StatusError(IntEnum):
 
 
 class Status(NamedTuple):
-    """What one servo answered. error: a `StatusError`, plus `ALERT_BIT`."""
+    """The answer of one servo. error: a `StatusError`, plus `ALERT_BIT`."""
 
     servo_id: int
     error: int
@@ -82,19 +82,19 @@ class Status(NamedTuple):
 
 
 def stuff(body: bytes) -> bytes:
-    """Hide every header pattern in the parameters; no instruction is FF, so none begins before."""
+    """Return `body` with FF FF FD replaced by FF FF FD FD, so that it contains no header."""
     return body.replace(_PATTERN, _STUFFED)
 
 
 def unstuff(body: bytes) -> bytes:
-    """Remove the bytes that `stuff` inserted."""
+    """Return `body` without the bytes that `stuff` inserted."""
     return body.replace(_STUFFED, _PATTERN)
 
 
 def packet(packet_id: int, instruction: int, parameters: bytes = b"") -> bytes:
-    """A whole packet, ready for the wire.
+    """Return a whole packet, ready for the wire.
 
-    Raises ValueError when it does not fit: the length field counts to 65,535.
+    Raises ValueError when the parameters do not fit: the length field counts to 65,535.
     """
     body = stuff(parameters)
     length = len(body) + 3
@@ -105,28 +105,28 @@ def packet(packet_id: int, instruction: int, parameters: bytes = b"") -> bytes:
 
 
 def ping(servo_id: int) -> bytes:
-    """Ask for model number and firmware version; `BROADCAST_ID` asks everybody."""
+    """Return the request for model number and firmware; `BROADCAST_ID` addresses all servos."""
     return packet(servo_id, Instruction.PING)
 
 
 @lru_cache(maxsize=1024)
 def read(servo_id: int, address: int, size: int) -> bytes:
-    """Ask one servo for `size` bytes. Remembered: a tick asks two questions of each, in turn."""
+    """Return the request for `size` bytes of one servo; cached, since a tick sends it often."""
     return packet(servo_id, Instruction.READ, struct.pack("<HH", address, size))
 
 
 def write(servo_id: int, address: int, data: bytes) -> bytes:
-    """Set bytes of one servo, or of all by `BROADCAST_ID`."""
+    """Return the packet that sets bytes of one servo, or of all by `BROADCAST_ID`."""
     return packet(servo_id, Instruction.WRITE, struct.pack("<H", address) + data)
 
 
 def reboot(servo_id: int) -> bytes:
-    """Restart a servo; this also clears its hardware error."""
+    """Return the packet that restarts a servo, which also clears its hardware error."""
     return packet(servo_id, Instruction.REBOOT)
 
 
 def sync_read(ids: Sequence[int], address: int, size: int, *, fast: bool = False) -> bytes:
-    """Ask several servos for the same bytes; they answer one after another in this order.
+    """Return the request to several servos for `size` bytes each; they answer in the order of ids.
 
     fast: in one common frame instead of one frame each.
     """
@@ -135,19 +135,19 @@ def sync_read(ids: Sequence[int], address: int, size: int, *, fast: bool = False
 
 
 def sync_write(address: int, size: int, data: Iterable[tuple[int, bytes]]) -> bytes:
-    """Set the same `size` bytes of several servos, (id, bytes) each; no servo answers."""
+    """Return the packet that sets `size` bytes of each servo in `data`; no servo answers it."""
     blocks = b"".join(bytes((servo_id,)) + each for servo_id, each in data)
     parameters = struct.pack("<HH", address, size) + blocks
     return packet(BROADCAST_ID, Instruction.SYNC_WRITE, parameters)
 
 
 def status(servo_id: int, error: int = 0, data: bytes = b"") -> bytes:
-    """Make the status packet of a servo; for the simulator."""
+    """Return the status packet of a servo; for the simulator."""
     return packet(servo_id, Instruction.STATUS, bytes((error,)) + data)
 
 
 def undisturbed_status(raw: bytes) -> Status | None:
-    """The status that `raw` is, bytes from header to CRC; None for all else, and where stuffed."""
+    """Return the status in `raw`, exactly one valid packet without stuffing; None for all else."""
     size = len(raw) - 7
     if raw[:4] != HEADER or raw[5:8] != _STATUS_HEAD.pack(size, Instruction.STATUS):
         return None
@@ -157,7 +157,7 @@ def undisturbed_status(raw: bytes) -> Status | None:
 
 
 def fast_status(blocks: Sequence[tuple[int, int, bytes]]) -> bytes:
-    """The common frame that (id, error, data) together answer a fast sync read with.
+    """Return the common frame that answers a fast sync read, from (id, error, data) of each servo.
 
     Positional, so it is not stuffed; each block ends in the CRC of everything up to there.
     """
@@ -170,11 +170,11 @@ def fast_status(blocks: Sequence[tuple[int, int, bytes]]) -> bytes:
 
 
 def split_fast_status(frame: bytes, size: int) -> list[Status]:
-    """Take apart the common frame of a fast sync read of `size` bytes each.
+    """Return the statuses in the common frame of a fast sync read of `size` bytes each.
 
-    `frame` may be cut off: blocks that arrived whole and whose own CRC holds are salvaged. When the
-    frame's last CRC holds, all its blocks count, whatever the inner CRCs say: whether real servos
-    send them cumulative, as here, is not verified on hardware.
+    `frame` may be cut off: blocks that arrived whole and whose own CRC is right are returned. When
+    the frame's last CRC is right, all its blocks count, whatever the inner CRCs are: whether real
+    servos send them cumulative, as here, is not verified on hardware.
     """
     step = size + 4
     ends = range(8 + step, len(frame) + 1, step)
@@ -201,7 +201,7 @@ _STATUS: Final = int(Instruction.STATUS)
 
 
 class Frame(NamedTuple):
-    """One packet whose CRC holds. parameters: without stuffing; raw: as it came."""
+    """One packet with a valid CRC. parameters: without stuffing; raw: the bytes received."""
 
     packet_id: int
     instruction: int
@@ -210,7 +210,7 @@ class Frame(NamedTuple):
 
 
 class FrameParser:
-    """Feed it what arrives; it gives back every whole packet, in order.
+    """Parser of a byte stream: feed it what arrives, and it returns every whole packet, in order.
 
     A damaged packet costs that packet only: the search goes on at the next header inside it. Noise
     is skipped and counted. Bounded: it never keeps more than one packet of the longest length.
@@ -227,11 +227,11 @@ class FrameParser:
         return self._buffer
 
     def reset(self) -> None:
-        """Forget what has not become a packet."""
+        """Forget the bytes that have not become a packet."""
         self._buffer = b""
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Take bytes, return the packets that they complete."""
+        """Append received bytes; return the packets that they complete."""
         buffer = self._buffer + data if self._buffer else data
         frames: list[Frame] = []
         at = 0
@@ -268,7 +268,7 @@ class FrameParser:
 
     @staticmethod
     def _whole_packet_inside(buffer: bytes, start: int) -> int | None:
-        """A packet that waits for bytes although a later, whole one lies inside it is damaged.
+        """Return where a whole packet begins inside an unfinished, so damaged one; None: nowhere.
 
         Stuffing keeps headers out of packets, except out of fast replies, which a CRC that holds
         over a whole inner packet tells apart.
@@ -295,7 +295,7 @@ def _frame(raw: bytes) -> Frame:
 
 
 def _header_begun(buffer: bytes, at: int) -> int:
-    """How many of the last bytes may be the beginning of a header."""
+    """Return how many of the last bytes may be the beginning of a header, 0 to 3."""
     for n in (3, 2, 1):
         if len(buffer) - at >= n and buffer.endswith(HEADER[:n]):
             return n
@@ -319,7 +319,7 @@ class GoalWrite:
         self._head = HEADER + head + parameters
 
     def request(self, values: ArrayLike) -> bytes:
-        """Return the Sync Write packet that sets whole numbers, one a servo.
+        """Return the Sync Write packet that sets the register to these whole numbers, one a servo.
 
         Parameters
         ----------
@@ -343,12 +343,12 @@ class GoalWrite:
 class CommonFrame(Sequence[Status]):
     """An undisturbed answer of all servos of a request, in one frame.
 
-    Statuses are made when they are read one by one; `values` has all of them at once.
-    errors: a byte of each servo, in turn.
+    Statuses are made when they are read one by one; `values` has all of them at once. errors: one
+    byte for each servo, in order.
     """
 
     def __init__(self, ids: tuple[int, ...], size: int, stream: bytes) -> None:
-        """stream: checked by the caller."""
+        """Wrap a frame of `size` data bytes per servo, whose CRC the caller has checked."""
         self.ids = ids
         self.stream = stream
         self.errors = stream[_BLOCKS_AT :: size + 4]
@@ -356,16 +356,16 @@ class CommonFrame(Sequence[Status]):
 
     @staticmethod
     def size_of(n_servos: int, size: int) -> int:
-        """Bytes of the whole frame of so many servos, of `size` bytes each."""
+        """Return the bytes of a common frame of `n_servos` servos with `size` data bytes each."""
         return _BLOCKS_AT + n_servos * (size + 4)
 
     @staticmethod
     def block_of(data: np.dtype[np.void]) -> np.dtype[np.void]:
-        """What a servo's part of the frame looks like, when its bytes look like `data`."""
+        """Return the data type of one servo's block in the frame, for data bytes of type `data`."""
         return np.dtype([("error", "u1"), ("id", "u1"), *data.descr, ("crc", "<u2")])
 
     def values(self, block: np.dtype[np.void]) -> NDArray[np.void]:
-        """Return the fields of all servos from the frame.
+        """Return the fields of all servos from the frame, as one array.
 
         Parameters
         ----------
@@ -381,7 +381,7 @@ class CommonFrame(Sequence[Status]):
 
     @staticmethod
     def blocks(stream: bytes | bytearray, block: np.dtype[np.void]) -> NDArray[np.void]:
-        """Return a view of the fields of all servos in memory that holds such a frame, or will.
+        """Return a view of all servos' fields in a buffer for a common frame, filled now or later.
 
         Parameters
         ----------
@@ -415,7 +415,7 @@ class CommonFrame(Sequence[Status]):
 
 
 class SpanRead:
-    """A prepared question to several servos for the same `size` bytes from `address` on."""
+    """A prepared request to several servos for `size` bytes each from `address` on."""
 
     def __init__(self, ids: Sequence[int], address: int, size: int, *, fast: bool) -> None:
         self.ids = tuple(ids)
@@ -439,7 +439,7 @@ class SpanRead:
     def widened(self, size: int) -> "SpanRead":
         """Return a read of `size` bytes that includes this one, beginning earlier where possible.
 
-        Every control table begins at 0; where it ends differs.
+        Every control table begins at 0; their ends differ.
         """
         if size == self.size:
             return self
@@ -450,12 +450,12 @@ class SpanRead:
         return self._wider[size]
 
     def cut(self, statuses: Sequence[Status], address: int) -> list[Status]:
-        """Return the bytes of this span from statuses that begin at `address`."""
+        """Return the statuses reduced to this span's bytes; their data begin at `address`."""
         own = slice(self.address - address, self.address - address + self.size)
         return [Status(each.servo_id, each.error, each.data[own]) for each in statuses]
 
     def is_over(self, stream: bytes) -> bool:
-        """Whether the answer is complete: all bytes are there, or the last servo has answered.
+        """Return whether the answer is complete: all bytes arrived, or the last servo has answered.
 
         On a half-duplex line no servo answers after the last one, even if earlier ones were silent.
         """
@@ -464,10 +464,7 @@ class SpanRead:
         return stream[-self._step : 8 - self._step] == self._heads[-1]
 
     def take_undisturbed(self, stream: bytes) -> Sequence[Status] | None:
-        """Return all statuses when `stream` is exactly the expected answer.
-
-        None when anything differs.
-        """
+        """Return all statuses when `stream` is exactly the expected answer, else None."""
         if len(stream) != self.reply_size:
             return None
         if self.fast:
@@ -492,7 +489,7 @@ class SpanRead:
         return statuses
 
     def salvage_fast(self, stream: bytes) -> list[Status]:
-        """Return the statuses of a disturbed common frame that arrived whole."""
+        """Return the statuses that arrived whole in a disturbed common frame."""
         start = stream.find(self._fast_head)
         if start < 0:
             return []

@@ -1,4 +1,4 @@
-"""One line of Dynamixels: questions to servos and their answers."""
+"""One line of Dynamixels: requests to servos and their answers."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -28,9 +28,9 @@ _IDENTITY_SIZE: Final = 7
 
 
 class Line(HalfDuplex):
-    """Master of the line. No answer counts that could be the late one to another question.
+    """Master of the line. Answers that may be late ones to earlier requests do not count.
 
-    n_bad: damaged packets heard.
+    n_bad: damaged packets received.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class Line(HalfDuplex):
         self._parser = FrameParser()
 
     def ping(self, servo_id: int, extra_wait_s: float = 0.0) -> Status | None:
-        """Model number (2 bytes) and firmware version (1)."""
+        """Ping one servo; return model number (2 bytes) and firmware version (1); None: silent."""
         request = codec.ping(servo_id)
         if self._has_pending() and self._pending.looks_like(servo_id, _PONG_SIZE, request):
             status = self.read(servo_id, 0, _IDENTITY_SIZE, extra_wait_s)
@@ -55,7 +55,7 @@ class Line(HalfDuplex):
         return self._ask_one(servo_id, request, _PONG_SIZE, extra_wait_s)
 
     def ping_each(self, servo_id: int) -> list[Status]:
-        """Every answer to one ping: two servos of one id give two, unless they spoil each other."""
+        """Send one ping and return every answer; two servos with one id may both answer."""
 
         def take(stream: bytes, *, last: bool) -> list[Status] | None:
             return self._statuses(stream) if last else None
@@ -70,9 +70,9 @@ class Line(HalfDuplex):
         return [s for s in statuses if s.servo_id == servo_id and len(s.data) == _PONG_SIZE]
 
     def ping_all(self) -> list[Status]:
-        """Everybody there is, by one broadcast; takes 253 turns of 14 bytes.
+        """Broadcast a ping and return every answer; takes the time of 253 answers of 14 bytes.
 
-        Two servos of one id spoil each other's answer: neither is in the list.
+        Answers of two servos with one id collide: neither is in the list.
         """
 
         def take(stream: bytes, *, last: bool) -> list[Status] | None:
@@ -88,7 +88,7 @@ class Line(HalfDuplex):
     def read(
         self, servo_id: int, address: int, size: int, extra_wait_s: float = 0.0
     ) -> Status | None:
-        """`size` bytes of one servo. extra_wait_s: waited for longer than an answer should take."""
+        """Read `size` bytes of one servo; None: no answer. extra_wait_s: beyond the deadline."""
         if self._pending.any and self._has_pending():
             span = SpanRead((servo_id,), address, size, fast=False)
             wide = span.widened(self._pending.free_size(span.ids, size))
@@ -100,7 +100,10 @@ class Line(HalfDuplex):
     def write(
         self, servo_id: int, address: int, data: bytes, extra_wait_s: float = 0.0
     ) -> Status | None:
-        """Write bytes of one servo and wait for its status; EEPROM may need extra_wait_s."""
+        """Write bytes of one servo and return its status; None: not confirmed.
+
+        EEPROM may need extra_wait_s.
+        """
         request = codec.write(servo_id, address, data)
         if self._acknowledgement_is_ambiguous(servo_id, request):
             self._tell_one(servo_id, request, extra_wait_s)
@@ -109,7 +112,7 @@ class Line(HalfDuplex):
         return self._ask_one(servo_id, request, 0, extra_wait_s)
 
     def reboot(self, servo_id: int) -> Status | None:
-        """Restart one servo. None also when its answer could not be distinguished from another."""
+        """Restart one servo; return its status. None: no answer that is surely to this request."""
         request = codec.reboot(servo_id)
         if self._acknowledgement_is_ambiguous(servo_id, request):
             self._tell_one(servo_id, request, 0.0)
@@ -117,10 +120,7 @@ class Line(HalfDuplex):
         return self._ask_one(servo_id, request, 0)
 
     def sync_read(self, span: SpanRead) -> Sequence[Status]:
-        """Return the statuses that came, in the order of the request.
-
-        None is waited for beyond its time.
-        """
+        """Return the statuses that arrived in time, in the order of the ids."""
         if not (self._pending.any and self._has_pending()):
             return self._ask_span(span)
         if span.fast:
@@ -152,14 +152,14 @@ class Line(HalfDuplex):
         return statuses
 
     def _salvage(self, span: SpanRead, stream: bytes) -> list[Status]:
-        """Whatever is whole in a disturbed stream."""
+        """Return the statuses that are whole in a disturbed stream, in the span's order."""
         if span.fast:
             return span.salvage_fast(stream)
         by_id = {s.servo_id: s for s in self._statuses(stream) if len(s.data) == span.size}
         return [by_id[each] for each in span.ids if each in by_id]
 
     def _note_missing(self, span: SpanRead, statuses: Sequence[Status]) -> None:
-        """Note which of the servos may still answer late; a common frame comes as a whole."""
+        """Note which servos may still answer late; a common frame comes late as a whole."""
         now_s = self._clock.now()
         if span.fast:
             self._pending.note(BROADCAST_ID, span.answer_size, span.request, now_s)
@@ -176,7 +176,10 @@ class Line(HalfDuplex):
         *,
         exact: bool = False,
     ) -> Status | None:
-        """exact: a refusal does not count either, for it may answer an earlier question."""
+        """Send a request; return the status with `n_data` bytes or an error, None if none comes.
+
+        exact: a status with an error does not count either, since it may answer an earlier request.
+        """
         size = codec.EMPTY_STATUS_SIZE + n_data
 
         def take(stream: bytes, *, last: bool) -> list[Status] | None:
@@ -201,42 +204,45 @@ class Line(HalfDuplex):
         return found[0]
 
     def _has_pending(self) -> bool:
-        """Whether an answer to an earlier question may come yet; takes note of those that have."""
+        """Return whether late answers may still come; those that have arrived no longer count."""
         if not self._pending.any:
             return False
         self._note_late(self.transport.discard_input(), requested_size=None)
         return self._pending.expire(self._clock.now())
 
     def _note_late(self, stream: bytes, requested_size: int | None) -> None:
-        """Remove late answers to earlier requests from the pending ones.
+        """Remove from the pending answers those in `stream` to earlier requests.
 
-        Keep those of the newest.
+        Answers with `requested_size` bytes count as answers to the newest request.
         """
         for status in self._statuses(stream):
             if len(status.data) != requested_size:
                 self._pending.note_arrived(status.servo_id, len(status.data))
 
     def _acknowledgement_is_ambiguous(self, servo_id: int, request: bytes) -> bool:
-        """All acknowledgements look alike; one for the same bytes, written again, is as good."""
+        """Return whether a late acknowledgement of other bytes may be taken for one of `request`.
+
+        All acknowledgements look alike; one for the same bytes, written again, is as good.
+        """
         if self.extra_wait_s:
             self._wait_for_pending()
         return self._has_pending() and self._pending.looks_like(servo_id, 0, request)
 
     def _tell_one(self, servo_id: int, request: bytes, extra_wait_s: float) -> None:
-        """Send, and leave the line to whatever it is answered with."""
+        """Send a request, read no answer, and keep the line quiet while an answer may come."""
         sent_s = self._send(request)
         answer_s = codec.EMPTY_STATUS_SIZE * self.byte_s + self.return_delay_s + extra_wait_s
         self._quiet_s = sent_s + answer_s
         self._pending.note(servo_id, 0, request, sent_s)
 
     def _wait_for_pending(self) -> None:
-        """Until nothing can come any more; for commands outside the loop."""
+        """Sleep until no late answer can come any more; for commands outside the loop."""
         if self._has_pending():
             self._clock.sleep_until(self._pending.until_s)
             self._pending.expire(self._clock.now())
 
     def _statuses(self, stream: bytes) -> list[Status]:
-        """Every whole status packet in a stream, whatever else is in it."""
+        """Return every whole status packet in a stream, skipping all other bytes."""
         self._parser.reset()
         n_bad = self._parser.n_bad
         statuses = [

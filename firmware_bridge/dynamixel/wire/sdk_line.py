@@ -21,10 +21,10 @@ _Result = TypeVar("_Result")
 
 
 class SdkTransport:
-    """The SDK's port, held open for one `SdkLine`."""
+    """The SDK's port, kept open for one `SdkLine`."""
 
     def __init__(self, port: str, baud_rate: int) -> None:
-        """Raises PortError when the SDK cannot open the port at this rate."""
+        """Open the port. Raises PortError when the SDK cannot open it at this baud rate."""
         self.port = port
         self.clock: Clock = MonotonicClock()
         self.handler = PortHandler(port)
@@ -52,13 +52,19 @@ class SdkTransport:
         self.call(lambda: self._reopen(baud_rate))
 
     def _reopen(self, baud_rate: int) -> None:
-        """The SDK sets a rate by opening the port anew, which a claim would refuse even to us."""
+        """Set the baud rate by opening the port anew, with our claim on it given up meanwhile.
+
+        The SDK can set a rate in no other manner, and the claim would refuse even us.
+        """
         release(self.handler.ser.fileno())
         self.handler.setBaudRate(baud_rate)
         claim(self.handler.ser.fileno())
 
     def call(self, ask: Callable[[], _Result]) -> _Result:
-        """Let the SDK work; a port that fails in between is gone, and not left marked as used."""
+        """Call an SDK function and return its result. Raises PortGone when the port fails.
+
+        Afterwards the port is not marked as in use, whatever happened.
+        """
         try:
             return ask()
         except (OSError, termios.error) as error:  # OSError: pyserial's exceptions, too
@@ -67,16 +73,16 @@ class SdkTransport:
             self.handler.is_using = False
 
     def write(self, data: bytes) -> None:
-        """Send bytes as they are."""
+        """Send bytes unchanged."""
         self.call(lambda: self.handler.writePort(data))
 
     def read(self, deadline_s: float) -> bytes:
-        """Return the bytes that the SDK's port holds; it does not wait."""
+        """Return the bytes that the SDK's port has received; does not wait."""
         del deadline_s
         return bytes(self.call(lambda: self.handler.readPort(4096)))
 
     def discard_input(self) -> bytes:
-        """Throw away what has arrived."""
+        """Discard the bytes that have arrived; return b""."""
         self.call(self.handler.clearPort)
         return b""
 
@@ -88,7 +94,7 @@ class SdkTransport:
 
 
 class SdkLine(Line):
-    """A `Line` whose every packet is made and read by dynamixel-sdk."""
+    """A `Line` whose every packet is made and parsed by dynamixel-sdk."""
 
     def __init__(self, transport: SdkTransport) -> None:
         super().__init__(transport)
@@ -96,7 +102,7 @@ class SdkLine(Line):
         self._packets = PacketHandler(2.0)
 
     def ping(self, servo_id: int, extra_wait_s: float = 0.0) -> Status | None:
-        """Model number (2 bytes) and firmware version, which the SDK leaves out, as 0."""
+        """Ping one servo; return model number and 0, for the SDK omits firmware; None: silent."""
         del extra_wait_s  # the SDK's own is 34 ms
         ask = self._packets.ping
         number, result, error = self._sdk.call(lambda: ask(self._sdk.handler, servo_id))
@@ -113,7 +119,7 @@ class SdkLine(Line):
     def read(
         self, servo_id: int, address: int, size: int, extra_wait_s: float = 0.0
     ) -> Status | None:
-        """Read `size` bytes of one servo."""
+        """Read `size` bytes of one servo; None if it does not answer. extra_wait_s is ignored."""
         del extra_wait_s
         ask = self._packets.readTxRx
         data, result, error = self._sdk.call(
@@ -124,7 +130,7 @@ class SdkLine(Line):
     def write(
         self, servo_id: int, address: int, data: bytes, extra_wait_s: float = 0.0
     ) -> Status | None:
-        """Set bytes of one servo; the SDK's own wait is 34 ms."""
+        """Set bytes of one servo; None if silent. The SDK waits 34 ms; extra_wait_s is ignored."""
         del extra_wait_s
         ask = self._packets.writeTxRx
         result, error = self._sdk.call(
@@ -133,13 +139,13 @@ class SdkLine(Line):
         return Status(servo_id, error, b"") if result == COMM_SUCCESS else None
 
     def reboot(self, servo_id: int) -> Status | None:
-        """Restart one servo."""
+        """Restart one servo; return its status, None if it does not answer."""
         ask = self._packets.reboot
         result, error = self._sdk.call(lambda: ask(self._sdk.handler, servo_id))
         return Status(servo_id, error, b"") if result == COMM_SUCCESS else None
 
     def tell(self, request: bytes) -> None:
-        """A sync write, made anew by the SDK."""
+        """Send a sync write, made anew by the SDK. Raises ValueError for any other instruction."""
         (frame,) = FrameParser().feed(request)
         if frame.instruction != Instruction.SYNC_WRITE:
             raise ValueError(f"dynamixel-sdk is not used to send instruction {frame.instruction}")
@@ -151,7 +157,10 @@ class SdkLine(Line):
         self._sdk.call(group.txPacket)
 
     def sync_read(self, span: SpanRead) -> Sequence[Status]:
-        """All or nothing, and without error bytes: the SDK throws them away."""
+        """Return the statuses of all servos, error 0 in each; [] if any is missing.
+
+        The SDK discards error bytes and partial answers.
+        """
         group = GroupSyncRead(self._sdk.handler, self._packets, span.address, span.size)
         for servo_id in span.ids:
             group.addParam(servo_id)

@@ -1,4 +1,4 @@
-"""One request to many servos, sent in the way that gets the most answers."""
+"""One request to many servos, sent as fast or plain read, whichever gets the most answers."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -25,7 +25,7 @@ _AGAIN_S: Final = 0.0015
 
 
 class SpanGroup:
-    """The same bytes of all `ids`, by fast read while that works, with unreliable servos last.
+    """A request for the same bytes of all `ids`; a fast read while that works; unreliable ids last.
 
     leaves_out: whether some are silent for so long that they are polled only now and then.
     """
@@ -51,16 +51,16 @@ class SpanGroup:
 
     @property
     def fast(self) -> bool:
-        """Whether the next question is a fast one."""
+        """Whether the next request is a fast read."""
         return self._n_requests >= self._slow_until
 
     @property
     def fast_unsupported(self) -> bool:
-        """Whether fast reads are always answered with silence, and plain ones are not."""
+        """Whether fast reads have never been answered, although plain ones are."""
         return self._n_refused >= _BAD_FAST_READS and not self._ever_proven
 
     def ask(self, line: Line) -> Sequence[Status]:
-        """Ask; the answers that came, whole ones only, in no particular order."""
+        """Send the request; return the whole answers that came, in no particular order."""
         if self._n_requests == self._slow_until or self._n_requests % _RETRY_EVERY == 0:
             self._prepare(retry=self._n_requests % _RETRY_EVERY == 0)
         span = self.request = self._span
@@ -79,12 +79,12 @@ class SpanGroup:
         return statuses
 
     def _ask_again(self, line: Line, statuses: Sequence[Status]) -> Sequence[Status]:
-        """The rest of the same question, one frame a servo, as far as there is time for it.
+        """Request missing answers again, one frame a servo, as far as time allows; return them.
 
-        Not when no servo answered, for then it is not single packets that are lost; and not those
-        who are silent for longer. The first one missing comes last: it may cut off the others.
-        While fast reads have yet to work once, a retry costs time but no answers: all are read
-        again.
+        Not when no servo answered, since then single packets are not the problem; and not servos
+        that were silent several times. The first one missing is read last: it may cut off the
+        others. While fast reads have yet to work once, a retry costs time but no answers: all are
+        read again.
         """
         on_trial = self.request.fast and not self._proven
         if not statuses and not on_trial:
@@ -107,13 +107,13 @@ class SpanGroup:
         return again
 
     def trust(self, servo_id: int) -> None:
-        """It has been heard elsewhere: ask it again, if it was left out."""
+        """Include a servo again that was left out, since it has answered another request."""
         if self._silent[servo_id] >= _ABSENT_AFTER:
             self._silent[servo_id] = 0
             self._prepare()
 
     def _judge(self, span: SpanRead, statuses: Sequence[Status], again: Sequence[Status]) -> None:
-        """Decide which servos count as silent; `again` answered only at the second request."""
+        """Count silent servos; `again`: answers to the second request for what was missing."""
         at_once = {status.servo_id for status in statuses}
         late = {status.servo_id for status in again}
         answered = at_once | late
@@ -142,7 +142,10 @@ class SpanGroup:
             self._prepare()
 
     def _count_bad_fast(self, missing: list[int]) -> None:
-        """A servo known to be away is no fault of the fast way."""
+        """Count a bad fast read, and use plain reads for a while after too many.
+
+        Not counted where every missing servo is known to be silent: fast reads are not at fault.
+        """
         if all(self._silent[each] >= _SUSPECT_AFTER for each in missing):
             return
         if self._n_requests % _FAST_WINDOW == 0:
@@ -155,7 +158,7 @@ class SpanGroup:
             self._slow_for = min(2 * self._slow_for, _SLOW_AT_MOST)
 
     def _prepare(self, *, retry: bool = False) -> None:
-        """Put the suspects last and leave the absent out, unless it is time to try them."""
+        """Prepare the next request: suspect servos last, absent ones left out unless `retry`."""
         trusted = [each for each in self._ids if self._silent[each] < _SUSPECT_AFTER]
         doubtful = [
             each

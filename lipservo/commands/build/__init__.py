@@ -1,1 +1,1 @@
-"""The commands of a builder's first hours: servos found, set up, moved by hand, simulated."""
+"""Commands that build a robot: find, set up, jog and simulate servos, and write a face's YAML."""

@@ -1,4 +1,4 @@
-"""`new-face`: the servos that there are become the YAML of a face."""
+"""The command `new-face`, which writes a face's YAML from found or named servos."""
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -116,7 +116,7 @@ def new_face(
 
 
 def _first_hour(output: Path, ports: Sequence[str], sim: str | None, *, open_page: bool) -> None:
-    """Serve the page until Ctrl-C; then the step that runs lets its servos go."""
+    """Serve the setup page of a new face until Ctrl-C; then its running step ends, torque off."""
     from lipservo.access.token_file import read_token
     from lipservo.commands.run.dashboard import check_dashboard, serve_page
     from lipservo.commands.run.voice_choice import access_file
@@ -139,7 +139,7 @@ def _first_hour(output: Path, ports: Sequence[str], sim: str | None, *, open_pag
 
 
 def _wired(output: Path, part: "NewBus", taken: Sequence[str], *, yes: bool) -> str:
-    """Hobby servos, which cannot be found: as a person says that they are wired."""
+    """Return the YAML of hobby servos, wired as --channel says or as the user answers prompts."""
     from lipservo.runtime.servos.new_face import check_wiring, parse_channel, pulse_face_yaml
 
     joints: list[WiredJoint] = []
@@ -170,7 +170,7 @@ def _wired(output: Path, part: "NewBus", taken: Sequence[str], *, yes: bool) -> 
 def _found(
     output: Path, part: "NewBus", taken: Sequence[str], baud_rate: int, ranges: Path | None
 ) -> str:
-    """Servos that say who they are: each is moved a little, and a person says what moved."""
+    """Find the servos at the port, nudge each, ask for its joint; return the face's YAML text."""
     from calibration.capture.lerobot_ranges import by_id, read_ranges
     from lipservo.runtime.servos.new_face import FoundJoint, check_joint_name, face_yaml, nudge
     from lipservo.settings.settings import parse_face
@@ -207,7 +207,10 @@ def _found(
 
 
 def _clear_foreign(tools: Any, port: str, rate: int, found: Mapping[int, str]) -> None:
-    """Ask before what another program has written into the servos is taken back."""
+    """Show settings that other programs wrote into the servos, and reset them if the user agrees.
+
+    Raises UserError if the user refuses; nothing is written then.
+    """
     foreign = tools.foreign_settings(port, rate, found)
     if not foreign:
         return
@@ -220,9 +223,9 @@ def _clear_foreign(tools: Any, port: str, rate: int, found: Mapping[int, str]) -
 
 
 def _joint_name(check: Callable[[str, Sequence[str]], str], taken: Sequence[str], text: str) -> str:
-    """The answer to the question for a joint's name.
+    """Return `text` checked as a joint's name.
 
-    The question is repeated where it cannot be one.
+    Raises BadParameter, so that the prompt repeats, for an invalid or taken name.
     """
     try:
         return check(text, taken)

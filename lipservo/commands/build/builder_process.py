@@ -1,7 +1,6 @@
-"""`builder-process`: one step of the first hour, led by a page; started by `new-face --page`.
+"""`builder-process`: one step of a new face's setup, led by a page; started by `new-face --page`.
 
-It owns the port while it runs, does what the command of the same purpose does, and ends, with its
-servos limp, when the page's server does.
+It owns the servos' port while it runs. It ends, with torque off, when the page's server does.
 """
 
 import json
@@ -34,7 +33,7 @@ def builder_process(
     request: Annotated[str, typer.Argument(help="What it needs, a JSON object.")],
     parent: Annotated[int, typer.Option(help="The server's process.")],
 ) -> None:
-    """One step of the first hour on the servos; JSON lines in and out."""
+    """Run one step of a new face's setup on the servos; JSON lines in and out."""
     from firmware_bridge.process.operating_system import die_with_parent, write_from_background
 
     die_with_parent()
@@ -51,7 +50,7 @@ def builder_process(
 
 
 def _find(request: Request, page: "PageLine") -> None:
-    """Find the servos that answer at the port, and their stored settings."""
+    """Find the servos at the port; send their models and foreign settings to the page."""
     from firmware_bridge.bus_kinds import bus_kind
 
     tools, port = bus_kind(request["kind"]).workshop(), request["port"]
@@ -69,7 +68,7 @@ def _find(request: Request, page: "PageLine") -> None:
 
 
 def _nudge(request: Request, page: "PageLine") -> None:
-    """Move one servo by 3 degrees and back."""
+    """Move one servo by 3 degrees and back, and send the event `nudged` to the page."""
     from firmware_bridge.bus_kinds import bus_kind
     from lipservo.runtime.servos.new_face import nudge
 
@@ -79,7 +78,7 @@ def _nudge(request: Request, page: "PageLine") -> None:
 
 
 def _limits(request: Request, page: "PageLine") -> None:
-    """Torque off, and where each joint is turned by hand; the server keeps what is set."""
+    """Switch torque off, and send the joints' angles (deg) to the page until it sends the key q."""
     from firmware_bridge.clock import MonotonicClock
     from firmware_bridge.loop.targets import MemoryTargetChannel
     from firmware_bridge.stopping import named_by_reason
@@ -121,7 +120,7 @@ def _limits(request: Request, page: "PageLine") -> None:
 
 
 def _jog(request: Request, _page: "PageLine") -> None:
-    """Held in neutral and moved by the sliders of the page Servos."""
+    """Hold the joints in neutral, to be moved by sliders of the page Servos, until stopped."""
     from firmware_bridge.clock import MonotonicClock
     from lipservo.runtime.servos.assembly import allow_first_start, load_settings
     from lipservo.runtime.servos.hand_driven import drive_by_hand
@@ -135,7 +134,7 @@ def _jog(request: Request, _page: "PageLine") -> None:
 
 
 def _set_up(request: Request, _page: "PageLine") -> None:
-    """Write the YAML's limits into the servos."""
+    """Write the YAML's limits into the servos. Raises UserError unless each answers at its id."""
     from lipservo.commands.build.setup_servos import setup_servos
 
     with open(os.devnull) as null_device:
@@ -169,7 +168,7 @@ def _setup(request: Request, page: "PageLine") -> "CalibrationSetup":
 
 
 def _by_eye(request: Request, page: "PageLine") -> None:
-    """Mouth shapes matched with sliders."""
+    """Save a calibration fitted to mouth shapes that a person matches with the page's sliders."""
     from lipservo.calibrating.on_page import calibrate_by_eye_on_page
 
     setup = _setup(request, page)
@@ -178,7 +177,7 @@ def _by_eye(request: Request, page: "PageLine") -> None:
 
 
 def _measure(request: Request, page: "PageLine") -> None:
-    """Poses, and who sees the markers of them."""
+    """Move the servos through poses, measure markers, and save the calibration fitted to them."""
     from lipservo.calibrating.face_source import is_seen_from_the_front, tracker_source
     from lipservo.calibrating.measured_calibration import (
         calibrate_on_computed_skin,
@@ -198,7 +197,7 @@ def _measure(request: Request, page: "PageLine") -> None:
 
 
 def _drawn(request: Request, page: "PageLine") -> None:
-    """A map for a face of usual shape, for servos that cannot say where they stand."""
+    """Save a calibration fitted to the simulated face, for servos that report no positions."""
     from lipservo.calibrating.measured_calibration import fit_simulated_face
 
     setup = _setup(request, page)
@@ -208,7 +207,7 @@ def _drawn(request: Request, page: "PageLine") -> None:
 def _finish(
     setup: "CalibrationSetup", result: "CalibrationResult", request: Request, page: "PageLine"
 ) -> None:
-    """Save it, name it in the face's YAML, and say how good it is."""
+    """Save the calibration, enter its file in the face's YAML, and send its report to the page."""
     from lipservo.calibrating.shown_calibration import closing_values, report_lines
     from lipservo.calibrating.within_speeds import speed_line, within_speeds
     from lipservo.commands.calibrate.making import saved
@@ -230,7 +229,7 @@ def _finish(
 
 
 def _speak(request: Request, _page: "PageLine") -> None:
-    """Run the face as `daemon` does."""
+    """Run the command `daemon` with the request's face and port until it is stopped."""
     from lipservo.commands.run.dashboard_beside import with_sounds
     from lipservo.commands.run.run import ANY_PORT, daemon
 

@@ -1,4 +1,4 @@
-"""`doctor`: what is wrong between computer and servos, and what to do; and a report to send."""
+"""`doctor`: reports faults between computer and servos with remedies, and measures for a report."""
 
 import json
 import platform
@@ -32,7 +32,7 @@ _OTHER_SYSTEM: Final = (
 
 
 def _examined(settings: "FaceSettings") -> "Iterator[Finding]":
-    """What is found on each bus; where it cannot be reached, that too, and the next is examined."""
+    """Yield the findings of each bus; of several buses an unreachable one is a finding, too."""
     from firmware_bridge.bus_kinds import Finding, Severity
 
     if not settings.buses:
@@ -49,7 +49,7 @@ def _examined(settings: "FaceSettings") -> "Iterator[Finding]":
 
 
 def _lags(settings: "FaceSettings", config: str) -> "Iterator[Finding]":
-    """What is known of how late servos are that cannot say where they stand."""
+    """Yield a finding on the lags of mouth servos that cannot report positions: known or not."""
     from firmware_bridge.bus_kinds import Finding, Severity
     from lipservo.runtime.servos.assembly import assemble_face
 
@@ -120,7 +120,7 @@ def doctor(
 
 
 def _print(found: "Iterable[Finding]", *, as_json: bool) -> None:
-    """Print findings as they come. Raises typer.Exit where one is bad."""
+    """Print findings as they come, or all as JSON. Raises typer.Exit with 1 where one is bad."""
     from firmware_bridge.bus_kinds import Severity
 
     findings = []
@@ -150,7 +150,7 @@ def _report(
     move: str | None,
     yes: bool,
 ) -> None:
-    """All of it measured, then written whole; ended in between it leaves nothing."""
+    """Measure the hardware and write the report as JSON and text; a stop before leaves no file."""
     from firmware_bridge.stop_signals import DeferredSignals, StopRequested
     from lipservo.health.hardware_report import about_face, as_text, examined, scrubbed, secrets_of
     from lipsync.output_file import check_output, written_whole
@@ -199,7 +199,7 @@ def _report(
 
 
 def _joint(settings: "FaceSettings", name: str | None) -> str:
-    """The joint to step. Raises UserError."""
+    """Return `name`, or the face's first joint for None. Raises UserError for an unknown name."""
     if name is not None and name not in settings.servos:
         raise UserError(f"no joint {name!r} in this face; it has {', '.join(settings.servos)}")
     return name or next(iter(settings.servos))
@@ -215,14 +215,14 @@ def _move_question(joint: str) -> str:
 
 
 def _wants_steps(joint: str, *, yes: bool) -> bool:
-    """Whether a person at the terminal types yes; a script says --move."""
+    """Return whether the user agrees to the step test; False with `yes` or without a terminal."""
     if yes or not sys.stdin.isatty():
         return False
     return typer.confirm(_move_question(joint), default=False, err=True)
 
 
 def _consent(question: str, *, yes: bool) -> None:
-    """Raises UserError unless a person says yes."""
+    """Raise UserError unless `yes`, or the question is confirmed at the terminal."""
     if yes:
         return
     if not sys.stdin.isatty():
@@ -248,7 +248,10 @@ def _limp_loop(settings: "FaceSettings", seconds: float) -> dict[str, Any]:
 
 
 def _steps(settings: "FaceSettings", joint: str) -> dict[str, Any]:
-    """Raises FaceStopped when a person stops it, and what bus and bridge raise."""
+    """Step the joint to and fro; return its label, the rate (Hz), number of steps and answers.
+
+    Raises FaceStopped when a person stops it, and what bus and bridge raise.
+    """
     from firmware_bridge.clock import MonotonicClock
     from firmware_bridge.stopping import StopLevel
     from lipservo.health.hardware_report import N_STEPS, STEP_S, labels, step_answers, step_goals

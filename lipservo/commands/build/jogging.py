@@ -1,4 +1,4 @@
-"""`jog` and `neutral`: joints moved by hand, through the gate or with the fingers."""
+"""`jog` and `neutral`: joints moved by keys, page or command, or turned by hand with torque off."""
 
 from collections.abc import Iterable
 from contextlib import ExitStack, suppress
@@ -112,7 +112,7 @@ def _say_if_simulated(settings: "FaceSettings") -> None:
 
 
 def _jog_on_page(settings: "FaceSettings", config: str, *, open_page: bool) -> None:
-    """The page Servos moves the joints; Ctrl-C ends."""
+    """Serve the page Servos, whose sliders move the joints, until Ctrl-C; then torque goes off."""
     from firmware_bridge.clock import MonotonicClock
     from lipservo.commands.run.dashboard_beside import dashboard_beside
     from lipservo.commands.run.voice_choice import access_file
@@ -163,7 +163,7 @@ def _jog_with_keys(settings: "FaceSettings", config: str, name: str) -> None:
 
 
 def _with_limit(hand: "KeyedJoint", config: str, limit: Any) -> str:
-    """What became of it, in one line."""
+    """Write the joint's present pulse as `limit` into the face's YAML; return a line of result."""
     from lipservo.settings.found_limits import own_yaml, what_next, with_pulse_limit
 
     if hand.pulse is None:
@@ -177,7 +177,7 @@ def _with_limit(hand: "KeyedJoint", config: str, limit: Any) -> str:
 
 
 def _turn(settings: "FaceSettings", config: str, port: str | None, names: list[str]) -> None:
-    """Torque off, joints turned by hand, their ends noted and written."""
+    """Switch torque off, record how far joints are turned by hand; key w writes it to the YAML."""
     from firmware_bridge.clock import MonotonicClock
     from firmware_bridge.stop_signals import DeferredSignals, StopRequested
     from firmware_bridge.stopping import named_by_reason
@@ -232,7 +232,7 @@ def _watch(
     signals: "DeferredSignals",
     config: str,
 ) -> None:
-    """Until q, or the limits are written."""
+    """Show the joints' positions until q or w is pressed; with w write their ranges to the YAML."""
     from rich.live import Live
 
     from lipservo.runtime.servos.limp_servos import READ_EVERY_S

@@ -1,4 +1,4 @@
-"""`setup-servos`: what each servo keeps in its memory, as the face's YAML wants it."""
+"""`setup-servos`: writes the settings of the face's YAML into each servo's own memory."""
 
 import contextlib
 from dataclasses import dataclass, field
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class _Work:
-    """What is to be done and what of it is done; rows are (joint, register, found, wanted).
+    """The planned changes of servo registers and those done, as (joint, register).
 
-    tools: what the kind of bus sets servos up with (`BusKind.workshop`).
+    tools: functions that set up servos on this kind of bus (`BusKind.workshop`).
     """
 
     tools: Any
@@ -31,7 +31,7 @@ class _Work:
     done: set[tuple[str, str]] = field(default_factory=set)
 
     def rows(self, *, done: bool) -> list[str]:
-        """What is set, or what is not, a piece each."""
+        """Return a line for each register change written (`done`), or for each not written."""
         return [
             f"{plan.servo.joint.name}: {each.name} {each.found} -> {each.wanted}"
             for plan in self.plans
@@ -40,7 +40,7 @@ class _Work:
         ]
 
     def say(self, line: str) -> None:
-        """Print a result for people."""
+        """Print a result line, unless the result is printed as JSON."""
         if not self.as_json:
             RESULTS.print(line)
 
@@ -93,7 +93,7 @@ def setup_servos(
 
 
 def _say_nothing_to_set_up(kind: str, unknown: list[str], *, as_json: bool) -> None:
-    """Of servos that keep no settings there is nothing to write."""
+    """Print that this bus's servos keep no settings. Raises UserError for an unknown joint."""
     if unknown:
         raise UserError(f"no joint {unknown[0]!r} in this face")
     if as_json:
@@ -130,7 +130,7 @@ def _set_up(work: _Work, servos: list[Any], signals: "DeferredSignals", *, ask: 
 
 
 def _carry_out(work: _Work, line: Any, plan: Any, signals: "DeferredSignals") -> None:
-    """Write one servo's changes, register by register; a signal waits for the register."""
+    """Write one servo's register changes, a signal waiting for each; in a dry run print them."""
     name = plan.servo.joint.name
     if work.dry_run:
         for each in plan.changes:
@@ -151,7 +151,7 @@ def _carry_out(work: _Work, line: Any, plan: Any, signals: "DeferredSignals") ->
 
 
 def _report(work: _Work, error: str) -> None:
-    """The whole as JSON; what went wrong in one line, with what is set and what is not."""
+    """Print the result as JSON if wanted, and any error with the changes written and unwritten."""
     if work.as_json:
         servos = [
             {

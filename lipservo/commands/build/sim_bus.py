@@ -1,4 +1,4 @@
-"""`sim-bus`: simulated servos behind a serial port that any program can open."""
+"""The command `sim-bus`: simulated servos behind a serial port that any program can open."""
 
 import contextlib
 import os
@@ -121,7 +121,7 @@ def sim_bus(
 
 
 def _turn(host: Any, lines: str) -> None:
-    """`INDEX DEG` a line: that limp servo is turned by a hand. Whatever else is no line."""
+    """Turn the simulated servo as a hand would for each line `INDEX DEG`; ignore other lines."""
     for line in lines.splitlines():
         with contextlib.suppress(ValueError):
             index, by_deg = line.split()
@@ -129,7 +129,7 @@ def _turn(host: Any, lines: str) -> None:
 
 
 def _script(file: Path) -> str:
-    """The text of a script of faults."""
+    """Return the text of a fault script. Raises UserError if unreadable, not UTF-8 or too long."""
     try:
         with file.open(encoding="utf-8") as opened:
             text = opened.read(_LONGEST_SCRIPT + 1)

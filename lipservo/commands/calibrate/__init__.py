@@ -1,1 +1,1 @@
-"""`lipservo calibrate`."""
+"""The commands of `lipservo calibrate`."""

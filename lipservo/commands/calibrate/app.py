@@ -1,4 +1,4 @@
-"""`lipservo calibrate`: a sub-command for each step."""
+"""The command group `lipservo calibrate`, with a sub-command for each step."""
 
 from types import MappingProxyType
 
@@ -12,7 +12,7 @@ _SINGLE = "Single steps"
 
 
 class CalibrateGroup(LazyGroup):
-    """How a speaker's mouth becomes angles of this robot's servos."""
+    """The sub-commands of `lipservo calibrate`, which map a speaker's mouth to servo angles."""
 
     prefix = "calibrate."
     table = MappingProxyType(

@@ -1,4 +1,4 @@
-"""`calibrate plan`, `fit` and `grade`: for robots that something else moves, or for none."""
+"""`calibrate plan`, `fit` and `grade`, which use files: for robots moved by other programs."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class _Session:
-    """What is known of it, whatever ends it. report: of torque off; None: nothing was let go."""
+    """The poses made (deg) and the report of torque off; None while torque was not switched off."""
 
     made_deg: "Mapping[str, Array]"
     report: StopReport | None = None
@@ -105,7 +105,7 @@ def by_hand(
 def _pose(
     at: "CalibrationSetup", session: _Session, keep: Path | None, signals: "DeferredSignals"
 ) -> None:
-    """Ask, let go, pose; at the end torque off is read back once more, whatever ends it."""
+    """Switch torque off if the user agrees, record hand poses, and switch torque off again last."""
     from calibration.fit.guided import keep_poses
     from firmware_bridge.clock import Clock, MonotonicClock
     from lipservo.calibrating.calibration_setup import check_places
@@ -157,7 +157,7 @@ def _pose(
 
 
 def _let_go_again(session: _Session, servos: "LimpServos", signals: "DeferredSignals") -> None:
-    """Let go once more at the end, and print what the servos confirmed."""
+    """Switch torque off once more, and store the servos' confirmations in the session."""
     with signals.finish_first():
         session.report = servos.let_go()
 

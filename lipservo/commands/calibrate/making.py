@@ -1,4 +1,4 @@
-"""What the sub-commands of `calibrate` share: options, and what is before and after the work."""
+"""Options that the sub-commands of `calibrate` share, and their checks, loading and saving."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -79,7 +79,10 @@ Accept = Annotated[
 
 
 def load_setup(config: str, model: Path | None, ranges: Path | None = None) -> "CalibrationSetup":
-    """The face and the model. ranges: a LeRobot file that the face's limits must lie within."""
+    """Return a face's settings and face model as a setup for calibration.
+
+    ranges: a LeRobot range file that the face's limits must lie within. Raises UserError.
+    """
     if config.endswith((".yaml", ".yml")):
         check_inputs(Path(config))
     from lipsync.animpho.units import in_layout, load_face_with_animphos
@@ -104,7 +107,7 @@ def load_setup(config: str, model: Path | None, ranges: Path | None = None) -> "
 def setup_at_port(
     setup: "CalibrationSetup", port: str | None, sim: str | None, config: str
 ) -> Iterator["CalibrationSetup"]:
-    """The setup with its servos at the port of the user, or at one made for `--sim pty`."""
+    """Yield the setup with its servos at `port`, or at one made for `--sim pty`; else unchanged."""
     from lipservo.runtime.servos.sim_process import servo_port
 
     with servo_port(port, sim, config) as found:
@@ -117,7 +120,7 @@ def setup_at_port(
 def mesh_options(
     landmarker: Path | None, eye_distance_mm: float | None, camera: str = "0"
 ) -> "MeshOptions":
-    """What was typed about a face mesh; its networks are opened only where one is used."""
+    """Return the options of a face tracker; its networks are opened only once it is used."""
     from lipservo.calibrating.face_source import MeshOptions
     from lipsync.video.face_tracker import open_tracker
 
@@ -127,7 +130,7 @@ def mesh_options(
 
 
 def check_inputs(*paths: Path | None) -> None:
-    """See before anything is loaded that files can be read; folders may be. Raises UserError."""
+    """Raise UserError for a file that cannot be read; None and folders are accepted."""
     for path in paths:
         if path is None or path.is_dir():
             continue
@@ -139,12 +142,12 @@ def check_inputs(*paths: Path | None) -> None:
 
 
 def is_calibration(head: bytes) -> bool:
-    """Whether a file that begins so is a calibration, damaged or not."""
+    """Return whether a file with these first bytes is a calibration, damaged or not."""
     return b"model_checksum:" in head
 
 
 def is_plan(head: bytes) -> bool:
-    """Whether a file that begins so is a plan: its first line names a pose and degrees."""
+    """Return whether a file with these first bytes is a plan of poses, by its column names."""
     columns = head.decode("utf-8-sig", errors="replace").split("\n", 1)[0].strip().split(",")
     return columns[0] == "pose" and any(column.endswith("_deg") for column in columns[1:])
 
@@ -156,7 +159,7 @@ def check_files(
     plots: Path | None = None,
     inputs: Sequence[Path | None] = (),
 ) -> None:
-    """See before the work that everything can be read and written. Raises UserError."""
+    """Raise UserError unless all inputs can be read and all outputs can be written."""
     check_inputs(*inputs)
     from lipservo.settings.sections import CALIBRATION_NAME
 
@@ -175,9 +178,10 @@ def check_files(
 def saved(
     setup: "CalibrationSetup", result: "CalibrationResult", output: Path
 ) -> "tuple[Calibration, list[str]]":
-    """Write it, with what was made by hand in the file that it replaces; what was kept of that.
+    """Save a calibration with the hand-made parts of the file it replaces.
 
-    Raises UserError for a grade that is too bad, and the file stays as it was then.
+    Returns it, and notes on what was kept. Raises UserError for a grade that is too bad, unless
+    `setup.accept`; nothing is written then.
     """
     from calibration.files.calibration_file import save_calibration
     from calibration.fit.measured_grade import too_bad
@@ -203,7 +207,7 @@ def finish(
     check_plan: Path | None = None,
     as_json: bool,
 ) -> None:
-    """Save, draw, write poses to grade by, and say how good it is."""
+    """Save the calibration, draw it and write poses to grade it if wanted, print its report."""
     from lipservo.calibrating.measured_calibration import jaw_check
     from lipservo.calibrating.shown_calibration import report_lines
     from lipservo.calibrating.within_speeds import speed_line, within_speeds

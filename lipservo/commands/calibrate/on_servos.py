@@ -1,4 +1,4 @@
-"""`calibrate measure`, `guided`, `practise`, `pose` and `lags`: servos that are moved."""
+"""`calibrate measure`, `guided`, `practise`, `pose`, `lags` and `touch`, which move servos."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`calibrate trim` and `calibrate show`: a calibration file that is there already."""
+"""`calibrate trim` and `calibrate show`, which change or print an existing calibration file."""
 
 from pathlib import Path
 from typing import Annotated

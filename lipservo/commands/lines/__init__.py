@@ -1,1 +1,1 @@
-"""Commands for scripted lines: the model they are rendered with, and rendering."""
+"""The commands of `lipservo lines`, which render, perform, align and recognise scripted lines."""

@@ -1,4 +1,4 @@
-"""`lipservo lines`: scripted lines rendered, performed, aligned and recognised."""
+"""The command group `lipservo lines`: scripted lines rendered, performed, aligned, recognised."""
 
 from types import MappingProxyType
 
@@ -11,7 +11,7 @@ _LAB = "Of whole folders (lipservo-lab)"
 
 
 class LinesGroup(LazyGroup):
-    """Lipservo-lab adds whole folders to these."""
+    """The sub-commands of `lipservo lines`; lipservo-lab adds those that work on whole folders."""
 
     table = MappingProxyType(
         {

@@ -1,4 +1,4 @@
-"""`perform`: a rendered line, its sound and its motion together."""
+"""The command `lines perform`, which plays a rendered line, its sound and its motion together."""
 
 from contextlib import ExitStack, closing
 from dataclasses import replace

@@ -23,11 +23,11 @@ _TEXTGRID, _JSON = ".textgrid", ".json"
 
 
 class PhoneFileError(UserError):
-    """A name says no format that is known here; the message is one line."""
+    """The error for a file name that ends neither in .TextGrid nor in .json; a one-line message."""
 
 
 def check_phone_file(path: Path, inputs: Iterable[Path | None]) -> None:
-    """Before the work: refuse a name without a format, and what `check_output` refuses."""
+    """Raise PhoneFileError unless `path` is a .TextGrid or .json; OutputError if not writable."""
     if path.suffix.lower() == _TEXTGRID:
         check_output(path, replaces=is_textgrid, kind="TextGrid", inputs=inputs)
     elif path.suffix.lower() == _JSON:

@@ -1,4 +1,4 @@
-"""`lines render`: a sound becomes a performance."""
+"""The command `lines render`, which renders a sound to a performance file."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal

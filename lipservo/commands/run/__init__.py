@@ -1,1 +1,1 @@
-"""Commands that run a face, watch it and stop it."""
+"""Commands that run a face, show or change its state, and stop it."""

@@ -1,4 +1,4 @@
-"""`calibrate-audio`: how much later than it says sound leaves a loudspeaker, into the face YAML."""
+"""`calibrate audio`: measures a loudspeaker's delay beyond its own figure, for the face's YAML."""
 
 import time
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`dashboard`: the page of a running face."""
+"""The command `dashboard`, which serves the web page of a running face."""
 
 import os
 import socket
@@ -75,9 +75,9 @@ def serve_page(
     quiet: bool = False,
     hour: "FirstHour | None" = None,
 ) -> None:
-    """Serve, say where, and open a browser there, until a signal ends it.
+    """Serve the dashboard until a signal ends it; print its address, and open a browser if wanted.
 
-    model, hour: as `make_app` of the dashboard takes them.
+    model: file of the face model; None: the shipped one. hour: the setup of a new face, or None.
     """
     from lipservo.dashboard.child import address_of
     from lipservo.dashboard.web.access_layer import OneTimeCode
@@ -99,20 +99,21 @@ def serve_page(
 
 
 def check_dashboard() -> None:
-    """Raises MissingExtraError unless what the dashboard needs is installed."""
+    """Raise MissingExtraError unless the libraries that the dashboard needs are installed."""
     for library in ("nicegui", "prometheus_client"):
         check_extra(library, "the dashboard")
 
 
 def _has_a_screen() -> bool:
-    """A browser that draws in the terminal would draw over the face."""
+    """Return whether a graphical browser can open; one in the terminal would cover the face."""
     return sys.platform == "darwin" or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
 
 
 def found_face(face: str | None, control: Path | None) -> Callable[[], Path]:
-    """Finds the socket of the face that is meant, now and after it was started again.
+    """Return a function that finds the control socket of the face of that name, or of the only one.
 
-    Where no face is named and one runs, that is meant from then on. Raises UserError, ControlError.
+    The function keeps to the face it found first, also when that was started again. It raises
+    UserError, ControlError.
     """
     meant = [face]
 
@@ -130,7 +131,7 @@ def found_face(face: str | None, control: Path | None) -> Callable[[], Path]:
 
 
 def _serve_beside(parent: int) -> None:
-    """As a child of a face: behind it in everything, and gone with it."""
+    """Run at low priority, and end with the parent process; raise typer.Exit if that has ended."""
     from firmware_bridge.process.operating_system import die_with_parent, write_from_background
 
     die_with_parent()

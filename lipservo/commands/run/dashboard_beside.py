@@ -1,4 +1,4 @@
-"""`--dashboard`: the page of a face that is being started, beside it."""
+"""The option `--dashboard`: a page, served by a child process, of a face that is being started."""
 
 import os
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ _SOUNDS: Final = Path("lipservo") / "sounds"
 
 
 def with_sounds(voice: VoiceOptions | None) -> VoiceOptions:
-    """A voice whose sound files lie somewhere: what a page may say and play."""
+    """Return the voice (a new one for None) with its folder of sounds, by default one made here."""
     voice = voice or VoiceOptions()
     if voice.sounds is not None:
         return voice
@@ -33,9 +33,9 @@ def with_sounds(voice: VoiceOptions | None) -> VoiceOptions:
 def dashboard_beside(
     request: RunRequest, listen: str | None, token_file: Path | None, *, open_page: bool
 ) -> Iterator[None]:
-    """The page of the face that the block runs. Raises UserError before anything moves.
+    """Serve, in a child process, the page of the face that the block runs, until the block ends.
 
-    token_file: from `access_file`.
+    token_file: from `access_file`. Raises UserError before anything moves.
     """
     from lipservo.commands.run.dashboard import check_dashboard
 
@@ -60,7 +60,7 @@ def check_page_options(
     token_file: Path | None = None,
     open_to_this_computer: bool = False,
 ) -> None:
-    """Refuse options of a page that was not requested. Raises typer.BadParameter."""
+    """Raise typer.BadParameter for an option of the dashboard where none is shown."""
     for name, given in (
         ("--dashboard-listen", listen is not None),
         ("--open", open_page),
@@ -72,6 +72,6 @@ def check_page_options(
 
 
 def _data_folder() -> Path:
-    """Where the user's programs keep their data (XDG base directory specification)."""
+    """Return the folder of the user's application data (XDG base directory specification)."""
     given = os.environ.get("XDG_DATA_HOME", "")
     return Path(given) if given.startswith("/") else Path.home() / ".local" / "share"

@@ -1,4 +1,4 @@
-"""`devices`: what can be listened to, and what can be played on."""
+"""The command `devices`, which lists microphones and loudspeakers."""
 
 from dataclasses import asdict
 

@@ -1,4 +1,4 @@
-"""`export`: what the robot would say with its face, for screen avatars and cartoons."""
+"""`export`: writes a sound's mouth shapes, blendshapes or visemes for avatars and cartoons."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -100,7 +100,7 @@ def export(
 
 
 def _format(output: Path, given: Format | None) -> Format:
-    """Raises UserError for an ending that says nothing, or another format than the one given."""
+    """Return the format, as given or by the ending. Raises UserError for an ending of no format."""
     ending = output.suffix.lower()
     found = given or _FORMAT_OF.get(ending)
     if found is None:

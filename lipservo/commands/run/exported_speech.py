@@ -1,4 +1,4 @@
-"""The speech of a sound file as the text of an export: phonemes and frames as `replay` has them."""
+"""The text of an export file, from the phonemes and frames that `replay` computes for a sound."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -33,9 +33,9 @@ from lipsync.face.model import load_face
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """What is exported. ending: of the file, lower case.
+    """The request for an export. ending: of the output file, lower case.
 
-    phonemes: a TextGrid, or None: listen, and follow the text if there is one.
+    phonemes: a TextGrid, or None: recognise them, following `text` unless it is empty.
     """
 
     file_format: Literal["rhubarb", "arkit", "ovr"]
@@ -48,7 +48,7 @@ class Exported:
 
 
 def motion_shapes(spoken: SpokenSound) -> list[MouthCue]:
-    """The mouth shapes of what the robot shows."""
+    """Return the mouth shapes, with their times, of the motion that the robot would show."""
     duration_s = spoken.duration_s
     model = load_face_with_animphos(spoken.model)
     measures = lip_measures(model)
@@ -61,7 +61,7 @@ def motion_shapes(spoken: SpokenSound) -> list[MouthCue]:
 def exported_text(
     request: Exported, chosen: ChosenMotion, config: str, model: Path | None
 ) -> tuple[str, dict[str, object]]:
-    """What the file holds, and in a few words what that is. Raises UserError."""
+    """Return the export file's text, and its duration and counts by name. Raises UserError."""
     heard = spoken_sound(request.sound, request.phonemes, chosen, config, model)
     spoken = replace(heard, text=request.text)
     duration_s = spoken.duration_s

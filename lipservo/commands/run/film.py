@@ -1,4 +1,4 @@
-"""`film`: what a face says, as a film with sound."""
+"""The command `film`, which writes a film, with sound, of a face that speaks."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""`health`: how the servos were while they ran, and what is getting worse."""
+"""`health`: prints what was logged of each servo while it ran, and what is getting worse."""
 
 import math
 import os
@@ -19,7 +19,7 @@ from lipsync.errors import UserError
 
 
 class HealthError(UserError):
-    """A log that is not there or cannot be read."""
+    """The error for a health log that does not exist or cannot be read."""
 
 
 def health(
@@ -92,7 +92,7 @@ def _print(name: str, history: History) -> None:
 
 
 def _row(days: Sequence[ServoDay]) -> list[str]:
-    """The newest day that knows a figure tells it; limits are over all days."""
+    """Return a servo's table cells: its newest figures; extremes, errors, counts of all days."""
     errors = 0
     for day in days:
         errors |= day.errors
@@ -132,7 +132,7 @@ def _as_dict(name: str, history: History) -> dict[str, object]:
 
 
 def _plain(day: ServoDay) -> dict[str, object]:
-    """JSON knows neither dates nor NaN."""
+    """Return a servo's day as JSON values: its date as ISO text, and NaN as None."""
     content = {**asdict(day), "day": day.day.isoformat()}
     return {
         key: None if isinstance(value, float) and math.isnan(value) else value

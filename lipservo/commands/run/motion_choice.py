@@ -1,4 +1,4 @@
-"""The options that say how sound becomes motion, given to all commands that take them."""
+"""The command-line options for how sound becomes motion, shared by all commands that have them."""
 
 import functools
 import inspect
@@ -28,13 +28,13 @@ def chosen_motion(
     unit_share: UnitShare = None,
     low_latency: LowLatency = False,
 ) -> ChosenMotion:
-    """Return the options that the user gave."""
+    """Return the options for how sound becomes motion that the user gave; None: not given."""
     style = (lookahead_ms, strength, smoothness, unit_share)
     return ChosenMotion(engine, weights, strategy, *style, low_latency)
 
 
 def takes_motion(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with its parameter `motion` replaced by the options of `chosen_motion`.
+    """Return the command with its parameter `motion` replaced by the options of `chosen_motion`.
 
     Typer reads a command's options off its signature and knows no groups of them.
     """

@@ -1,4 +1,4 @@
-"""`bridge-process` and `speech-process`: what `daemon` starts, each with the whole request."""
+"""`bridge-process` and `speech-process`: the child processes of `daemon`, each with its request."""
 
 import signal
 from collections.abc import Sequence
@@ -70,7 +70,7 @@ def speech_process(
 
 
 def _failed_servos(given: Sequence[str]) -> list[tuple[int, str]]:
-    """`INDEX=REASON` as the supervisor gives it. Raises UserError for anything else."""
+    """Return (index, reason) of each `INDEX=REASON`. Raises UserError for any other text."""
     found = []
     for each in given:
         index, mark, reason = each.partition("=")

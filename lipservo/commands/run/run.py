@@ -1,4 +1,4 @@
-"""`run`, `daemon` and `replay`: the street with one source, three clocks and ends."""
+"""`run`, `daemon` and `replay`: a sound drives a face live, until stopped, or faster than live."""
 
 import socket
 from contextlib import ExitStack
@@ -201,7 +201,7 @@ def replay(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run the street as fast as it goes, on a clock of its own: same file, same trace."""
+    """Play a sound file as fast as possible, on a simulated clock: same file, same trace."""
     request = RunRequest(
         config,
         Sound("file", str(sound), text=spoken_text(text)),
@@ -224,9 +224,9 @@ def run_once(
     *,
     endless: bool = False,
 ) -> None:
-    """Play a request live to the end of its sound, and print what came of it.
+    """Play a request live to the end of its sound, print its result, and end with its exit status.
 
-    sim: as typed; with `pty` the servos are simulated behind a port made for the occasion.
+    sim: `pty`: the servos are simulated behind a port made for this run; None: they are not.
     listener: where voice agents connect; endless: the face goes on when the sound is over.
     """
     with servo_port(request.port, sim, request.config) as at_port, entered_sound(request) as source:
@@ -265,19 +265,19 @@ def _sound(
 
 
 def motion_of(chosen: ChosenMotion, config: str) -> MotionOptions:
-    """Return the user's options, completed by the face's YAML."""
+    """Return the user's motion options, completed by the face's YAML."""
     settings, folder = load_settings(config)
     return motion_options(chosen, settings.motion, folder)
 
 
 def avatars_of(config: str, osc: str | None, live_link: str | None) -> AvatarTargets:
-    """Return the user's options, completed by the face's YAML."""
+    """Return the targets of OSC and Live Link that the user gave, completed by the face's YAML."""
     written = load_settings(config)[0].avatars
     return AvatarTargets(osc or written.osc, live_link or written.live_link)
 
 
 def finish(request: RunRequest, outcome: RunOutcome) -> None:
-    """Print what came of a run, and end with its status."""
+    """Print the result of a run. Raises typer.Exit with its exit status unless that is 0."""
     if request.as_json:
         status = outcome.status.as_dict()
         stop = outcome.report.as_dict()

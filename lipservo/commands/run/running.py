@@ -1,4 +1,4 @@
-"""Which of the running faces a command means, and what they answer to it."""
+"""Selection of the running faces that a command is for, and the printing of their answers."""
 
 import sys
 from collections.abc import Callable
@@ -16,7 +16,10 @@ Answer = dict[str, Any]
 
 
 def chosen_faces(face: str | None, control: Path | None) -> list[RunningFace]:
-    """The faces that are meant. Raises UserError for a name that none has, and ControlError."""
+    """Return the running faces at `control`, named `face`, or all where both are None.
+
+    Raises UserError for a name that no running face has, and ControlError.
+    """
     if control is not None:
         return [face_at(control)]
     faces = running_faces()
@@ -37,10 +40,10 @@ def ask_faces(
     *,
     as_json: bool,
 ) -> None:
-    """Ask every face that is meant, and print what each answered.
+    """Send a request to each chosen face, and print its answer as a line, or all answers as JSON.
 
-    ask_one: its answer, {"error": one line} where it refuses; line: what a good answer says. Raises
-    UserError where no face runs, typer.Exit with status 1 where one refused or did not answer.
+    ask_one: sends it, returns the answer, {"error": one line} if refused; line: text of an answer.
+    Raises UserError where no face runs, typer.Exit with 1 where one refused or did not answer.
     """
     faces = chosen_faces(face, control)
     if not faces:

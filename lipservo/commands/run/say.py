@@ -1,4 +1,4 @@
-"""`say`: a text, spoken and shown."""
+"""The command `say`, which speaks a text with sound and face."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -100,7 +100,7 @@ def say(
 
 
 def _text_in(path: Path) -> Sound:
-    """Return a file's sound and its text. Raises LabelError."""
+    """Return the sound file next to `path`, with `path` as its phonemes. Raises LabelError."""
     from lipsync.phoneme_files.reader import sound_beside
 
     return Sound("file", str(sound_beside(path)), phonemes=str(path))
@@ -109,7 +109,7 @@ def _text_in(path: Path) -> Sound:
 def read_through(
     url: str, token_file: Path | None, tell: "Callable[[Face], dict[str, Any]]"
 ) -> dict[str, Any]:
-    """What a running face answers; its own options hold. Raises UserError."""
+    """Return the answer of `tell`, called with the running face at `url`. Raises UserError."""
     from lipservo_client.blocking_face import Face
     from lipservo_client.protocol import FaceError
 

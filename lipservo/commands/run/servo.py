@@ -1,6 +1,6 @@
-"""`servo`: one servo of a running face off, on again, or restarted.
+"""The command `servo`, which switches one servo of a running face off, on, or restarts it.
 
-A person waits for it: it loads nothing that it does not use.
+It imports only what it needs, to start quickly.
 """
 
 import time
@@ -47,7 +47,7 @@ def servo(
 
 
 def _confirmed(face: RunningFace, name: str, switch: ServoSwitch) -> dict[str, Any]:
-    """Ask until the servo has done it, or it has taken too long."""
+    """Poll the face until the servo has switched, 5 s at most; return its state, or an error."""
     give_up_s = time.monotonic() + _PATIENCE_S
     while True:
         status = ask(face.path, "status")

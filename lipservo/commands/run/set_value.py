@@ -1,4 +1,4 @@
-"""`set`: what may change while a face runs."""
+"""The command `set`, which changes a setting of running faces."""
 
 import time
 from typing import Annotated, Any

@@ -1,6 +1,6 @@
-"""`stop`, `start`, `status`, `limp`: what a person beside the robot needs, whatever else is dead.
+"""`stop`, `start`, `status`, `limp`: for a person beside the robot, whatever process is dead.
 
-A person waits for these: they load nothing that they do not use.
+They import only what they need, to start quickly.
 """
 
 import sys
@@ -34,9 +34,9 @@ _FLAGS: Final = {"--limp": "limp", "--freeze": "freeze", "--end": "end"}
 
 
 def run_without_parser(arguments: Sequence[str]) -> bool:
-    """Run `stop`, `start` or `status` if all options are plain; False: nothing was done.
+    """Run `stop`, `start` or `status` if all options are plain; return False if nothing was done.
 
-    The parser takes as long to load as all else together; it explains what is not understood here.
+    The parser takes as long to load as all else together; it reports the options unknown here.
     """
     name, *words = arguments
     given: dict[str, Any] = {}
@@ -114,7 +114,7 @@ def start(face: FaceName = None, control: Control = None, as_json: Json = False)
 
 
 def _come_back(face: RunningFace) -> dict[str, Any]:
-    """Wait until every servo is driven, or its status says why not."""
+    """Poll the face until all servos are driven, 20 s at most; return states or {"error": why}."""
     give_up_s = time.monotonic() + _START_S
     while True:
         try:
@@ -210,7 +210,7 @@ def _status_of(face: RunningFace) -> dict[str, Any]:
 
 
 def _state(status: dict[str, Any]) -> str:
-    """What the face does; of one that is stopped or unplugged nothing that is not known."""
+    """Return a face's state as text: its stop report, a missing port, or its driven servos."""
     report = status.get("stop_report")
     if status["state"] == "stopped" and report is not None:
         n, left = len(report["confirmed"]), ", ".join(report["unconfirmed"])
@@ -231,7 +231,7 @@ def _servos(status: dict[str, Any]) -> str:
 
 
 def _motion(status: dict[str, Any]) -> str:
-    """Strategy and recogniser of a face that speaks, and what is set."""
+    """Return a speaking face's sound, strategy, settings and recogniser as one line; else empty."""
     if status.get("strategy") is None:
         return ""
     level = status["fallback_level"]

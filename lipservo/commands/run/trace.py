@@ -1,4 +1,4 @@
-"""`trace diff`: where two recorded runs differ in motion."""
+"""The command `trace diff`, which prints where two recorded runs differ in motion."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -93,7 +93,7 @@ def diff(
 
 
 def _models(traces: Sequence[Trace], files: Sequence[Path]) -> list[FaceModel]:
-    """The model of each trace, by checksum. Raises IncomparableError for one that is not here."""
+    """Return each trace's face model, by checksum. Raises IncomparableError if one is missing."""
     known = {each.checksum: each for each in [load_face(), *map(load_face, files)]}
     for trace in traces:
         found = known.get(trace.model)

@@ -1,4 +1,4 @@
-"""The options of a robot that speaks and of its servers, as a run needs them."""
+"""Options of a face's voice and of its servers, as a run request contains them."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +13,7 @@ from lipsync.spoken_text import LONGEST_TEXT
 
 
 def chosen_voice(*, play: bool, is_needed: bool = False) -> VoiceOptions | None:
-    """A voice if sound is to be played, or one is needed all the same."""
+    """Return a voice that plays the sound if `play`, a silent one if `is_needed`, else None."""
     if play:
         return VoiceOptions(DEFAULT_OUTPUT)
     return VoiceOptions() if is_needed else None
@@ -22,9 +22,9 @@ def chosen_voice(*, play: bool, is_needed: bool = False) -> VoiceOptions | None:
 def daemons_voice(
     voice: VoiceOptions | None, listen: str | None, agents: VoiceOptions
 ) -> VoiceOptions | None:
-    """The voice of a face that voice agents speak through, unless it listens nowhere.
+    """Return the voice that voice agents speak through; `voice` itself if `listen` is `none`.
 
-    agents: what was typed for them.
+    agents: the options typed for them. Raises typer.BadParameter for these without a listener.
     """
     if listen == "none":
         if agents != VoiceOptions():
@@ -34,9 +34,9 @@ def daemons_voice(
 
 
 def access_file(token_file: Path | None, *, open_to_this_computer: bool) -> Path | None:
-    """The file of the token that a face's servers ask for; None: open to this computer.
+    """Return the file of the token that a face's servers require; None: they require none here.
 
-    Raises UserError, ControlError.
+    Raises UserError, ControlError, and typer.BadParameter if both options are given.
     """
     if token_file is None:
         return None if open_to_this_computer else runtime_token_file()
@@ -47,19 +47,19 @@ def access_file(token_file: Path | None, *, open_to_this_computer: bool) -> Path
 
 
 def with_access(voice: VoiceOptions, config: str, token_file: Path | None) -> VoiceOptions:
-    """A voice whose agents need the token of that file, and what the face's YAML says of access."""
+    """Return the voice with this token file, and with the origins and queue of the face's YAML."""
     access = load_settings(config)[0].access
     origins = ",".join(access.origins)
     return replace(voice, token_file=text_of(token_file), origins=origins, queue=access.queue)
 
 
 def text_of(path: Path | None) -> str | None:
-    """A path as a request carries it."""
+    """Return a path as text for a request; None for None."""
     return None if path is None else str(path)
 
 
 def spoken_text(typed: str) -> str:
-    """What `--text` says: itself, or after an @ the content of a file. Raises UserError."""
+    """Return the text as typed, or after an @ the content of that file. Raises UserError."""
     if not typed.startswith("@"):
         return typed
     path = Path(typed[1:])

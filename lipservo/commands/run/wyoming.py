@@ -1,4 +1,4 @@
-"""`wyoming`: a running face as the loudspeaker of Home Assistant's satellites."""
+"""`wyoming`: makes a running face the loudspeaker of Home Assistant's satellites."""
 
 import asyncio
 import contextlib

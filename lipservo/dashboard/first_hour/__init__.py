@@ -1,1 +1,1 @@
-"""The first hour of a face, led by a page: its state, and one child process for each step."""
+"""The setup of a new face (its first hour), led by a page; each step is a child process."""

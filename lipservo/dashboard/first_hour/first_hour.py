@@ -1,7 +1,7 @@
-"""The first hour of a face: from unnamed servos to its first words.
+"""The first hour of a face: its setup, from unnamed servos to its first words.
 
-All that a page shows and does is here, so that a page that is reloaded, or opened twice, goes on
-where it was. What was made is in files; what was typed and not yet written is here alone. Servos
+All that the page shows and does is here, so that a page that is reloaded, or opened twice, shows
+the present state. Results are in files; what was typed and not yet written is here alone. Servos
 belong to the step that runs (`StepProcess`), never to this process. Methods are called by threads
 of the server, one at a time, and raise FaceError.
 """
@@ -54,7 +54,7 @@ Stamp = tuple[int, int] | None
 
 
 class FirstHour:
-    """State of one face that is being made. path: of its YAML, which need not be there yet."""
+    """The state of one new face's setup. path: the face's YAML, which need not exist yet."""
 
     def __init__(
         self,
@@ -64,9 +64,10 @@ class FirstHour:
         *,
         simulated: bool = False,
     ) -> None:
-        """port: of the servos; None: of the YAML, or chosen on the page. simulated: made here.
+        """Prepare the setup; where a port is given and no YAML exists, find the servos there.
 
-        token_file: of the face's servers.
+        port: None: the YAML's, or chosen on the page. token_file: the token of the face's servers.
+        simulated: start simulated servos. Raises UserError for an unfit path or several buses.
         """
         if not path.exists():
             check_face_file(path)
@@ -100,7 +101,7 @@ class FirstHour:
     # ---- what is so ----
 
     def state(self) -> JsonObject:
-        """Everything that a page draws; an open page polls it."""
+        """Return everything that a page draws; if unpolled for 15 s, steps for a person end."""
         self._seen_s = time.monotonic()
         with self._lock:
             settings, trouble = self._settings()
@@ -130,7 +131,7 @@ class FirstHour:
             }
 
     def control_path(self) -> Path:
-        """Return the control socket of the step that runs. Raises UserError before it is there.
+        """Return the control socket of the step that runs. Raises UserError before it exists.
 
         Raises NothingDrivenError where no step runs: no servo is driven then, but only servos that
         confirmed it are limp.
@@ -151,7 +152,10 @@ class FirstHour:
     # ---- what a person does ----
 
     def choose_port(self, port: str | None, kind: str | None, *, simulated: bool) -> None:
-        """Where the servos are; simulated: behind a port that is made now."""
+        """Set the servos' port and kind of bus, and start finding servos that can be found.
+
+        simulated: at the port of simulated servos, which are started now. Raises FaceError.
+        """
         with self._lock:
             self._check_idle()
             if simulated:
@@ -168,7 +172,7 @@ class FirstHour:
             self.start("find")
 
     def start(self, step: str, **options: Any) -> None:
-        """Begin a step on the servos. Raises FaceError while another runs."""
+        """Start a step's process on the servos. Raises FaceError while another step runs."""
         with self._lock:
             self._check_idle()
             request: JsonObject = {"port": self._port, "kind": self._kind, **options}
@@ -194,21 +198,21 @@ class FirstHour:
             self._step = StepProcess(step, request, is_wanted=self._wanted(step), ended=self._over)
 
     def order(self, order: Mapping[str, Any]) -> None:
-        """To the step that runs."""
+        """Send an order to the step that runs. Raises FaceError where none runs."""
         step = self._step
         if step is None or not step.runs:
             raise FaceError("not_available", "nothing runs that could take it; begin the step")
         step.order(order)
 
     def end(self) -> None:
-        """The step that runs ends softly: to rest, then limp."""
+        """End the step that runs softly: the face goes to rest, then torque goes off."""
         if self._step is not None:
             self._step.end()
 
     def name(self, servo_id: int, name: str, positive: str, part: str, *, same: bool) -> None:
-        """What a person says of a servo that was found.
+        """Store the name, positive direction and part of a found servo. Raises FaceError.
 
-        same: its first move did what `positive` says.
+        same: its first move went in the direction of the word `positive`.
         """
         with self._lock, _refusals():
             model = self._model_of(servo_id)
@@ -221,7 +225,7 @@ class FirstHour:
             self._named[servo_id] = joint
 
     def wire(self, channel: str) -> None:
-        """A hobby servo as a person wired it, `jaw=0:opens`; the same name again takes it back."""
+        """Add a hobby servo by its wiring, `jaw=0:opens`, or remove it by its name alone."""
         with self._lock, _refusals():
             left = [each for each in self._wired if each.name != channel]
             if len(left) == len(self._wired):
@@ -229,7 +233,7 @@ class FirstHour:
             self._wired = left
 
     def write_face(self, board: str | None = None) -> None:
-        """Write the face's YAML of what was named; a file that is there is never lost."""
+        """Write the face's YAML from the stored servos, over no existing file. Raises FaceError."""
         with self._lock, _refusals():
             check_face_file(self.path)
             kind = bus_kind(self._kind or "")
@@ -248,7 +252,7 @@ class FirstHour:
             write_whole(self.path, text)
 
     def set_end(self, servo: str, end: str) -> None:
-        """One end of a joint, or its neutral, where a hand holds it now; min, neutral or max."""
+        """Store a joint's present angle as its `min`, `neutral` or `max`. Raises FaceError."""
         with self._lock:
             step = self._step
             turned = {} if step is None or step.step != "limits" else step.events.get("turned", {})
@@ -260,9 +264,9 @@ class FirstHour:
             self._ends.setdefault(servo, {})[end] = deg
 
     def write_limits(self) -> None:
-        """Into the YAML what was set, all or nothing; then into the servos.
+        """Write the stored ends of joints into the YAML, all or none, then into the servos.
 
-        No other request goes to the servos before.
+        The step `limits` is ended before. Raises FaceError while another step runs.
         """
         step = self._step
         if step is not None and step.step == "limits" and step.runs:
@@ -286,7 +290,7 @@ class FirstHour:
             self.start("set_up")
 
     def turn(self, servo: str, by_deg: float) -> None:
-        """In a rehearsal: a hand turns a limp servo, by degrees of its joint."""
+        """Rotate a simulated limp servo, as a hand would, by degrees of its joint."""
         settings, _ = self._settings()
         if self._simulated is None or settings is None or servo not in settings.servos:
             raise FaceError("refused", "only simulated servos have a simulated hand")
@@ -294,7 +298,7 @@ class FirstHour:
         self._simulated.turn(list(settings.servos).index(servo), sign * by_deg)
 
     def close(self) -> None:
-        """The server ends: the step that runs lets its servos go first, and is waited for."""
+        """End the running step softly, wait for its end, and stop the simulated servos."""
         if self._step is not None:
             self._step.end()
             self._step.wait()
@@ -303,7 +307,7 @@ class FirstHour:
     # ---- parts ----
 
     def _settings(self) -> tuple[FaceSettings | None, str | None]:
-        """The face of the YAML; None before it is there, or with why it cannot be read."""
+        """Return (settings, None), (None, None) without a YAML, or (None, why it is unreadable)."""
         stamp = _stamp(self.path)
         if self._read[0] != stamp:
             self._read = stamp, (None, None)
@@ -315,7 +319,7 @@ class FirstHour:
         return self._read[1]
 
     def _socket(self) -> Path | None:
-        """Of the step that runs; None: it has none, or none yet."""
+        """Return the running step's control socket; None while there is no step or no socket."""
         step = self._step
         if step is None or not step.runs or step.pid is None:
             return None
@@ -331,7 +335,7 @@ class FirstHour:
         }
 
     def _is_calibrated(self, settings: FaceSettings) -> bool:
-        """Whether the calibration that the YAML names is of these limits."""
+        """Return whether the YAML names a calibration that was made with its present limits."""
         if settings.calibration is None:
             return False
         file = self.path.with_name(settings.calibration)
@@ -359,14 +363,14 @@ class FirstHour:
         return str(models[str(servo_id)])
 
     def _wiring_of(self, kind: str) -> str | None:
-        """What names the board of hobby servos of that kind; None: servos there are found."""
+        """Return the YAML key of a hobby servo board for that kind of bus; None for other kinds."""
         try:
             return bus_kind(kind).board_key or None
         except BusError:
             return None
 
     def _keep_file(self, step: str = "by_eye") -> Path:
-        """Poses that were made and not yet fitted."""
+        """Return the file of a step's captured poses that are not yet fitted."""
         return self.path.with_suffix(f".{step}.json")
 
     def _check_port(self) -> None:
@@ -385,7 +389,7 @@ class FirstHour:
         return is_wanted if step in _FOR_A_PERSON else lambda: True
 
     def _over(self, step: StepProcess) -> None:
-        """In the step's own thread: what stays of it."""
+        """Store the results of a step that has ended; called in the step's own thread."""
         with self._lock:
             self._robot_s[step.step] = self._robot_s.get(step.step, 0.0) + step.seconds
             if (found := step.events.get("found")) is not None:
@@ -408,7 +412,7 @@ class FirstHour:
 
 
 def known_ports() -> list[JsonObject]:
-    """Serial ports of this computer that hang on USB, and what each says that it is."""
+    """Return path and description of each USB serial port of this computer."""
     from serial.tools import list_ports
 
     found = [port for port in list_ports.comports() if port.vid is not None]
@@ -424,7 +428,7 @@ def _stamp(path: Path) -> Stamp:
 
 
 def _limits_of(name: str, ends: Mapping[str, float], settings: FaceSettings) -> dict[str, float]:
-    """Raises UserError, which says of which joint."""
+    """Return the YAML values for a joint's ends (deg). Raises UserError with the joint's name."""
     low_deg, high_deg = sorted((ends["min"], ends["max"]))
     offset_deg = settings.servos[name].zero_offset_deg
     try:
@@ -435,7 +439,7 @@ def _limits_of(name: str, ends: Mapping[str, float], settings: FaceSettings) -> 
 
 @contextmanager
 def _refusals() -> Iterator[None]:
-    """What cannot be done is refused, in one line."""
+    """Convert UserError and BusError into FaceError `refused`, in one line."""
     try:
         yield
     except (UserError, BusError) as error:

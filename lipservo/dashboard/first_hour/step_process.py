@@ -1,4 +1,4 @@
-"""One step of the first hour as a child process: its output, its input, how it ended."""
+"""One step of a new face's setup as a child process: its orders, events, messages and end."""
 
 import contextlib
 import json
@@ -28,13 +28,13 @@ _BY_SIGNAL: Final = 128
 
 
 class StepProcess:
-    """`lipservo builder-process STEP`, from its start to its end.
+    """A process `lipservo builder-process STEP`, from its start to its end.
 
-    Methods may be called by any thread; but for `wait`, none waits.
+    Methods may be called by any thread; only `wait` blocks.
 
-    step: its name. events: the newest of each kind, by name. notes: its lines for a person, the
-    newest last. error: why it ended, one line; None: it has not, or ended well. was_left: it is
-    wanted by no page any more. let_go: whether its servos confirmed that they are limp as it ended.
+    step: its name. events: the newest of each kind, by name. notes: its messages, the newest last.
+    error: why it failed, one line; None: it runs, or ended well. was_left: it was ended since no
+    page was open. let_go: whether its servos confirmed torque off as it ended.
     """
 
     def __init__(
@@ -46,9 +46,9 @@ class StepProcess:
         ended: Callable[["StepProcess"], object] = lambda _: None,
         end_s: float = END_S,
     ) -> None:
-        """is_wanted: called again and again; False: it is ended softly. ended: called once.
+        """Start it. is_wanted: polled; False: it is ended softly. ended: called once, at the end.
 
-        end_s: how long a soft end may take before it is killed.
+        end_s: seconds that a soft end may last before the process is killed.
         """
         self.step = step
         self.events: dict[str, Mapping[str, Any]] = {}
@@ -69,16 +69,16 @@ class StepProcess:
 
     @property
     def runs(self) -> bool:
-        """Whether it may hold the port."""
+        """Whether the process has not ended yet, so that it may own the port."""
         return not self._is_over.is_set()
 
     @property
     def pid(self) -> int | None:
-        """None before it has started."""
+        """The process's id; None before it has started."""
         return None if self._process is None else self._process.pid
 
     def order(self, order: Mapping[str, Any]) -> None:
-        """One order of the page; left out where the step hangs, or has ended: its state says so."""
+        """Send the process an order; it is dropped where the process hangs or has ended."""
         process = self._process
         if process is not None and process.stdin is not None:
             with contextlib.suppress(OSError, ValueError):
@@ -86,11 +86,11 @@ class StepProcess:
                 os.write(process.stdin.fileno(), json.dumps(order).encode() + b"\n")
 
     def end(self) -> None:
-        """Softly: to rest, then limp; killed where it has not ended in the time that takes."""
+        """Request a soft end, to rest and torque off; the process is killed after `end_s`."""
         self._must_end.set()
 
     def wait(self) -> None:
-        """After `end`: until it is over."""
+        """Wait, after `end`, until the process has ended; `end_s` and 2 s at most."""
         self._is_over.wait(self._end_s + 2.0)
 
     def _run(self) -> None:
@@ -114,7 +114,7 @@ class StepProcess:
         self._over(self._why(status, signalled=signalled))
 
     def _follow(self, process: "subprocess.Popen[bytes]") -> bool:
-        """Follow it until it has ended and its output is read.
+        """Wait until the process has ended and its output is read, ending it when requested.
 
         Return whether it was ended on request.
         """

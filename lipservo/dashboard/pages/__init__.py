@@ -1,1 +1,1 @@
-"""The pages of the dashboard: what a builder sees, drawn in the browser."""
+"""The web pages of the dashboard, made with NiceGUI and drawn in the browser."""

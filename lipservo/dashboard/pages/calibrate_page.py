@@ -1,4 +1,4 @@
-"""The page of the calibration: how good the present one is, and the way to a better one."""
+"""The page of the calibration: how good the present one is, and the steps to a better one."""
 
 from collections.abc import Mapping
 from html import escape
@@ -24,7 +24,7 @@ JsonObject = Mapping[str, Any]
 
 
 def read_calibration(config: str | None) -> tuple[JsonObject | None, str | None]:
-    """What the face's calibration file says, as the API tells it, or why there is none."""
+    """Return (values, None) of the face's calibration, or (None, reason) where there is none."""
     try:
         return calibration_values(config), None
     except FaceError as error:
@@ -32,7 +32,7 @@ def read_calibration(config: str | None) -> tuple[JsonObject | None, str | None]
 
 
 def calibrate_page(config: str | None, values: JsonObject | None, trouble: str | None) -> None:
-    """Its content. values, trouble: what `read_calibration` found."""
+    """Draw the page from `values` of the calibration or, without one, the reason in `trouble`."""
     if values is not None and not values["fits_the_face"]:
         trouble = "the face has changed since it was calibrated: calibrate it again"
     with card("Present calibration", _origin(values)):
@@ -197,7 +197,7 @@ PULSE_STEPS: Final = {
 
 
 def steps_of(face: str, *, has_place: bool) -> str:
-    """The way to a calibration of a face, as HTML. has_place: its servos say where they stand."""
+    """Return the steps to calibrate a face, as HTML. has_place: its servos report positions."""
     other = {} if has_place else PULSE_STEPS
     # A way that measures where servos stand is none for those that cannot say it.
     steps = (other.get(step[0], step) for step in STEPS if has_place or step[0] != "dots")

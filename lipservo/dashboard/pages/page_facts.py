@@ -1,4 +1,4 @@
-"""Facts of a face beyond its status, for all pages: limits, colours, and what servos move."""
+"""Facts of a face for all pages: limits of its servos, what they move, and phoneme colours."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -34,7 +34,11 @@ GROUPS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class _Rule:
-    """A servo of `part` with all of `named` in its name; `positive` has a word of one direction."""
+    """A servo's channel in the drawing, by its part and words of its name.
+
+    named: sets of words, of each of which its name has one. plus, minus: words of a positive
+    direction that is, or is opposite to, the drawing's.
+    """
 
     part: str
     channel: Channel
@@ -73,7 +77,7 @@ class RigServo:
 
 
 def robot_rig(servos: Mapping[str, ServoSettings]) -> dict[str, RigServo]:
-    """By the servos' names. Of two that would move the same thing the second is a dial."""
+    """Return each servo's RigServo, by name; a servo whose channel is already used is a dial."""
     taken: dict[Channel, set[Side]] = {}
     rig = {}
     for name, settings in servos.items():
@@ -108,7 +112,7 @@ def _found(name: str, settings: ServoSettings) -> RigServo:
 
 
 def settings_of(config: str | None) -> FaceSettings | None:
-    """Of the face that a status names; None where it names none that can be read."""
+    """Return the settings of a face by name or YAML path; None without one or if unreadable."""
     if config is None:
         return None
     try:
@@ -118,7 +122,7 @@ def settings_of(config: str | None) -> FaceSettings | None:
 
 
 def page_facts(config: str | None) -> dict[str, object]:
-    """For the face of this config, by name or path; without one the servos are dials."""
+    """Return a face's facts for its pages, by name or path; without a config no servo is known."""
     settings = settings_of(config)
     servos = {} if settings is None else settings.servos
     return {
@@ -135,7 +139,7 @@ def page_facts(config: str | None) -> dict[str, object]:
 
 
 def servo_facts(servo: ServoSettings) -> dict[str, object]:
-    """Limits in joint degrees, those of its model, null where unknown, and its pulse."""
+    """Return a servo's id, model, limits (joint degrees), pulse and bounds; None where unknown."""
     return {
         "id": servo.address,
         "model": servo.make,
@@ -149,7 +153,7 @@ def servo_facts(servo: ServoSettings) -> dict[str, object]:
 
 
 def group_of(phoneme: str) -> str:
-    """The group of `GROUPS` that a phoneme's viseme class belongs to."""
+    """Return the name of the group in `GROUPS` that contains a phoneme's viseme class."""
     shown = VISEME_OF[phoneme]
     return next(
         name

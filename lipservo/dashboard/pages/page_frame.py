@@ -1,7 +1,7 @@
-"""What every page has: its head with state and STOP, the ways to the others, styles and facts.
+"""The frame of every page: head with state and STOP, links to other pages, styles and facts.
 
 The head is plain HTML before the element that the page's framework draws into, and STOP's script
-is loaded first and imports nothing: it works while the rest of the page does not.
+is loaded first and imports nothing: STOP works while the rest of the page does not.
 """
 
 import json
@@ -54,10 +54,10 @@ _START: Final = (
 def page_frame(
     here: str, status: Mapping[str, Any] | None, facts: Mapping[str, object], scripts: Sequence[str]
 ) -> Iterator[None]:
-    """The page at `here`; its content is made within. scripts: files of static/ that it needs.
+    """Draw the frame of the page at path `here`, and enter it for the page's content.
 
-    status: the face's newest, None: it has not answered; only its name and port are used, for the
-    rest the page asks by itself.
+    status: the face's newest, None before its first answer; only its name and port are used, since
+    the page itself requests the rest. scripts: files of static/ that the page loads.
     """
     ui.page_title(f"{PLACES[here]} · {(status or {}).get('name') or 'lipservo'}")
     # The framework writes no language into its page; readers of screens need it.
@@ -81,7 +81,7 @@ def page_frame(
 
 @contextmanager
 def card(title: str, hint: str = "", classes: str = "") -> Iterator[None]:
-    """A white field with a heading. hint: a sentence beside it."""
+    """Draw a card with a heading, and enter it for its content. hint: a sentence beside it."""
     with ui.element("section").classes(f"card {classes}".strip()):
         aside = f"<small>{escape(hint)}</small>" if hint else ""
         html(f"<h2>{escape(title)}</h2>{aside}", "card-head")
@@ -89,17 +89,17 @@ def card(title: str, hint: str = "", classes: str = "") -> Iterator[None]:
 
 
 def grid(classes: str) -> ui.element:
-    """A part of the page whose children lie as the stylesheet says."""
+    """Return a new element of the page; the CSS classes arrange its children."""
     return ui.element("div").classes(classes)
 
 
 def html(text: str, classes: str = "", tag: str = "div") -> None:
-    """Markup of our own, never of a person or a file."""
+    """Draw HTML unsanitised: never pass text of a user or a file that is not escaped."""
     ui.html(text, sanitize=False, tag=tag).classes(classes)
 
 
 def command(text: str) -> str:
-    """A command line as markup; it is broken between words alone, never after a hyphen."""
+    """Return a command line as HTML that wraps between words alone, never after a hyphen."""
     words = (f'<span class="word">{escape(word)}</span>' for word in text.split(" "))
     return f"<pre><code>{' '.join(words)}</code></pre>"
 
@@ -130,5 +130,5 @@ def _head(here: str, status: Mapping[str, Any], places: Mapping[str, str]) -> st
 
 
 def _for_script(value: Mapping[str, object]) -> str:
-    """JSON that can end no script element, whatever stands in a YAML."""
+    """Return JSON that cannot end a script element, whatever text a YAML contains."""
     return json.dumps(value).replace("<", "\\u003c")

@@ -1,4 +1,4 @@
-"""All pages, by their paths. What moves on them is drawn by the browser."""
+"""All pages of the dashboard, by path. What moves on them is drawn by the browser."""
 
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping, Sequence
@@ -57,10 +57,10 @@ _SETTINGS_SCRIPTS: Final = ("settings.js", "live/robot_view.js")
 
 
 def build_pages(link: FaceLink, making: Path | None = None) -> None:
-    """Register them with NiceGUI. What moves is drawn by the browser: a page costs no timer here.
+    """Register all pages with NiceGUI. The browser draws what moves: a page needs no timer here.
 
-    link: the face; a page that is opened shows the face that answers then. making: the YAML of
-    a face in its first hour, which need not be there yet.
+    link: to the face; a page shows the face that answers when the page is opened. making: the YAML
+    of a new face in setup, which need not exist yet; None: no page of the setup.
     """
     _add(link, making, "/", _LIVE_SCRIPTS, _live)
     _add(link, making, "/show", SHOW_SCRIPTS, _show)
@@ -90,7 +90,7 @@ def _add(
 
 
 async def _first_hour(_status: Status, _config: str | None) -> None:
-    """From unnamed servos to the first words."""
+    """Draw the page that leads a user from unnamed servos to the face's first words."""
     ui.add_head_html(f'<link rel="stylesheet" href="{STATIC_URL}/first_hour/first_hour.css">')
     html(f"<first-hour data-warning='{escape(WARNING)}'></first-hour>")
 
@@ -101,7 +101,7 @@ async def _calibrate(_status: Status, config: str | None) -> None:
 
 
 async def _live(_status: Status, _config: str | None) -> None:
-    """A text to say, the face as it is meant, the robot as its encoders say, sound and phonemes."""
+    """Draw the live page: text to say, face as commanded, robot as measured, sound, phonemes."""
     ui.add_head_html(_EARLY)
     with card("Say something", classes="say"):
         html("<face-say></face-say><face-sound></face-sound>")
@@ -135,7 +135,7 @@ def _legend() -> str:
 
 
 async def _servos(_status: Status, _config: str | None) -> None:
-    """How each servo is, torque and reboot, and moving one by hand."""
+    """Draw the page of servos: a table of their health, with switches, and sliders to jog them."""
     with card("Health", "read from one servo after the other, so a value may be a second old"):
         html("<face-servo-table></face-servo-table>")
     with card("Move by hand", classes="jog"):
@@ -143,7 +143,7 @@ async def _servos(_status: Status, _config: str | None) -> None:
 
 
 async def _lines(status: Status, _config: str | None) -> None:
-    """The sounds and performances that a face can speak."""
+    """Draw the page of sounds and performances that the face can play, else how to add some."""
     folder = (status or {}).get("sounds")
     hint = f"sound files in {folder}" if folder else ""
     with card("Lines", hint, "lines"):
@@ -163,9 +163,9 @@ def _no_folder() -> str:
 
 
 async def _settings(_status: Status, _config: str | None) -> None:
-    """How strongly, smoothly, early and lively the face moves.
+    """Draw the page of motion settings: strength, smoothness, look-ahead, liveliness.
 
-    The robot is beside the sliders, so that one sees what they do.
+    The robot is drawn beside the sliders, to show their effect.
     """
     with grid("settings-page"):
         with card("Motion", "changes at once, for as long as the face runs", "settings"):

@@ -1,4 +1,4 @@
-"""The page for an audience: the face large, its mouth from near, and the robot by its own model."""
+"""The page for an audience: the face large, its mouth close up, and the robot by its own model."""
 
 from typing import Final
 
@@ -17,7 +17,7 @@ SHOW_SCRIPTS: Final = (
 
 
 def show_page() -> None:
-    """Filled into a page's frame."""
+    """Draw the audience page's content: the face, the robot's own model, and a recorded run."""
     ui.add_head_html(f'<link rel="stylesheet" href="{STATIC_URL}/show/show.css">')
     with grid("show-page"):
         with card("The face", "as it is asked to be", "twin"):

@@ -1,1 +1,1 @@
-"""What browsers load: our own JavaScript and styles, no library of anybody's."""
+"""Files that browsers load: the project's own JavaScript and styles, without other libraries."""

@@ -1,1 +1,1 @@
-"""The digital twin on a page: what serves its head, the NiceGUI element, and what draws it."""
+"""The digital twin on a page: the route of its head, its NiceGUI element, and its JavaScript."""

@@ -21,14 +21,14 @@ _CACHE = "no-cache"
 
 
 class PackedHead:
-    """The head of a face model as bytes, made once, in a thread of its own, from the beginning."""
+    """A face model's head as bytes, made once, in a thread that starts with this object."""
 
     def __init__(self, make: Callable[[], bytes]) -> None:
         self._making: Future[tuple[bytes, str]] = Future()
         threading.Thread(target=self._work, args=(make,), name="twin's head", daemon=True).start()
 
     def get(self) -> tuple[bytes, str]:
-        """The bytes, compressed with gzip, and their ETag; waits until they are made."""
+        """Return the bytes, compressed with gzip, and their ETag; waits until they are made."""
         return self._making.result()
 
     def _work(self, make: Callable[[], bytes]) -> None:
@@ -41,7 +41,7 @@ class PackedHead:
 
 
 def twin_routes(app: FastAPI, face: FaceModel) -> None:
-    """Serve the head of a face model at HEAD_PATH. It is being made from now on."""
+    """Add the route HEAD_PATH, which serves a face model's head, and start making that head."""
     head = PackedHead(lambda: pack(make_twin(face)))
 
     # Not async: FastAPI runs it in a thread of its own, so that other answers do not wait.
@@ -59,10 +59,10 @@ def twin_routes(app: FastAPI, face: FaceModel) -> None:
 
 
 class Twin(Element, component="twin.js", esm={"lipservo-twin": "picture"}):
-    """A head that shows frames. Its place on the page decides its size: give it a height.
+    """A NiceGUI element: a head that shows frames. The layout sets its size: give it a height.
 
     In the page, `window.twin.apply(frame)` shows a frame of static/frame.js, the newest at the next
-    redraw; `window.twin` says what is shown (picture/index.js). One twin a page.
+    redraw; `window.twin` also reports what is shown (picture/index.js). One twin a page.
     """
 
     def __init__(self, source: str = HEAD_PATH) -> None:

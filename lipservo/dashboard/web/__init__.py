@@ -1,1 +1,1 @@
-"""The dashboard's server: who may come in, the API, the streams, metrics, and the pages' app."""
+"""The dashboard's server: access control, API, streams, metrics, and the application of pages."""

@@ -1,4 +1,4 @@
-"""Around every page, request and WebSocket of the dashboard: who may, how much, and what goes out.
+"""Access control for all requests and WebSockets of the dashboard: admission, size, headers.
 
 Here are the ASGI types, answers and headers that the layers of the dashboard share, the layer
 itself, and the page that a browser on this computer gets without the token. The policy is
@@ -87,7 +87,7 @@ async def answer_json(
     *,
     is_websocket: bool = False,
 ) -> None:
-    """Answer a request, or a WebSocket's handshake, with one JSON object."""
+    """Send one JSON object as the answer to a request, or to a WebSocket's handshake."""
     of_json = [(b"content-type", b"application/json"), (b"cache-control", b"no-store"), *headers]
     await answer_bytes(send, status, of_json, json.dumps(answer).encode(), is_websocket)
 
@@ -95,7 +95,7 @@ async def answer_json(
 async def answer_bytes(
     send: Send, status: int, headers: Headers, body: bytes, is_websocket: bool = False
 ) -> None:
-    """Answer with a whole body."""
+    """Send a whole answer: status, headers with length and security headers, and body."""
     kind = "websocket.http.response" if is_websocket else "http.response"
     length = (b"content-length", str(len(body)).encode())
     whole = [*headers, length, *SECURITY_HEADERS]
@@ -105,26 +105,26 @@ async def answer_bytes(
 
 @cache
 def stop_page() -> str:
-    """The page, with the script of STOP in it: without the token no file is served."""
+    """Return the HTML of the page with STOP alone, its script inline: files need the token."""
     script = _SCRIPT.read_text("utf-8")
     return _PAGE.replace("%s", script.replace("</script", "<\\/script"), 1)
 
 
 class OneTimeCode:
-    """In the address that a browser of this user is started with, in place of the token.
+    """A code that replaces the token in the URL with which this user's browser is started.
 
     Every user sees the command lines of others, and a browser keeps its own for long. The code
     works once, and only for a program of this user.
     """
 
     def __init__(self, user: int) -> None:
-        """user: whose browser may come; a number."""
+        """Make a random code. user: numeric id of the user whose browser is admitted."""
         self.code = secrets.token_urlsafe()
         self._user = user
         self._is_used = False
 
     def admits(self, given: str, client_port: int, server_port: int) -> bool:
-        """Whether a request with this code may have the token's cookie; true at most once."""
+        """Return whether a request with this code may get the token's cookie; True only once."""
         if self._is_used or not is_same_token(given, self.code):
             return False
         if are_listed() and self._user not in connected_users(client_port, server_port):
@@ -134,7 +134,7 @@ class OneTimeCode:
 
 
 class AccessLayer:
-    """An ASGI application around another, which sees only what is admitted."""
+    """An ASGI application around another, which gets only the requests that are admitted."""
 
     def __init__(
         self,
@@ -143,14 +143,17 @@ class AccessLayer:
         origins: Callable[[], tuple[str, ...]] = tuple,
         code: OneTimeCode | None = None,
     ) -> None:
-        """token, origins: see `Policy`; origins are read at each request."""
+        """Wrap `app`. token, origins: of `Policy`; origins are read at each request.
+
+        code: admits the browser that was started with the program; None: no code does.
+        """
         self.app = app
         self._token = token
         self._origins = origins
         self._code = code
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve one request, or refuse it."""
+        """Pass one request to the application within, or answer with a refusal or redirect."""
         if scope["type"] == "lifespan":
             await self.app(scope, receive, send)
             return
@@ -193,7 +196,10 @@ class AccessLayer:
                     raise
 
     def _verdict(self, request: Request, policy: Policy, scope: Scope) -> Refusal | Redirect | None:
-        """Raises ValueError for a request that cannot be read."""
+        """Return a refusal, a redirect that sets the token's cookie, or None: admitted.
+
+        Raises ValueError for a request that cannot be read.
+        """
         refused = refusal(request, policy)
         given = request.token_in_query
         if policy.token is None or given is None or not request.is_page:
@@ -208,13 +214,13 @@ class AccessLayer:
 
 
 def most_bytes(path: str) -> int:
-    """How long the body of a request may be."""
+    """Return how many bytes the body of a request to this path may have."""
     takes_files = path == "/api/lines" or path.startswith("/_nicegui/")
     return _MOST_FILE_BYTES if takes_files else _MOST_BODY_BYTES
 
 
 def cors_headers(request: Request, policy: Policy) -> Headers:
-    """What lets scripts of a listed origin read an answer; nothing for any other."""
+    """Return the headers that let a listed origin's scripts read an answer; none for others."""
     origin = request.headers.get("origin", "")
     if origin not in policy.origins:
         return []
@@ -222,14 +228,14 @@ def cors_headers(request: Request, policy: Policy) -> Headers:
 
 
 def _is_401(refused: Refusal | None) -> bool:
-    """Whether nothing but the token is missing."""
+    """Return whether a request is refused for nothing but its missing or wrong token."""
     return refused is not None and refused.status == HTTPStatus.UNAUTHORIZED
 
 
 def _shows_stop(request: Request, policy: Policy) -> bool:
-    """Whether a page on this computer is refused for the token alone: its STOP works all the same.
+    """Return whether a page requested on this computer is refused for its token alone.
 
-    Of the pages that a person opens, not of what these load.
+    Such a page shows STOP, which needs no token; files that pages load do not.
     """
     is_seen = "text/html" in request.headers.get("accept", "")
     is_ours = refusal(request, policy, is_stop=True) is None
@@ -237,7 +243,7 @@ def _shows_stop(request: Request, policy: Policy) -> bool:
 
 
 def _bounded(scope: Scope, receive: Receive) -> Receive:
-    """The parts of a body, until it is longer than any that is meant."""
+    """Return `receive`, but raising HTTPException 413 once the body exceeds `most_bytes`."""
     n_bytes = 0
 
     async def receiving() -> Message:

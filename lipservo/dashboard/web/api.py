@@ -1,4 +1,4 @@
-"""The dashboard's API as an application of its own, with `/docs`: errors are JSON, one line."""
+"""The dashboard's API as an application of its own, with `/docs`; errors are one line of JSON."""
 
 import json
 import struct
@@ -31,7 +31,10 @@ b{display:inline-block;min-width:4.5rem}pre{background:#8882;padding:.6rem;overf
 
 
 def make_api(link: FaceLink, hour: FirstHour | None = None) -> FastAPI:
-    """All of `/api`, `/docs`, `/metrics`, `/static`. hour: None: the face is made already."""
+    """Return the application of `/api`, `/docs`, `/metrics`, `/static`.
+
+    hour: the setup of a new face, for its routes; None: the face is made already.
+    """
     app = FastAPI(
         title="lipservo",
         version=version("lipservo"),
@@ -67,17 +70,17 @@ def make_api(link: FaceLink, hour: FirstHour | None = None) -> FastAPI:
 
 
 class _FreshFiles(StaticFiles):
-    """A browser asks each time whether its copy is still the newest, and mostly it is (304)."""
+    """Static files that a browser revalidates at each request; most answers are 304, unchanged."""
 
     def file_response(self, *args: Any, **kwargs: Any) -> Response:
-        """With the header that says so."""
+        """Return a file's response with the header `cache-control: no-cache`."""
         answer = super().file_response(*args, **kwargs)
         answer.headers["cache-control"] = "no-cache"
         return answer
 
 
 def docs_html(openapi: Mapping[str, Any]) -> str:
-    """Every path with what it takes, and how to call it."""
+    """Return an HTML page of every path in an OpenAPI schema: description, parameters, body."""
     name = escape(str(openapi["info"]["title"]))
     operations = "".join(_operations(openapi))
     return (
@@ -106,7 +109,7 @@ def _operations(openapi: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _resolved(schema: Any, openapi: Mapping[str, Any]) -> Any:
-    """The schema with what it refers to in place; ours do not refer to themselves."""
+    """Return a schema without titles, each `$ref` replaced by what it refers to; none is cyclic."""
     if isinstance(schema, list):
         return [_resolved(each, openapi) for each in schema]
     if not isinstance(schema, dict):

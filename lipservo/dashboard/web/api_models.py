@@ -1,6 +1,6 @@
-"""Bodies of API requests, checked before a face gets them, and the errors of the answers.
+"""Bodies of API requests, checked before a face gets them, and the error answers.
 
-An error is {"error": one line}, with the status that fits.
+An error answer is {"error": one line}, with the HTTP status that fits.
 """
 
 import logging
@@ -39,7 +39,7 @@ _LONGEST: Final = 300
 
 
 class Body(BaseModel):
-    """No unknown field, no conversion between types, no NaN."""
+    """The base of all bodies: no unknown field, no conversion between types, no NaN."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -57,31 +57,31 @@ class StopBody(Body):
 
 
 class StartBody(Body):
-    """wait_s: answer once the face is driven, or says why not; at most so much later."""
+    """wait_s: seconds to wait until the face is driven, or reports why not; 0: no wait."""
 
     wait_s: Annotated[float, Field(ge=0.0, le=30.0)] = 0.0
 
 
 class SayBody(Body):
-    """A text in the face's own voice."""
+    """A text for the face to speak in its own voice."""
 
     text: Annotated[str, Field(min_length=1, max_length=20_000)]
 
 
 class PlayBody(Body):
-    """A line by the name of its file."""
+    """The file name of the line (sound or performance) to play."""
 
     file: Annotated[str, Field(min_length=1, max_length=200)]
 
 
 class ServoBody(Body):
-    """off: limp; on: spoken to again; reboot: restarted."""
+    """off: torque off; on: driven again; reboot: restarted."""
 
     action: Literal["off", "on", "reboot"]
 
 
 class JogBody(Body):
-    """arm: begin, or go on; move: one servo, in degrees of its joint, or by its pulse; end."""
+    """arm: allow or renew jogging; move: one servo, to a joint angle or by its pulse; end."""
 
     action: Literal["arm", "move", "end"]
     servo: _Name | None = None
@@ -90,7 +90,7 @@ class JogBody(Body):
 
 
 class PulseLimitBody(Body):
-    """One limit of a hobby servo, at this pulse from the next start on."""
+    """A limit of a hobby servo, and the pulse (us) that it becomes at the next start."""
 
     servo: _Name
     limit: PulseLimit
@@ -98,7 +98,7 @@ class PulseLimitBody(Body):
 
 
 class PortBody(Body):
-    """Where the servos of the first hour are; simulated: behind a port that is made for it."""
+    """Port and bus kind of a new face's servos; simulated: at a port made for simulated ones."""
 
     port: Annotated[str, Field(min_length=1, max_length=200)] | None = None
     kind: _Name | None = None
@@ -106,7 +106,7 @@ class PortBody(Body):
 
 
 class NameBody(Body):
-    """A servo that was found. same: its first move did what `positive` says."""
+    """A found servo's joint. same: its first move went in the direction of `positive`."""
 
     id: Annotated[int, Field(ge=0, le=253)]
     name: _Name
@@ -116,7 +116,7 @@ class NameBody(Body):
 
 
 class WireBody(Body):
-    """A hobby servo, `jaw=0:opens`; by its name alone it is taken back."""
+    """A hobby servo to add, `jaw=0:opens`, or by its name alone to remove."""
 
     channel: Annotated[str, Field(min_length=1, max_length=200)]
 
@@ -128,7 +128,7 @@ class WriteBody(Body):
 
 
 class StepBody(Body):
-    """A step of the first hour, and what it is to do.
+    """A step of a new face's setup, and its options.
 
     clear: find; id: nudge; may_jump: jog; lags, accept: a calibration; tracker, camera,
     eye_distance_mm: measure; play: speak.
@@ -147,35 +147,35 @@ class StepBody(Body):
 
 
 class OrderBody(Body):
-    """Poses by eye: joints to these angles, or a key: Enter keeps the pose, x leaves it out."""
+    """Order to a step: move joints to angles (deg), or a key: Enter keeps the pose, x skips it."""
 
     move: Annotated[dict[_Name, _Number], Field(min_length=1, max_length=64)] | None = None
     key: Literal["\r", "x", "b", "q"] | None = None
 
 
 class EndBody(Body):
-    """One end of a joint, or its neutral, where a hand holds it."""
+    """A joint whose present angle, at which a hand keeps it, becomes its min, neutral or max."""
 
     servo: _Name
     end: Literal["min", "neutral", "max"]
 
 
 class TurnBody(Body):
-    """A simulated hand."""
+    """A simulated servo to turn as a hand would, by degrees of its joint."""
 
     servo: _Name
     by_deg: Annotated[float, Field(ge=-90.0, le=90.0)]
 
 
 class SettingsBody(Body):
-    """values: by name, all of them or none; save: into the face's YAML as well."""
+    """values: settings by name, all changed or none; save: into the face's YAML as well."""
 
     values: Annotated[dict[_Name, _Number], Field(min_length=1, max_length=16)]
     save: bool = False
 
 
 class SoundBody(Body):
-    """What a face speaks through and with, into its YAML; what is left out stays as it is."""
+    """A face's sound devices, synthesiser and voice for its YAML; null ones stay unchanged."""
 
     output: Annotated[str, Field(max_length=200)] | None = None
     input: Annotated[str, Field(max_length=200)] | None = None
@@ -186,7 +186,7 @@ class SoundBody(Body):
 
 
 class LookBody(Body):
-    """Degrees, yaw to the face's own left and pitch upwards; yaw null: at nothing."""
+    """Gaze in degrees, yaw to the face's own left, pitch upwards; yaw null: at no target."""
 
     yaw_deg: Annotated[float, Field(ge=-60.0, le=60.0)] | None
     pitch_deg: Annotated[float, Field(ge=-40.0, le=40.0)] = 0.0
@@ -201,13 +201,13 @@ class AffectBody(Body):
 
 
 class ErrorAnswer(BaseModel):
-    """Every answer that is no success."""
+    """The body of every answer that reports an error."""
 
     error: str
 
 
 def add_error_answers(app: FastAPI) -> None:
-    """Answer every error of an application in JSON."""
+    """Make an application answer every error with one line of JSON and a fitting HTTP status."""
 
     async def of_face(_request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, FaceError)
@@ -234,12 +234,12 @@ def add_error_answers(app: FastAPI) -> None:
 
 
 def status_of(error: FaceError) -> int:
-    """The HTTP status of what a face refuses."""
+    """Return the HTTP status for a FaceError's code; 503, busy, for a code not listed here."""
     return _STATUS_OF.get(error.code, _BUSY)
 
 
 def first_error(errors: Sequence[Any]) -> str:
-    """One line of pydantic's: where in the body, and what."""
+    """Return the first of pydantic's errors as one line: field of the body, and message."""
     where = ".".join(str(part) for part in errors[0]["loc"] if part != "body")
     return f"{where}: {errors[0]['msg']}" if where else str(errors[0]["msg"])
 

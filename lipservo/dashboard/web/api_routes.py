@@ -1,4 +1,4 @@
-"""The API's commands and answers: about the face itself, its settings, and its sound files."""
+"""Routes of the API for commands to the face, its status, its settings and its sound files."""
 
 import asyncio
 from collections.abc import Mapping
@@ -48,7 +48,7 @@ _COUNTS = (
 
 
 def face_routes(link: FaceLink) -> APIRouter:
-    """Status, commands, servos, faults, calibration."""
+    """Return the routes for status, commands, servos, faults, calibration and health."""
     routes = APIRouter(prefix="/api")
     one_at_a_time = asyncio.Lock()
 
@@ -84,7 +84,7 @@ def face_routes(link: FaceLink) -> APIRouter:
 
     @routes.post("/look-at")
     async def look_at(body: LookBody) -> JsonObject:
-        """Look somewhere, or nowhere in particular."""
+        """Aim the gaze at angles, or at no target."""
         return dict(await link.look_at(body.yaw_deg, body.pitch_deg))
 
     @routes.post("/affect")
@@ -152,21 +152,21 @@ def face_routes(link: FaceLink) -> APIRouter:
 
     @routes.get("/health")
     async def health() -> JsonObject:
-        """For a monitor of the dashboard: it serves; and whether its face is there."""
+        """Report to a monitor that the dashboard serves, and whether its face answers."""
         return {"serves": True, **link.certainty()}
 
     return routes
 
 
 def _check_known(link: FaceLink, name: str) -> None:
-    """Raises FaceError for a servo that a face which is known does not have."""
+    """Raise FaceError for a servo that the face lacks; pass while the face's servos are unknown."""
     known = list((link.status or {}).get("servos") or link.layout.servos)
     if known and name not in known:
         raise FaceError("not_found", f"no servo of that name; there are: {', '.join(known)}")
 
 
 def file_routes(link: FaceLink) -> APIRouter:
-    """Settings, live and saved; lines: list, upload, delete, play."""
+    """Return the routes for settings, sound devices, a copy of a shipped face, and sound files."""
     routes = APIRouter(prefix="/api")
     uploads = Uploads()
 
@@ -180,7 +180,7 @@ def file_routes(link: FaceLink) -> APIRouter:
 
     @routes.get("/settings")
     async def settings() -> JsonObject:
-        """live: as set last; saved: as the face's own YAML says, null for one that is shipped."""
+        """Return settings. live: as set last; saved: in the face's own YAML, null if shipped."""
         shown = {"live": shown_settings(link.status), "config": named_file("config")}
         try:
             saved = await asyncio.to_thread(saved_settings, named_file("config"))
@@ -190,7 +190,7 @@ def file_routes(link: FaceLink) -> APIRouter:
 
     @routes.patch("/settings")
     async def change(body: SettingsBody) -> JsonObject:
-        """Set them now; with `save`, into the YAML too: all of it or none."""
+        """Change settings now; with `save`, in the YAML too: all of it or none."""
         return await change_settings(link, body.values, save=body.save)
 
     @routes.get("/sound")
@@ -228,7 +228,7 @@ def file_routes(link: FaceLink) -> APIRouter:
 
     @routes.delete("/lines/{name}")
     async def remove(name: str) -> JsonObject:
-        """Delete one."""
+        """Delete one line, a sound file or performance."""
         await asyncio.to_thread(lines().remove, name)
         return {"removed": name}
 
@@ -244,7 +244,7 @@ def file_routes(link: FaceLink) -> APIRouter:
 
 
 def shown_settings(status: Mapping[str, Any] | None) -> dict[str, float]:
-    """The settings of a face that people change, by name, as they are now; without passing ones."""
+    """Return a face's lasting settings by name, as they are now; empty without a status."""
     if status is None:
         return {}
     lively = (status.get("expression") or {}).get("expression")
@@ -253,7 +253,7 @@ def shown_settings(status: Mapping[str, Any] | None) -> dict[str, float]:
 
 
 async def change_settings(link: FaceLink, values: dict[str, float], *, save: bool) -> JsonObject:
-    """Set them now; save: into the face's YAML as well. All of it, or none. Raises FaceError."""
+    """Change settings now, with `save` in the face's YAML too: all or none. Raises FaceError."""
     if not save:
         await link.change(values)
         return {"set": values, "saved": False}

@@ -1,4 +1,4 @@
-"""`/api/first-hour`: what the page of the first hour shows, and what a person does there."""
+"""`/api/first-hour`: routes of the page that leads through a new face's setup."""
 
 import asyncio
 from typing import Any
@@ -21,7 +21,7 @@ JsonObject = dict[str, Any]
 
 
 def first_hour_routes(hour: FirstHour) -> APIRouter:
-    """Each answers with the whole state after it."""
+    """Return the routes; each applies one request to `hour` and answers with its whole state."""
     routes = APIRouter(prefix="/api/first-hour")
 
     @routes.get("")
@@ -44,7 +44,7 @@ def first_hour_routes(hour: FirstHour) -> APIRouter:
 
     @routes.post("/wire")
     async def wire(body: WireBody) -> JsonObject:
-        """Say how a hobby servo is wired, or take one back."""
+        """Add a hobby servo by its wiring, or remove it by its name."""
         await asyncio.to_thread(hour.wire, body.channel)
         return await state()
 
@@ -63,13 +63,13 @@ def first_hour_routes(hour: FirstHour) -> APIRouter:
 
     @routes.post("/order")
     async def order(body: OrderBody) -> JsonObject:
-        """To the step that runs."""
+        """Send an order to the step that runs."""
         await asyncio.to_thread(hour.order, body.model_dump(exclude_none=True))
         return await state()
 
     @routes.post("/end")
     async def end() -> JsonObject:
-        """The step that runs ends: to rest, then limp."""
+        """End the step that runs: the face goes to rest, then torque goes off."""
         hour.end()
         return await state()
 
@@ -81,7 +81,7 @@ def first_hour_routes(hour: FirstHour) -> APIRouter:
 
     @routes.post("/limits")
     async def limits() -> JsonObject:
-        """Write what was set, into the YAML and into the servos."""
+        """Write the limits that were set into the YAML and into the servos."""
         await asyncio.to_thread(hour.write_limits)
         return await state()
 

@@ -1,4 +1,4 @@
-"""`/metrics` for Prometheus. What is unknown is absent, and never a good figure."""
+"""`/metrics` for Prometheus. An unknown figure is left out, never replaced by a good one."""
 
 from collections.abc import Callable, Iterable
 from typing import Any, Final
@@ -38,15 +38,15 @@ _COUNTS: Final = (
 
 
 class FaceCollector(Collector):
-    """The figures at the moment of the request."""
+    """A Prometheus collector of a face's figures at the time of each request."""
 
     def __init__(self, link: FaceLink, n_clients: Callable[[], dict[str, int]]) -> None:
-        """n_clients: of each stream, by its name."""
+        """Collect from `link`. n_clients: returns the number of clients of each stream by name."""
         self._link = link
         self._n_clients = n_clients
 
     def collect(self) -> Iterable[Metric]:
-        """Every metric; of a face that does not answer only that."""
+        """Yield every metric; while the face does not answer, none from its status."""
         link = self._link
         certainty = link.certainty()
         is_fresh = bool(certainty["face_answers"])

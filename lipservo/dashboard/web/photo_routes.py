@@ -1,7 +1,7 @@
-"""A photograph in the page: its warp for points that a browser gives. The picture stays there.
+"""Routes that return a photograph's warp for landmarks from a browser, which keeps the picture.
 
 As with a robot's own model, nothing of a person is stored or sent: the browser has the pixels, and
-gives twenty points and a size (docs/decisions/0081-photographs-in-the-page.md).
+sends twenty points and a size (docs/decisions/0081-photographs-in-the-page.md).
 """
 
 import gzip
@@ -27,14 +27,14 @@ _LONGEST_SIDE_PX: Final = 4096
 
 
 class PhotoPoints(BaseModel):
-    """Of a photograph: (width, height), and where its face is, as `--landmarks` has it."""
+    """A photograph's (width, height) and its face's named points, all in pixels."""
 
     size: tuple[int, int]
     points_px: dict[str, list[float]] = Field(max_length=500)
 
 
 def photo_routes(app: FastAPI, face: FaceModel) -> None:
-    """Serve the warp of the shipped picture, and of any points that are posted."""
+    """Add routes for the shipped picture, its points and warp, and the warp of posted points."""
     one_at_a_time = threading.Lock()
 
     def warp(landmarks: Landmarks, size: tuple[int, int]) -> Response:

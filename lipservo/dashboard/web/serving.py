@@ -1,6 +1,6 @@
 """The dashboard of one face as one ASGI application and one process that serves it.
 
-The stop is outermost, then the policy, and within these the API and the pages.
+Its layers, from the outermost: the route of stops, the access policy, the API and the pages.
 """
 
 import contextlib
@@ -34,7 +34,7 @@ _CLOSING_S: Final = 1.0
 
 
 class _Parted:
-    """Two applications, by path. app: the pages', which also begins and ends with the server."""
+    """An ASGI application that passes requests by path to the API, or else to `app`, the pages."""
 
     def __init__(self, api: App, pages: App) -> None:
         self.app = pages
@@ -54,12 +54,11 @@ def make_app(
     code: OneTimeCode | None = None,
     hour: FirstHour | None = None,
 ) -> App:
-    """The whole dashboard of one face; the link runs while it does.
+    """Return the whole dashboard of one face as an application; `link` runs while it does.
 
-    Of one process: NiceGUI has one set of pages. model: the face model that the face runs with,
-    whose components move the twin; None: the shipped one. token: see `Policy`. code: that the
-    first browser is started with. hour: the first hour of a face that is being made. Raises
-    ModelError.
+    Once in a process: NiceGUI has one set of pages. model: the face model that the face runs with,
+    whose components move the twin; None: the shipped one. token: see `Policy`. code: in the URL
+    that the first browser is started with. hour: the setup of a new face. Raises ModelError.
     """
     # FastAPI would send what it measures to wherever the environment says.
     os.environ["OTEL_SDK_DISABLED"] = "true"
@@ -89,15 +88,15 @@ def make_app(
 def with_access(
     app: App, link: FaceLink, token: str | None, code: OneTimeCode | None = None
 ) -> App:
-    """An application behind its policy, and before both the stop."""
+    """Return `app` wrapped in the access policy, and that in the route that answers stops."""
     return StopRoute(AccessLayer(app, token, lambda: link.origins, code), link, token)
 
 
 class _BoundedSocket(WebSocketsSansIOProtocol):
-    """Is hung up on when it gives no sign of life, whatever waits to be sent to it."""
+    """A WebSocket whose client is disconnected when it answers no ping, even with data unsent."""
 
     def keepalive_timeout(self) -> None:
-        """No answer to a ping."""
+        """Abort the connection of a client that did not answer a ping."""
         super().keepalive_timeout()
         self.transport.abort()
 
@@ -111,16 +110,16 @@ def serve(
     code: OneTimeCode | None = None,
     hour: FirstHour | None = None,
 ) -> None:
-    """Serve until a signal ends it. link: to the face; on_ready: called once it can.
+    """Serve the dashboard until a signal ends it. on_ready: called once clients can connect.
 
-    token, code, hour: as `make_app`. model: that the face runs with. Raises ModelError.
+    token, model, code, hour: as for `make_app`. Raises ModelError.
     """
     app = make_app(link, token, model, code, hour)
     server_of(app, on_ready).run([bounded(listener)])
 
 
 def bounded(listener: socket.socket) -> socket.socket:
-    """The same, whose connections hold little that was not read."""
+    """Limit the kernel's send buffer of each connection to 64 KiB, and return the listener."""
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL_BYTES)
     return listener
 
@@ -128,7 +127,7 @@ def bounded(listener: socket.socket) -> socket.socket:
 def server_of(
     app: App, on_ready: Callable[[], None] = lambda: None, ping_s: float = _PING_S
 ) -> uvicorn.Server:
-    """A server with every bound that is ours. ping_s: so long a client may give no sign of life."""
+    """Return a server of `app` with limits; a client that answers no ping for ping_s is dropped."""
     config = uvicorn.Config(
         app,
         ws=_BoundedSocket,

@@ -1,8 +1,8 @@
 """`POST /api/stop`, answered before everything else of the dashboard.
 
-The outermost ASGI layer: from here a stop goes to the face's control socket by way of the policy
-(`lipservo/access/admission.py`) and `control_client.send_stop`, in the event loop. It needs no
-thread, no look-up, no status and no disk, so nothing that the dashboard does besides holds it up.
+The outermost ASGI layer: it checks a stop by the policy (`lipservo/access/admission.py`) and sends
+it to the face's control socket (`control_client.send_stop`), in the event loop. It needs no thread,
+search, status or disk, so that nothing else in the dashboard can delay it.
 """
 
 import asyncio
@@ -32,7 +32,7 @@ _AT_ONCE: Final = StopBody()
 
 
 class _BadBodyError(Exception):
-    """A body that is no stop: the status and one line."""
+    """The error for a body that is no valid stop: an HTTP status and one line."""
 
     def __init__(self, status: HTTPStatus, text: str) -> None:
         super().__init__(text)
@@ -40,16 +40,16 @@ class _BadBodyError(Exception):
 
 
 class StopRoute:
-    """An ASGI application around another, which never sees a stop."""
+    """An ASGI application that answers stops, and passes all other requests to the one within."""
 
     def __init__(self, app: App, link: FaceLink, token: str | None) -> None:
-        """link: keeps the path of the face's control socket. token: see `Policy`."""
+        """Wrap `app`. link: knows the face's control socket. token: see `Policy`."""
         self.app = app
         self._link = link
         self._token = token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve one stop; hand on whatever else comes."""
+        """Answer a stop; pass every other request to the application within."""
         is_stop = scope["type"] == "http" and scope["path"] == PATH and scope["method"] == "POST"
         if not is_stop:
             await self.app(scope, receive, send)
@@ -84,7 +84,7 @@ class StopRoute:
 
 
 async def stop_face(link: FaceLink, stop: StopBody) -> dict[str, Any]:
-    """Send a stop to the face at once, and wait for its answer.
+    """Send a stop to the face at once, and return its answer.
 
     Returns
     -------
@@ -96,7 +96,6 @@ async def stop_face(link: FaceLink, stop: StopBody) -> dict[str, Any]:
     ------
     FaceError
         not_answering: no face, or one that hangs; refused.
-
     """
     path, sent, level = link.control_path, None, StopLevel(stop.level)
     try:
@@ -123,7 +122,7 @@ async def stop_face(link: FaceLink, stop: StopBody) -> dict[str, Any]:
 
 
 async def _parsed(receive: Receive) -> StopBody:
-    """The body of a stop; an empty one is a soft stop. Raises _BadBodyError."""
+    """Return the parsed body of a stop, a soft stop for an empty one. Raises _BadBodyError."""
     body = b""
     try:
         async with asyncio.timeout(_BODY_S):

@@ -1,4 +1,4 @@
-"""`/api/twin` and `/api/state`: what the face does, thirty times a second, to many clients.
+"""`/api/twin` and `/api/state`: WebSockets of a face's frames, 30 a second, to many clients.
 
 Each frame is made once; a slow client misses some and delays no other.
 """
@@ -22,10 +22,11 @@ Message = str | bytes
 
 
 class FrameHub:
-    """One kind of stream.
+    """One stream of frames to many WebSocket clients.
 
-    layout: of the face now; hello: the first message to a client, and again when it is another.
-    message: the newest; made at most once a tick, and only where a client is connected.
+    layout: returns the face's layout now; hello: the first message to a client for a layout, sent
+    again when that changes. message: returns the newest frame; called at most once a tick, and
+    only where a client is connected.
     """
 
     def __init__(
@@ -42,13 +43,13 @@ class FrameHub:
         self.n_dropped = 0
 
     def tick(self) -> None:
-        """Send clients the newest frame."""
+        """Send the newest frame to every client that waits for one."""
         waiting, self._next = self._next, None
         if waiting is not None:
             waiting.set_result((self._layout(), self._message()))
 
     async def serve(self, socket: WebSocket) -> None:
-        """One client, until it leaves or does not read."""
+        """Send frames to one client until it disconnects or reads none for 5 s; at most 64."""
         if self.n_clients >= MOST_CLIENTS:
             await socket.close(_TRY_AGAIN_LATER, f"{MOST_CLIENTS} clients are connected already")
             return
@@ -99,7 +100,7 @@ async def _until_gone(socket: WebSocket) -> None:
 
 
 def add_streams(app: FastAPI, link: FaceLink) -> dict[str, FrameHub]:
-    """Add both to an application; the hubs, by name."""
+    """Add the WebSockets of both streams to an application; return their hubs by name."""
     twin = FrameHub(lambda: link.layout, hello, lambda: link.frame)
     state = FrameHub(
         lambda: link.layout, state_hello, lambda: state_message(link.moment, link.layout)

@@ -1,1 +1,1 @@
-"""The servos of one face: put together from its YAML, moved from pose to pose, let go."""
+"""The servos of one face: built from its YAML, moved from pose to pose, and torque switched off."""

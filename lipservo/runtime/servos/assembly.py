@@ -1,4 +1,4 @@
-"""A face from its files (settings, model, calibration), with its servos, bus and bridge."""
+"""Loading of a face (settings, model, calibration) and making of its servo bus and bridge."""
 
 import os
 from collections.abc import Collection, Mapping
@@ -35,7 +35,7 @@ from lipsync.face.model import load_face as load_face_model
 
 
 def prevent_rules(face: FaceSettings) -> list[PreventRule]:
-    """Return the rules between the face's joints."""
+    """Return the face's upper limits on weighted sums of joint angles, as rules for the gate."""
     return [
         PreventRule(rule.factors(face.servos), rule.above, rule.because) for rule in face.prevent
     ]
@@ -52,7 +52,11 @@ def bridge_for(
     given_up: Mapping[int, str] | None = None,
     switched_off: Collection[int] = (),
 ) -> Bridge:
-    """The bridge with all rules of the face's YAML. rate_hz: default the face's."""
+    """Return a bridge from `channel` to `bus` with the face's joints and rules.
+
+    rate_hz: ticks a second; None: the face's. given_up: reasons for servos that stay limp, by
+    index. switched_off: indices of servos that a person switched off.
+    """
     return Bridge(
         bus,
         face.joints(),
@@ -71,7 +75,7 @@ def bridge_for(
 
 
 def mouth_rules(face: FaceSettings) -> tuple[CouplingRule, ...]:
-    """The same rules as a calibration keeps them, in the order of the mouth's servos alone.
+    """Return the face's limits on sums of joint angles as coupling rules of the mouth's servos.
 
     Necks and eyes count as at rest: a calibration moves the mouth only.
     """
@@ -81,10 +85,10 @@ def mouth_rules(face: FaceSettings) -> tuple[CouplingRule, ...]:
 
 
 def servo_memories(face: FaceSettings) -> tuple[ServoMemory | None, ...]:
-    """What the mouth's servos keep in themselves; nothing where they keep none.
+    """Read the settings stored in the mouth's servos; () if no servo of the face stores any.
 
-    Opens the port for this alone. Raises PortError, and ServoError where a servo differs from the
-    face's YAML; None for one that does not answer.
+    One entry a mouth servo; None: it does not answer, or stores nothing. Opens the port for this
+    alone. Raises PortError, and ServoError where a servo differs from the face's YAML.
     """
     keys = [field.name for field in fields(ServoMemory)]
     kept: dict[str, ServoMemory | None] = {}
@@ -106,7 +110,10 @@ def servo_memories(face: FaceSettings) -> tuple[ServoMemory | None, ...]:
 
 
 def bus_for(face: FaceSettings, clock: Clock, *, strict: bool = True) -> ServoBus:
-    """The bus that the face's YAML asks for, or all of them; use it as a context manager."""
+    """Return the servo bus of the face, or one that joins its several buses; the caller enters it.
+
+    strict: opening fails if a servo is missing; False: servos may be missing.
+    """
     if not face.buses:
         if face.servo_port is not None:
             note_port(face.bus)
@@ -122,27 +129,27 @@ def bus_for(face: FaceSettings, clock: Clock, *, strict: bool = True) -> ServoBu
 
 
 def wiring_of(face: FaceSettings) -> Wiring:
-    """The servos of a face with one bus, and the file of the pulses sent last."""
+    """Return the wiring of a face with one bus, with the file that keeps the pulses sent last."""
     port = face.servo_port
     kept = None if port is None else kept_pulses_path(face.name, port, os.environ)
     return replace(face.wiring, kept=kept)
 
 
 def allow_first_start(face: FaceSettings) -> None:
-    """Allow servos of unknown position to jump to neutral; a person confirmed it."""
+    """Allow servos of unknown position to jump to neutral; a person must have confirmed it."""
     for one in face.alone.values():
         one.bus_kind.allow_first_start(wiring_of(one))
 
 
 def simulated_wire(face: FaceSettings) -> tuple[ServoBus, ManualClock]:
-    """The face's servos simulated to the byte, in memory, and the clock that moves them."""
+    """Return the face's servos, simulated byte by byte in memory, as (bus, its manual clock)."""
     bus, clock = face.bus_kind.simulator().simulated_wire(face.wiring)
     return bus, clock
 
 
 @dataclass(frozen=True, slots=True)
 class Face:
-    """One robot face and everything that belongs to it, checked against one another.
+    """One robot face with settings, model, calibration and joints, checked against one another.
 
     calibration: of the mouth's servos, with the face's rules between joints. folder: of the YAML;
     None: a shipped face.
@@ -156,7 +163,10 @@ class Face:
 
 
 def load_settings(config: str) -> tuple[FaceSettings, Path | None]:
-    """A shipped face by its name, or a YAML file by its path, and the folder of that file."""
+    """Load a shipped face by name or a YAML file by path; return settings and the YAML's folder.
+
+    The folder is None for a shipped face. Raises SettingsError.
+    """
     if config.endswith((".yaml", ".yml")) or "/" in config:
         path = Path(config)
         return load_face(path), path.parent
@@ -164,7 +174,7 @@ def load_settings(config: str) -> tuple[FaceSettings, Path | None]:
 
 
 def assemble_face(config: str, model_path: Path | None) -> Face:
-    """Load a face by name or path; refuse parts that were not made for one another.
+    """Load a face by name or path; refuse a model or calibration made for another face.
 
     Raises SettingsError, ModelError or CalibrationError, each with one line for each mistake.
     """
@@ -172,9 +182,9 @@ def assemble_face(config: str, model_path: Path | None) -> Face:
 
 
 def assembled_face(settings: FaceSettings, folder: Path | None, model_path: Path | None) -> Face:
-    """The face of settings that were read. folder: of their YAML; None: a shipped face.
+    """Return the face of loaded settings, with model and calibration loaded and checked.
 
-    Raises ModelError or CalibrationError.
+    folder: of the settings' YAML; None: a shipped face. Raises ModelError or CalibrationError.
     """
     model = load_face_model(model_path)
     file = calibration_file(settings, folder)
@@ -186,9 +196,10 @@ def assembled_face(settings: FaceSettings, folder: Path | None, model_path: Path
 
 
 def check_servos(face: Face) -> None:
-    """Ask the servos, if there are any, whether they are still as they were calibrated.
+    """Raise CalibrationError, with the remedy, if servos' settings changed since calibration.
 
-    Raises CalibrationError with the remedy, and what `servo_memories` raises.
+    Does nothing if the calibration was made without servos. Raises PortError, and ServoError where
+    a servo differs from the face's YAML.
     """
     if face.calibration.origin.servo_memories:
         memories = servo_memories(face.settings)

@@ -1,6 +1,6 @@
 """The servos of one face as this process drives them: bus, bridge, control socket, life cycle.
 
-Every command that moves servos gets them here, and so does the bridge process of a daemon.
+Every command that moves servos uses this module, and so does the bridge process of a daemon.
 """
 
 import logging
@@ -31,18 +31,18 @@ _LOG: Final = logging.getLogger(__name__)
 
 
 def _of_the_servos(bridge: Mapping[str, object]) -> dict[str, object]:
-    """The status of a face without speech."""
+    """Return the status for JSON of a face without speech, given the bridge's status."""
     return whole_status(bridge, None).as_dict()
 
 
 @dataclass(frozen=True, slots=True)
 class ControlOptions:
-    """How a face is commanded from outside.
+    """The options of the control socket through which other programs command a face.
 
-    path: of its socket; None: in the runtime folder. commands: handles its requests. describe:
-    makes its status, for JSON, of what the bridge knows. about: what every answer says besides the
-    face's name and port. watched_fd: of the memory that a client may watch; None: there is none.
-    waits: a stop leaves a face that waits, limp, for a start; otherwise it ends.
+    path: of the socket; None: in the runtime folder. commands: handles its requests. describe:
+    makes the face's status, for JSON, from the bridge's. about: what every answer contains besides
+    the face's name and port. watched_fd: descriptor of the memory that a client may watch; None:
+    there is none. waits: after a stop the process waits, limp, for a start; otherwise it ends.
     """
 
     path: Path | None = None
@@ -55,11 +55,11 @@ class ControlOptions:
 
 @dataclass(frozen=True, slots=True)
 class Supervised:
-    """What a supervisor hands to the process that drives its servos.
+    """The state that a supervisor hands to the process that drives its servos.
 
-    control_fd: of the face's listening control socket. stopped: what a person had requested of the
-    bridge that died before this one. given_up: servos that stay limp, by index, and why;
-    switched_off: by a person, by index.
+    control_fd: descriptor of the face's listening control socket. stopped: a person's stop that was
+    in force when the previous bridge process died. given_up: reasons for servos that stay limp, by
+    index. switched_off: indices of servos that a person switched off.
     """
 
     lifeline: Heartbeat
@@ -71,11 +71,11 @@ class Supervised:
 
 @dataclass(frozen=True, slots=True)
 class DriveOptions:
-    """How servos are driven.
+    """The options with which a face's servos are driven.
 
-    rate_hz: ticks a second; None: the face's. dry_run: servos are read and never moved. quiet:
-    errors alone are logged. supervised: None: no process watches over this one, and it logs by
-    itself; under a supervisor servos may be missing.
+    rate_hz: ticks a second; None: the face's. dry_run: servos are read and never moved. quiet: only
+    errors are logged. supervised: None: there is no supervisor, and this process keeps its own log;
+    under a supervisor servos may be missing.
     """
 
     rate_hz: float | None = None
@@ -87,7 +87,7 @@ class DriveOptions:
 
 @dataclass(frozen=True, slots=True)
 class DrivenFace:
-    """An open bus, its bridge and its life cycle; servos are limp until `life.start`."""
+    """An open bus with its bridge and life cycle; servos are limp until `life.start`."""
 
     bus: ServoBus
     bridge: Bridge
@@ -102,7 +102,7 @@ def driven_face(
     options: DriveOptions | None = None,
     bus: ServoBus | None = None,
 ) -> Iterator[DrivenFace]:
-    """Open the bus, listen for commands; whatever ends the block, servos are let go after it.
+    """Open the bus and the control socket, yield the driven face, and switch torque off at the end.
 
     channel: of the targets. bus: not yet entered; None: the face's own. Raises what the bus raises,
     and ControlError where no socket can be made.
@@ -129,9 +129,10 @@ def driven_face(
 def face_life(
     name: str, port: str | None, bridge: Bridge, clock: Clock, options: DriveOptions
 ) -> Iterator[LifeCycle]:
-    """The life cycle of a bridge, with its logs, its health log and its control socket.
+    """Yield the life cycle of a bridge, with its logs, its health log and its control socket.
 
-    port: of its servos, None: simulated in memory. On a clock of its own no person could stop it.
+    port: of its servos, None: simulated in memory. With a manual clock the life cycle has no logs
+    and no control socket.
     """
     if isinstance(clock, ManualClock):
         with LifeCycle(bridge, clock) as life:

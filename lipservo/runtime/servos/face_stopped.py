@@ -1,10 +1,10 @@
-"""How a command ends after a person has stopped its face."""
+"""The exception and the exit status of a command whose face a person has stopped."""
 
 from firmware_bridge.stopping import ExitStatus, StopReport
 
 
 class FaceStopped(Exception):  # noqa: N818 - what a person asked for is no error
-    """A person stopped the face before the command was done; carries what the servos reported."""
+    """The error that a person stopped the face before the command was done; with stop report."""
 
     def __init__(self, report: StopReport, signal_number: int | None) -> None:
         super().__init__(report.text())
@@ -13,12 +13,12 @@ class FaceStopped(Exception):  # noqa: N818 - what a person asked for is no erro
 
     @property
     def exit_status(self) -> int:
-        """See `exit_status`; 5 in place of 0, for what was begun is not there."""
+        """The exit status: 3 if a servo did not confirm, else 128 + signal number, else 5."""
         return exit_status(self.report, self.signal_number) or ExitStatus.STOPPED_EARLY
 
 
 def exit_status(report: StopReport, signal_number: int | None) -> int:
-    """0; after a signal 128 + its number, as shells count; 3 when a servo did not confirm."""
+    """Return 3 if a servo did not confirm, else 128 + signal number as shells do, else 0."""
     if not report.complete:
         return ExitStatus.UNCONFIRMED
     return 0 if signal_number is None else 128 + signal_number

@@ -1,7 +1,6 @@
-"""A face that is moved by a person alone, with keys or from its page: no speech, no calibration.
+"""A face that a person moves with keys or from its page: without speech or calibration.
 
-It is held in neutral through the same gate as ever; jogging uses the orders that a
-speaking face takes, too.
+It is held in neutral through the usual gate; jogging uses the orders that a speaking face accepts.
 """
 
 from collections.abc import Callable
@@ -31,10 +30,11 @@ def drive_by_hand(
     clock: Clock,
     act: Callable[[Bridge, float], bool] = lambda _bridge, _time_s: True,
 ) -> tuple[StopReport, int | None]:
-    """Hold the face in neutral until a person stops it: (the servos' report, signal's number).
+    """Hold the face in neutral until a person stops it; return (stop report, number of the signal).
 
-    config: as its status names it. act: called in each tick, at its time, to give orders to the
-    bridge; False: the face comes to rest and is let go. Raises what bus and bridge raise.
+    The number is None if no signal stopped it. config: as its status names it. act: called with the
+    bridge and the time in each tick, to give orders to the bridge; it returns False to end: the
+    face comes to rest and goes limp. Raises what bus and bridge raise.
     """
     channel = MemoryTargetChannel()
     with SilentBoard.create(settings, config) as board:
@@ -70,13 +70,13 @@ _RENEW_S: Final = 1.0
 
 
 class KeyedJoint:
-    """One joint in the hand of a person at a terminal.
+    """One joint that a person moves with keys of a terminal.
 
-    place: the goal, in us of a hobby servo, in degrees of another.
+    place: its goal position, in us of a hobby servo, in degrees of another.
     """
 
     def __init__(self, settings: FaceSettings, name: str) -> None:
-        """name: of a joint of the face."""
+        """Create the state of the face's joint `name`, with its goal at neutral."""
         joint = next(each for each in settings.joints() if each.name == name)
         self.name, self.joint, self.pulse = name, joint, joint.pulse
         self.place = 0.0 if joint.pulse is None else joint.pulse.neutral_us
@@ -85,13 +85,13 @@ class KeyedJoint:
 
     @property
     def shown(self) -> str:
-        """The goal as text."""
+        """The goal position as text for a person."""
         if self.pulse is None:
             return f"{self.name} {self.place:.1f} deg"
         return f"{self.name} {self.place:.0f} us ({self.pulse.deg(self.place):.1f} deg)"
 
     def press(self, key: str, bridge: Bridge, time_s: float) -> str | None:
-        """Do what a key asks: why not, in one line; empty: done; None: it is no key of these."""
+        """Act on a pressed key; return "" if done, why not if refused, None for other keys."""
         if key == AGREE_KEY and self._may_confirm:
             self._may_go_beyond = True
             return ""
@@ -104,7 +104,10 @@ class KeyedJoint:
         return self._go(round(self.place + step, 1), bridge, time_s)
 
     def renew(self, bridge: Bridge, time_s: float) -> bool:
-        """In each tick: stay where it was led. False: it has gone back from beyond its limits."""
+        """Renew the jog order each second within the limits; return False once the bridge ended it.
+
+        Call in each tick. After the end the joint is back at neutral, and so is `place`.
+        """
         if self.name not in bridge.jogged:
             was_led, self._renewed_s = np.isfinite(self._renewed_s), -np.inf
             if was_led:

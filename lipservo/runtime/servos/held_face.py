@@ -1,7 +1,7 @@
-"""A face whose servos are on and held: moved from pose to pose through the bridge, as speech is.
+"""A face whose servos are held with torque on and moved from pose to pose through the bridge.
 
-Everything goes through the last gate. One thread speaks to the bus; code that waits for a person or
-a tracker does so in `hold`, or in `hold_while`, so that the servos hear something all the time.
+All goals pass the last gate. One thread uses the bus; code that waits for a person or a tracker
+does so in `hold_while` or `work`, so that the servos receive goals all the time.
 """
 
 import math
@@ -51,7 +51,7 @@ _TWICE = 1.6
 
 
 def held_rate_hz(settings: FaceSettings) -> float:
-    """Fast enough for chirps where the bus can do it, else the face's own rate."""
+    """Return the face's rate, or 50 Hz (for chirps) where that is more and its buses allow it."""
     if settings.rate_hz >= _DRIVE_RATE_HZ:
         return settings.rate_hz
     rate_hz = _TWICE * _DRIVE_RATE_HZ
@@ -60,11 +60,11 @@ def held_rate_hz(settings: FaceSettings) -> float:
 
 
 class HeldFace:
-    """Servos armed from `__enter__` to `__exit__`, on a bus and a life cycle of their own.
+    """Servos with torque on from `__enter__` to `__exit__`, on a bus and a life cycle of their own.
 
     Poses are joint degrees (n_joints,) of the joints named, by default the mouth's in the order of
-    the YAML; all others stay at their goals of the beginning. Raises what `Bridge` and
-    the bus raise, and FaceStopped when a person stops the face; it is limp then.
+    the YAML; all others stay at their goals of the beginning. Raises what `Bridge` and the bus
+    raise, and FaceStopped when a person stops the face; it is limp then.
     """
 
     def __init__(
@@ -79,10 +79,11 @@ class HeldFace:
         end: StopLevel = StopLevel.SOFT,
         config: str | None = None,
     ) -> None:
-        """bus: not yet entered; None: the face's own. joints: which ones poses speak of.
+        """Create the face; no port is opened. bus: not yet entered; None: the face's own.
 
-        from_neutral: go there first, else stay in place. end: how the face is left when the block
-        ends well. config: as its status names it, for a page that watches; None: none does.
+        joints: names of the joints in poses; None: the mouth's. from_neutral: move all joints to
+        neutral on entry. end: kind of stop when the block ends without an error. config: the face's
+        name or path in the status, for pages that watch it; None: no live board is made.
         """
         self._settings, self._config = settings, config
         self.rate_hz = held_rate_hz(settings)
@@ -104,7 +105,7 @@ class HeldFace:
 
     @property
     def life(self) -> LifeCycle:
-        """What is known of its end. Raises RuntimeError before it was entered."""
+        """The life cycle, with the report of its end. Raises RuntimeError before entry."""
         return self._driven.life
 
     @property
@@ -115,7 +116,7 @@ class HeldFace:
 
     @property
     def stands_deg(self) -> Array:
-        """Where the posed joints stand. Raises PortGone.
+        """The measured positions of the posed joints. Raises PortGone.
 
         Returns
         -------
@@ -126,7 +127,7 @@ class HeldFace:
 
     @property
     def goal_deg(self) -> Array:
-        """Where the posed joints are held; known where their places are not.
+        """The goal positions of the posed joints; known even of servos that report no position.
 
         Returns
         -------
@@ -137,17 +138,17 @@ class HeldFace:
 
     @property
     def effort(self) -> Array:
-        """How hard the posed joints pull. Raises PortGone.
+        """The measured effort of the posed joints. Raises PortGone.
 
         Returns
         -------
         Array
-            (n_joints,), in stall torques.
+            (n_joints,), as shares of the stall torque.
         """
         return self._feedback().effort[self._posed]
 
     def move(self, goal_deg: Array) -> Array:
-        """Move the posed joints to a goal, and wait until they stand.
+        """Move the posed joints to a goal at limited speed; wait until their encoders are still.
 
         Parameters
         ----------
@@ -157,13 +158,13 @@ class HeldFace:
         Returns
         -------
         Array
-            (n_joints,) degrees: where they stand.
+            (n_joints,) degrees: the positions reached.
         """
         self.lead(goal_deg)
         return self._settle()
 
     def lead(self, goal_deg: Array) -> Array:
-        """Send the posed joints a goal without waiting.
+        """Ramp the goals of the posed joints to `goal_deg`; do not wait until the servos are still.
 
         Parameters
         ----------
@@ -173,7 +174,7 @@ class HeldFace:
         Returns
         -------
         Array
-            (n_joints,) degrees: where they stand on the way.
+            (n_joints,) degrees: the positions when the last goal has been sent.
         """
         whole_deg = self._goal_deg.copy()
         whole_deg[self._posed] = goal_deg
@@ -187,7 +188,7 @@ class HeldFace:
             self._tick()
 
     def hold_while(self, ask: Callable[[], Answer]) -> Answer:
-        """Stay until `ask`, which may wait for a person, has an answer; its errors are raised."""
+        """Hold the pose while `ask` runs in a thread; return its result or raise its error."""
         answers: list[Answer] = []
         errors: list[BaseException] = []
 
@@ -206,10 +207,11 @@ class HeldFace:
         return answers[0]
 
     def work(self, job: Callable[[Here], Answer]) -> Answer:
-        """Stay until `job`, in a thread of its own, has an answer; its errors are raised.
+        """Hold the pose while `job` runs in a thread; return its result or raise its error.
 
-        job: gets a function that calls another one here, between two ticks, and returns its answer:
-        for all that speaks to the servos. What takes long besides holds up no tick and no stop.
+        job: receives a function that runs another one in the thread of the servos, between two
+        ticks, and returns its result: for all access to the servos. Slow work in the job delays no
+        tick and no stop.
         """
         calls: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = queue.SimpleQueue()
         is_over = threading.Event()
@@ -257,27 +259,27 @@ class HeldFace:
         return answers[0]
 
     def drive(self, goals_deg: Array, rate_hz: float) -> Array:
-        """Send goals, one a tick, through the gate.
+        """Send goals, one a tick, through the gate, and return the positions measured after each.
 
         An encoder is read half a tick after its goal was sent: a goal that is held for a tick is on
-        average half a tick old. Ticks that the computer missed are filled in between.
+        average half a tick old. Ticks that the computer missed are filled in by interpolation.
 
         Parameters
         ----------
         goals_deg : Array
-            (n, n_mouth_servos).
+            (n, n_joints) degrees, of the posed joints.
         rate_hz : float
-            Of this face.
+            Goals a second; must be this face's `rate_hz`.
 
         Returns
         -------
         Array
-            (n, n_mouth_servos) degrees: encoders of the same instants.
+            (n, n_joints) degrees: encoder positions half a tick after each goal.
 
         Raises
         ------
         ValueError
-            Another rate than this face's.
+            If `rate_hz` is another rate than this face's.
         """
         if rate_hz != self.rate_hz:
             raise ValueError(f"this face is driven at {self.rate_hz:g} Hz, not {rate_hz:g}")
@@ -337,7 +339,7 @@ class HeldFace:
         self._tell_stopped(error)
 
     def _tell_stopped(self, error: BaseException | None) -> None:
-        """Raises FaceStopped where a person stopped the face, whatever overtook the stop."""
+        """Raise FaceStopped if a person stopped the face, also where a BusError followed."""
         if self._opened is None or self.life.report is None:
             return
         life, report = self.life, self.life.report
@@ -356,7 +358,7 @@ class HeldFace:
             self._tick()
 
     def _settle(self) -> Array:
-        """Until every encoder is still, for as long as any servo needs at most."""
+        """Tick until all encoders are still, at most 1.5 s; return the posed joints' angles."""
         if not set(self._posed) <= set(self._measured):
             self.hold(_SETTLE_S)
             return self.stands_deg
@@ -373,10 +375,7 @@ class HeldFace:
         return self.stands_deg
 
     def _heard_deg(self) -> Array:
-        """Where the servos stand by a reading of just now; NaN, never still, for the others.
-
-        Of those alone that can say it at all.
-        """
+        """Return the positions, in degrees, of servos that measure any; NaN: no fresh reading."""
         feedback = self._feedback()
         return np.where(feedback.age_s == 0.0, feedback.positions_deg, np.nan)[self._measured]
 
@@ -395,7 +394,7 @@ class HeldFace:
         self._send(*self._next_tick())
 
     def _next_tick(self) -> tuple[float, int]:
-        """Raises FaceStopped when a person stopped the face, once it has come to its end."""
+        """Wait for the next tick: (time, ticks missed). Raises FaceStopped once stopped."""
         for time_s, late in self._ticks:
             return time_s, late
         raise FaceStopped(self._driven.bridge.stop_report(), self.life.signal_number)
@@ -408,7 +407,7 @@ class HeldFace:
 
 
 def _filled(columns: Array) -> Array:
-    """(n, k) with rows of NaN -> the same with what lies between the others."""
+    """Return (n, k) with rows that contain NaN interpolated linearly between the complete rows."""
     rows = np.arange(len(columns))
     seen = np.isfinite(columns).all(axis=1)
     return np.stack([np.interp(rows, rows[seen], column[seen]) for column in columns.T], axis=1)

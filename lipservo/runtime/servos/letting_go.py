@@ -1,6 +1,6 @@
-"""Ending a face from outside: by a request, by force if it does not answer.
+"""Stopping a face or releasing a port from outside: by a request, or by killing a hung process.
 
-And who confirmed it.
+The outcome lists which servos confirmed torque off.
 """
 
 import contextlib
@@ -47,11 +47,11 @@ _LOG: Final = logging.getLogger(__name__)
 
 @dataclass(slots=True)
 class Outcome:
-    """What became of one face or port.
+    """The result of stopping one face or releasing one port.
 
-    problem: empty when all servos confirmed what was requested. waits: the face's process lives on,
-    limp, and can be started again. released: servos that were let go and cannot confirm it;
-    released_words: what is true of them.
+    problem: empty when the request could be carried out. waits: the face's process lives on, limp,
+    and can be started again. released: servos with torque off that cannot confirm it;
+    released_words: their state, in words.
     """
 
     name: str
@@ -66,11 +66,11 @@ class Outcome:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether every servo confirmed."""
+        """Whether there was no problem and no servo failed to confirm."""
         return not (self.problem or self.unconfirmed)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON; what cannot confirm only where there is any."""
+        """Return the fields by name for JSON, without `released*` if no servo was released."""
         return {
             name: value
             for name, value in asdict(self).items()
@@ -78,7 +78,7 @@ class Outcome:
         }
 
     def text(self, done: str) -> str:
-        """In one line; `done`: what was ordered, as in "limp"."""
+        """Return the outcome in one line for a person. done: the state ordered, as in "limp"."""
         if self.problem:
             return f"{self.name}: {self.problem}"
         if self.released and not self.unconfirmed:
@@ -95,10 +95,10 @@ class Outcome:
 def stop_faces(
     faces: Sequence[RunningFace], level: StopLevel, *, end: bool = False
 ) -> list[Outcome]:
-    """Stop faces and wait for the end of each; one that hangs is let go by force, never frozen.
+    """Stop faces and return the outcome of each; a hung one is killed and its port released.
 
     Every face is sent the stop before the first is waited for, so that none in trouble delays
-    another. end: as `send_stop`.
+    another. A hung face is not killed for FREEZE. end: a daemon ends; otherwise it waits, limp.
     """
     sent: list[socket.socket | None] = []
     for face in faces:
@@ -154,7 +154,7 @@ def _await_stop(
 
 
 def _ports_of(face: RunningFace) -> list[str]:
-    """The ports that the processes behind a face's socket have locked just now."""
+    """Return the ports that the processes behind a face's socket have locked at present."""
     held = [port for pid in holders_of_socket(face.path) for port in ports_held_by(pid)]
     return list(dict.fromkeys(held))
 
@@ -167,9 +167,10 @@ def _troubles_of(face: RunningFace) -> list[str]:
 
 
 def release(port: str, face: "FaceSettings | None" = None) -> Outcome:
-    """Torque off at a port, even if a face of ours holds it; verified by every servo that is there.
+    """Switch torque off at a port, ending any face of ours that holds it, and return the outcome.
 
-    face: whose servos must confirm too; None: all that was driven there, or whatever is there.
+    face: the one whose servos must confirm; None: all servos that were driven at the port since it
+    was plugged in, or that answer there.
     """
     named = named_ports(port)
     if named is not None:
@@ -194,7 +195,10 @@ def _released(
     *,
     shared: bool,
 ) -> Outcome:
-    """Of one board. shared: others hang on the same port, so each is named with its servos."""
+    """Switch torque off on one board at a port and return the outcome.
+
+    shared: other boards use the same port, so each servo is named with its board.
+    """
     from firmware_bridge.bus_kinds import AT_A_PORT, Wiring
     from firmware_bridge.bus_settings import BusSettings
     from firmware_bridge.process.torque_release import release_port
@@ -223,7 +227,10 @@ def _released(
 def _release_all(
     name: str, ports: Mapping[str, str], faces: "Mapping[str, FaceSettings]"
 ) -> Outcome:
-    """The same at several ports at once, by the names of their buses; none waits for another."""
+    """Switch torque off at several ports at once, by bus name; return one combined outcome.
+
+    faces: settings of single buses whose servos must confirm, by bus name; may lack some.
+    """
     outcome = Outcome(name, name)
     if len(ports) == 1:
         ((bus, port),) = ports.items()
@@ -237,7 +244,7 @@ def _release_all(
 
 
 def faces_at(port: str, faces: Sequence[RunningFace]) -> list[RunningFace]:
-    """Those that hold this port, or report it as theirs; all are queried at once."""
+    """Return the faces that hold a port or report it in their status, querying all in parallel."""
     real = {os.path.realpath(each) for each in ports_in(port)}
 
     def is_there(face: RunningFace) -> bool:
@@ -254,9 +261,10 @@ def faces_at(port: str, faces: Sequence[RunningFace]) -> list[RunningFace]:
 
 
 def _free(port: str) -> None:
-    """End the processes of ours that hold a port: two signals, which means limp, then SIGKILL.
+    """End the processes of ours that hold a port: two SIGTERM, which mean limp, then SIGKILL.
 
-    With a supervisor, which would start its bridge again, that is ended; never any other parent.
+    A bridge process is ended with its supervisor, which would start it again; never with any other
+    parent.
     """
     holders = [pid for pid in holders_of(port) if is_ours(pid)]
     pids = list(dict.fromkeys(supervisor_of(pid) or pid for pid in holders))
@@ -296,7 +304,7 @@ def _end_by_force(face: RunningFace, level: StopLevel, outcome: Outcome) -> Outc
 
 
 def _take_over(outcome: Outcome, released: Outcome, bus: str = "") -> None:
-    """bus: its name, where servos of several ports are listed."""
+    """Add the servos and problem of `released` to `outcome`, with `bus` before servo names."""
     at = f"{bus} " if bus else ""
     outcome.confirmed += [at + each for each in released.confirmed]
     outcome.unconfirmed |= {at + each: why for each, why in released.unconfirmed.items()}

@@ -34,9 +34,9 @@ _SILENT: Final = "does not answer; check its power and cable"
 
 @dataclass(frozen=True, slots=True)
 class LimpPose:
-    """Where the fingers hold the joints. positions_deg: (n_servos,), NaN for one never heard.
+    """The joint positions of limp servos: (n_servos,) degrees, NaN for a servo without a reading.
 
-    obstacles: by the name of a servo, why the pose cannot be kept; none: it can.
+    obstacles: reasons why the pose cannot be kept, by servo name; empty: it can be kept.
     """
 
     positions_deg: Array
@@ -44,7 +44,7 @@ class LimpPose:
 
 
 class LimpServos:
-    """Some servos of an open bus. Others stay as they are."""
+    """Some servos of an open bus, to be switched off and read. Other servos are not touched."""
 
     def __init__(
         self,
@@ -53,13 +53,16 @@ class LimpServos:
         clock: Clock,
         names: Sequence[str] | None = None,
     ) -> None:
-        """settings: of the face that the bus was made for. names: default the mouth's, in order."""
+        """Select servos of the face that the bus was made for.
+
+        names: of the servos; None: the mouth's, in the order of the YAML.
+        """
         self.names = tuple(settings.mouth_servos if names is None else names)
         self._bus, self._clock = bus, clock
         self._indices = [list(settings.servos).index(name) for name in self.names]
 
     def let_go(self) -> StopReport:
-        """Torque off in each, read back; who did not confirm is named. Never raises PortError."""
+        """Switch torque off in each servo; report which confirmed it. Never raises PortError."""
         confirmed, unconfirmed = [], {}
         for name, index in zip(self.names, self._indices, strict=True):
             try:
@@ -74,7 +77,7 @@ class LimpServos:
         return StopReport(tuple(confirmed), unconfirmed)
 
     def read_pose(self) -> LimpPose:
-        """Where the joints are now, and who cannot be believed. Raises PortGone."""
+        """Return positions (degrees) and obstacles read from the servos now. Raises PortGone."""
         feedback = self._bus.read()
         positions_deg = feedback.positions_deg[self._indices]
         silent, held = feedback.missing[self._indices], feedback.torque_on[self._indices]
@@ -87,7 +90,7 @@ class LimpServos:
         return LimpPose(positions_deg, obstacles)
 
     def steady_pose(self) -> LimpPose:
-        """The median of the next 0.3 s, as `steady`. Raises PortGone."""
+        """Return the median pose of 7 readings over 0.3 s, with obstacles. Raises PortGone."""
         readings = []
         for n in range(STEADY_READINGS):
             if n:
@@ -96,9 +99,10 @@ class LimpServos:
         return self.steady(readings)
 
     def steady(self, readings: Sequence[LimpPose]) -> LimpPose:
-        """The median of some looks; who moved meanwhile is in the way too.
+        """Return the median positions of several readings, with obstacles.
 
-        A lost sample or two are no silence.
+        An obstacle is a servo that held torque in any reading, is silent in most, or moved by over
+        1 deg.
         """
         places_deg: list[float] = []
         obstacles: dict[str, str] = {}
@@ -120,20 +124,20 @@ class LimpServos:
 
 
 class TurnedRange:
-    """How far a hand has turned each joint, in joint degrees. Arrays are (n_servos,)."""
+    """The range over which each joint has been turned by hand, degrees. Arrays are (n_servos,)."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = tuple(names)
         self.begin()
 
     def begin(self) -> None:
-        """Forget the range so far."""
+        """Forget the ranges of all joints, to begin anew."""
         nothing = np.full(len(self._names), np.nan)
         self._here_deg, self._least_deg, self._most_deg = nothing, nothing, nothing
         self._obstacles: Mapping[str, str] = {}
 
     def note(self, pose: LimpPose) -> None:
-        """Add a reading; held or silent servos are left out."""
+        """Extend the ranges by a pose; servos that are held or silent are left out."""
         free = [name not in pose.obstacles for name in self._names]
         here_deg = np.where(free, pose.positions_deg, np.nan)
         self._here_deg, self._obstacles = here_deg, pose.obstacles
@@ -141,12 +145,12 @@ class TurnedRange:
         self._most_deg = np.fmax(self._most_deg, here_deg)
 
     def ends(self) -> dict[str, tuple[float, float]]:
-        """Least and most of each joint by name; NaN where it was never read."""
+        """Return (least, most) degrees of each joint by name; NaN where it was never read."""
         ends_deg = zip(self._least_deg.tolist(), self._most_deg.tolist(), strict=True)
         return dict(zip(self._names, ends_deg, strict=True))
 
     def lines(self) -> list[str]:
-        """Return the ranges for people, one line a joint."""
+        """Return a line of text for each joint: its position and range, or why it has none."""
         return [
             f"{name}: {here:.1f} deg, turned from {least:.1f} to {most:.1f}"
             if math.isfinite(least)
@@ -157,7 +161,7 @@ class TurnedRange:
         ]
 
     def table(self) -> "Table":
-        """Return a table of the range so far."""
+        """Return a table of position, range and obstacle of each joint, for the terminal."""
         from rich.table import Table
 
         table = Table("joint", "now", "least", "most", "", box=None)

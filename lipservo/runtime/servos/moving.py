@@ -1,4 +1,4 @@
-"""Moving a face to a pose by hand: the same bus, bridge and gate as speech uses."""
+"""Moving a face to a pose on a person's command, through bus, bridge and gate as speech does."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,9 +14,10 @@ from lipsync.errors import UserError
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """Where every joint stood before it was let go, degrees, and what the servos reported of that.
+    """The position of every joint in degrees just before torque off, and the servos' stop report.
 
-    reached_deg: where it was sent to, of servos that cannot say where they stand: not is_measured.
+    reached_deg: the measured position; of a servo that cannot report one (is_measured is False),
+    the goal sent last. Both by joint name.
     """
 
     reached_deg: dict[str, float]
@@ -32,10 +33,11 @@ def move_to(
     *,
     may_jump: bool = False,
 ) -> Moved:
-    """Lead the named joints, None: all to neutral, and let go there.
+    """Move the named joints, hold the pose for `hold_s` seconds, then switch torque off.
 
-    may_jump: servos of unknown position may jump to neutral.
-    Raises UserError for a joint or an angle that the face has not; nothing has moved then.
+    wanted_deg: joint degrees by name; None: all joints to neutral. may_jump: servos of unknown
+    position may jump to neutral. Returns the positions reached and the stop report. Raises
+    UserError, before any motion, for an unknown joint or an angle outside its limits.
     """
     settings, _ = load_settings(config)
     if port is not None:

@@ -92,7 +92,7 @@ _SEVERAL_HEAD = """\
 
 @dataclass(frozen=True, slots=True)
 class FoundJoint:
-    """One joint as its servo was found and a person named it; limits in joint degrees."""
+    """A joint whose servo was found on a bus and that a person named; limits in joint degrees."""
 
     name: str
     servo_id: int
@@ -105,9 +105,10 @@ class FoundJoint:
     part: str = _MOUTH
 
     def within(self, recorded: RecordedRange, neutral_tick: int) -> "FoundJoint":
-        """With the recorded range as limits, and 0 where the servo stands now.
+        """Return the joint with the recorded range as its limits, and 0 degrees at `neutral_tick`.
 
-        neutral_tick: without homing offset. Raises UserError where it is outside of that range.
+        neutral_tick: the servo's present position, without homing offset. Raises UserError where it
+        is outside of that range.
         """
         # A homed servo shows its place plus the homing offset, and so it was recorded.
         least, most = (
@@ -130,9 +131,10 @@ class FoundJoint:
 
 
 def nudge(tools: Any, port: str, rate: int, servo_id: int, model_name: str) -> int:
-    """Move one servo by 3 degrees and back, through the gate; limp afterwards. Where it stood.
+    """Move one servo by 3 degrees and back through the gate, go limp; return its start in ticks.
 
-    tools: of its kind of bus (`BusKind.workshop`).
+    tools: module for single servos of its kind of bus (`BusKind.workshop`). Raises FaceStopped if a
+    person stops it, or torque off is not confirmed.
     """
     channel, clock = MemoryTargetChannel(), MonotonicClock()
     place: int
@@ -155,7 +157,7 @@ def nudge(tools: Any, port: str, rate: int, servo_id: int, model_name: str) -> i
 
 
 def _nudge_ramps(start_s: float) -> tuple[Ramp, Ramp]:
-    """There; and back after a rest that is as long as both ways together."""
+    """Return the ramps to 3 degrees and back; the second starts 0.5 s after the first has ended."""
     away_deg, here_deg = np.array([NUDGE_DEG]), np.zeros(1)
     return (
         Ramp(here_deg, away_deg, start_s, _NUDGE_S),
@@ -164,14 +166,14 @@ def _nudge_ramps(start_s: float) -> tuple[Ramp, Ramp]:
 
 
 def check_face_file(path: Path) -> None:
-    """Raises UserError where a new face cannot be written: a file that is there is never lost."""
+    """Raise UserError unless `path` is a .yaml or .yml file that can be newly written."""
     if path.suffix not in (".yaml", ".yml"):
         raise UserError(f"{path}: call the face {path.stem or 'my_face'}.yaml")
     check_output(path)
 
 
 def check_joint_name(name: str, taken: Sequence[str]) -> str:
-    """The name that a person typed; UserError where a face cannot have such a joint."""
+    """Return the typed name, stripped. Raises UserError if it is taken or no valid joint name."""
     name = name.strip()
     if not re.match(JOINT_NAME, name):
         raise UserError(
@@ -183,7 +185,7 @@ def check_joint_name(name: str, taken: Sequence[str]) -> str:
 
 
 def face_yaml(name: str, kind: BusKind, port: str, rate: int, joints: Sequence[FoundJoint]) -> str:
-    """The YAML of a face whose servos were found. name: any text, also of bytes not in UTF-8."""
+    """Return the YAML text of a face whose servos were found. name: may hold bytes not in UTF-8."""
     content = {
         "name": name.encode(errors="replace").decode(),
         "rate_hz": 30,
@@ -209,7 +211,7 @@ def face_yaml(name: str, kind: BusKind, port: str, rate: int, joints: Sequence[F
 
 @dataclass(frozen=True, slots=True)
 class WiredJoint:
-    """A hobby servo as a person says that it is wired. positive: what a longer pulse does."""
+    """A hobby servo as a person described its wiring. positive: what a longer pulse does."""
 
     name: str
     channel: int
@@ -219,9 +221,10 @@ class WiredJoint:
 def parse_channel(
     text: str, taken: Sequence[WiredJoint], elsewhere: Sequence[str] = ()
 ) -> WiredJoint:
-    """`jaw=0:opens`: joint, channel, and what a longer pulse does. Raises UserError.
+    """Parse `NAME=CHANNEL:WORD`, as in `jaw=0:opens`. Raises UserError.
 
-    taken: those of the same board; elsewhere: names of joints on other buses.
+    WORD: the motion that a longer pulse makes. taken: joints of the same board so far; elsewhere:
+    names of joints on other buses.
     """
     name, _, wiring = text.partition("=")
     number, _, positive = wiring.partition(":")
@@ -239,9 +242,9 @@ def parse_channel(
 def pulse_face_yaml(
     name: str, kind: BusKind, port: str | None, board: str, joints: Sequence[WiredJoint]
 ) -> str:
-    """The YAML of a face of hobby servos, with comments: values not given are careful ones.
+    """Return the YAML text, with comments, of a face of hobby servos, with narrow default limits.
 
-    Raises UserError for a board that is no word or number; its kind says whether it has it.
+    Raises UserError for a board that is no word or number; whether it exists is not checked.
     """
     if not re.fullmatch(_BOARD, board):
         raise UserError(f"--board {shown(board)} is no {kind.board_key} of a {kind.name}")
@@ -273,7 +276,10 @@ def pulse_face_yaml(
 
 
 def check_wiring(text: str, file_name: str) -> FaceSettings:
-    """The face of that YAML. Raises SettingsError, and ServoError for channels of no such board."""
+    """Parse the YAML of a face of hobby servos, check its channels, and return the settings.
+
+    Nothing is opened. Raises SettingsError, and ServoError for channels that the board lacks.
+    """
     settings = parse_face(text, file_name)
     # Opens nothing before it is entered; without a port it would look at nothing either.
     at = settings.at_port(settings.bus.port or os.devnull)
@@ -282,7 +288,7 @@ def check_wiring(text: str, file_name: str) -> FaceSettings:
 
 
 def _quoted(text: str) -> str:
-    """As a YAML value, whatever stands in it."""
+    """Return any text as a YAML scalar, quoted unless it is plain words or a path."""
     is_plain = re.fullmatch(_PLAIN, text) and isinstance(yaml.safe_load(text), str)
     if is_plain:
         return text
@@ -302,9 +308,10 @@ class NewBus:
 def parts_of(
     buses: Sequence[str], ports: Sequence[str], boards: Sequence[str], channels: Sequence[str]
 ) -> dict[str, NewBus]:
-    """Every bus by its name, of options in either form: `maestro`, or `lips=maestro` for several.
+    """Parse the bus options of `new-face`, as `maestro` or `lips=maestro`, into buses by name.
 
-    A face with one bus has it under an empty name; {}: nothing says which. Raises UserError.
+    A face with one bus has it under an empty name; {}: neither bus nor port is given. Raises
+    UserError.
     """
     if not any("=" in each for each in buses):
         for option, given in (("--bus", buses), ("--port", ports), ("--board", boards)):
@@ -358,7 +365,7 @@ def _by_bus(option: str, given: Sequence[str], known: Sequence[str] | None) -> d
 
 
 def face_on_buses(name: str, texts: Mapping[str, str]) -> str:
-    """The YAML of one face of those of each bus, by the name of the bus."""
+    """Return the YAML of one face joined from the YAML texts of its buses, by bus name."""
     parts = {bus: yaml.safe_load(text) for bus, text in texts.items()}
     servos = {
         joint: {"bus": bus, **servo}

@@ -15,13 +15,13 @@ _END_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class SimulatedServos:
-    """Servos behind a port, in a process of their own."""
+    """A running process of simulated servos, and the serial port at which they answer."""
 
     port: str
     process: "subprocess.Popen[str]"
 
     def turn(self, index: int, by_deg: float) -> None:
-        """What a person's fingers do: a limp servo of the chain is turned, a held one gives not."""
+        """Turn a limp simulated servo by degrees, as fingers would; one with torque on resists."""
         assert self.process.stdin is not None
         with suppress(OSError):  # it has ended, and its port with it
             self.process.stdin.write(f"{index} {by_deg:.1f}\n")
@@ -30,18 +30,18 @@ class SimulatedServos:
 
 @contextmanager
 def simulated_port(arguments: Sequence[str]) -> Iterator[str]:
-    """The port of `simulated_servos`."""
+    """Run `lipservo sim-bus` with `arguments` until the block ends; yield the servos' port."""
     with simulated_servos(arguments) as servos:
         yield servos.port
 
 
 @contextmanager
 def simulated_servos(arguments: Sequence[str]) -> Iterator[SimulatedServos]:
-    """Run `lipservo sim-bus` with `arguments` until the block ends.
+    """Run `lipservo sim-bus` with `arguments` until the block ends; yield port and process.
 
     The simulator also ends when this process dies, since its standard input closes then. A Ctrl-C
-    in the terminal does not reach it: servos stay until the process that drives them has let them
-    go.
+    in the terminal does not reach it: servos stay until the process that drives them has released
+    them. Raises UserError if it does not start.
     """
     command = [sys.executable, "-m", "lipservo", "sim-bus", "--until-stdin-closes", *arguments]
     with subprocess.Popen(
@@ -63,7 +63,10 @@ def simulated_servos(arguments: Sequence[str]) -> Iterator[SimulatedServos]:
 
 @contextmanager
 def servo_port(port: str | None, sim: str | None, config: str) -> Iterator[str | None]:
-    """The port of the user; with `--sim pty` one made for the occasion; None: the face's own."""
+    """Yield the user's port, or for `--sim pty` the port of servos simulated until the block ends.
+
+    Yields None for the YAML's port. Raises UserError for another `--sim`, or with a port as well.
+    """
     if sim is None:
         yield port
         return

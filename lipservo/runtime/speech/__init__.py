@@ -1,1 +1,1 @@
-"""The speech side of a face: phonemes in, targets for servos out."""
+"""The speech side of a face: from phonemes to targets for servos."""

@@ -1,8 +1,8 @@
-"""Head, eyes, lids, brows and a smile of a face that speaks.
+"""The expression of a face that speaks: head, eyes, lids, brows and a smile.
 
-What may be set of them, which servos show them, and the layer that claims those servos. The head
-and eyes of a performance take the place of the live ones. A model learned from tracks is played by
-lipservo-lab: the entry point `lipservo.expressions`.
+The settings of it, the servos that show it, and the layer that claims those servos. The head and
+eyes of a performance replace the live ones. A model learned from tracks is played by lipservo-lab:
+the entry point `lipservo.expressions`.
 """
 
 import math
@@ -40,7 +40,7 @@ _LATEST_S: Final = 1e9
 
 
 def expression_settings(amount: float) -> dict[str, Setting]:
-    """What may be set, with its bounds.
+    """Return the settings of the expression that may change while a face runs, with their limits.
 
     look_weight: 1 = look at (look_yaw_deg, look_pitch_deg), 0 = at no target. The affect that a
     dialogue system sets fades with affect_tau_s from monotonic affect_at_s on.
@@ -58,7 +58,7 @@ def expression_settings(amount: float) -> dict[str, Setting]:
 
 
 class ExpressionRequests:
-    """The values that were set last."""
+    """The values of the expression settings that were set last."""
 
     #: Names of what is wished for the moment: no face has them as its way.
     PASSING: Final = frozenset(expression_settings(0.0)) - {"expression"}
@@ -67,7 +67,7 @@ class ExpressionRequests:
         self._values = {name: each.value for name, each in expression_settings(amount).items()}
 
     def change(self, settings: Mapping[str, float]) -> bool:
-        """Take those that are known here; whether any is another than before."""
+        """Store the known settings among `settings`; return whether any value has changed."""
         news = {
             name: value
             for name, value in settings.items()
@@ -78,23 +78,23 @@ class ExpressionRequests:
 
     @property
     def values(self) -> dict[str, float]:
-        """All of them, by name."""
+        """The values of all expression settings, by name."""
         return dict(self._values)
 
     @property
     def amount(self) -> float:
-        """How lively: 0 still, 1 as people are."""
+        """The liveliness of the expression: 0 still, 1 as measured on people."""
         return self._values["expression"]
 
     @property
     def look_at_deg(self) -> tuple[float, float] | None:
-        """(yaw, pitch) to look at; None: no target."""
+        """The (yaw, pitch) of the target to look at; None: no target."""
         if self._values["look_weight"] < 0.5:
             return None
         return self._values["look_yaw_deg"], self._values["look_pitch_deg"]
 
     def affect_at(self, now_s: float) -> tuple[float, float]:
-        """(valence, arousal) that were set, as far as they have not faded by monotonic `now_s`."""
+        """Return the (valence, arousal) set last, faded exponentially to monotonic `now_s`."""
         values = self._values
         age_s = max(0.0, now_s - values["affect_at_s"])
         left = math.exp(-age_s / values["affect_tau_s"])
@@ -109,7 +109,7 @@ _SMALLEST_SMILE = 0.02
 class ExpressionServo:
     """A servo, by its number in the face, that shows a part of an expression.
 
-    of: a name of `Expression`, or `lids`. min_deg to max_deg: its range.
+    of: the part: a field of `Expression`, or `lids`. min_deg to max_deg: the servo's range.
     """
 
     index: int
@@ -139,10 +139,10 @@ def expression_servos(face: FaceSettings) -> list[ExpressionServo]:
 
 
 class ExpressionClaims:
-    """What the expression wants of its servos, one period after the other.
+    """The goals that an expression claims for its servos, computed once each period.
 
-    Lips go before expression: the corners of the mouth smile in silence, and belong to the lips
-    from the moment a word is known, over the 0.3 s of every hand-over.
+    Lips go before expression: the corners of the mouth smile in silence, and belong to the lips as
+    soon as a word is known, over the 0.3 s of every hand-over.
     """
 
     def __init__(self, servos: Sequence[ExpressionServo], period_s: float) -> None:
@@ -154,7 +154,7 @@ class ExpressionClaims:
         self._shown_deg = np.zeros(len(self._head))
 
     def claims(self, expression: Expression, layer: Layer) -> list[Claim]:
-        """For neck, eyes, lids and brows. layer: of whom the expression is."""
+        """Return the claim for neck, eyes, lids and brows on `layer`; [] if there are none."""
         if not self._head:
             return []
         wanted_deg = np.array([_wanted_deg(servo, expression) for servo in self._head])
@@ -164,7 +164,10 @@ class ExpressionClaims:
         return [Claim(layer, self._head_indices, self._shown_deg)]
 
     def mouth(self, expression: Expression, lips: Claim) -> list[Claim]:
-        """For a silent mouth: its lips as they are, its corners moved from there by the smile."""
+        """Return the claims for a silent mouth: its lips as given, its corners moved by the smile.
+
+        lips: claim of the lips at rest, returned alone without corner servos or smile.
+        """
         smile = expression.smile or 0.0
         if not self._corners or abs(smile) < _SMALLEST_SMILE:
             return [lips]
@@ -208,7 +211,7 @@ _AMOUNT_S: Final = 1.0
 
 
 class PerformedExpression:
-    """`step` once for every 10 ms that are shown."""
+    """A mixer of live and performed expression: call `step` once for every 10 ms that are shown."""
 
     def __init__(self) -> None:
         self._shares = dict.fromkeys(_OVER_S, 0.0)
@@ -216,10 +219,11 @@ class PerformedExpression:
         self._amount = 0.0
 
     def step(self, live: Expression, stored: Expression, amount: float) -> Expression:
-        """What is shown. stored: what the performance says, `NO_EXPRESSION` where there is none.
+        """Return the live expression with the performed values faded in or out.
 
-        amount: how lively the face is to be; at 0 it is still, as without a performance. Where a
-        performance ends or is cut off, its last pose is left for the live one.
+        stored: the performance's expression, `NO_EXPRESSION` where there is none. amount: how
+        lively the face is to be; at 0 the performance is not shown. Where a performance ends or is
+        cut off, its last pose fades to the live one.
         """
         self._amount = toward(self._amount, amount, CUE_PERIOD_S / _AMOUNT_S)
         is_still = amount <= 0.0
@@ -245,7 +249,7 @@ _LEAST_MOUTH_GAIN: Final = 0.85
 
 
 class ExpressionLayer:
-    """`advance` once for every 10 ms that are shown, then `claims`."""
+    """The expression of a face: call `advance` once for every 10 ms shown, then `claims`."""
 
     def __init__(
         self,
@@ -255,9 +259,9 @@ class ExpressionLayer:
         requests: ExpressionRequests,
         rest_after_s: float = math.inf,
     ) -> None:
-        """source: None where there is nothing to show but affect in the mouth.
+        """Create it at neutral. source: of live expression; None: affect only, in the mouth.
 
-        rest_after_s: after so long a silence a face without source rests.
+        rest_after_s: seconds of silence after which a face without source counts as resting.
         """
         self.voice = voice
         self._source = source
@@ -274,33 +278,33 @@ class ExpressionLayer:
 
     @property
     def is_resting(self) -> bool:
-        """Whether it is at neutral after a long silence and stays there: servos may be let go."""
+        """Whether the face stays at neutral after a long silence, so that torque may go off."""
         if self._source is None:
             return self._silent_s > self._rest_after_s
         return self._silent_s > _IDLE_AFTER_S and self._source.is_resting
 
     @property
     def arousal(self) -> float:
-        """Of the voice that is shown now, and of what was set: -1 to 1."""
+        """The arousal of the voice shown now plus the one that was set: -1 to 1."""
         return self._arousal
 
     @property
     def mouth_gain(self) -> float:
-        """How much livelier the mouth moves for it, 0.85 to 1.2; closures apart."""
+        """The factor on the mouth's motion for the arousal, 0.85 to 1.2; closures apart."""
         return max(_LEAST_MOUTH_GAIN, 1.0 + 0.2 * self._arousal)
 
     @property
     def valence(self) -> float:
-        """As it was set, as far as it has not faded: -1 to 1. No voice gives it."""
+        """The valence that was set, as far as it has not faded: -1 to 1. No voice changes it."""
         return self._valence
 
     def change(self, settings: Mapping[str, float]) -> None:
-        """Take what was set, by the names of `ExpressionRequests`."""
+        """Apply changed settings, by the names of `expression_settings`; a change ends resting."""
         if self.requests.change(settings):
             self.wake()
 
     def wake(self) -> None:
-        """Something is about to happen: a face that rests gets up."""
+        """Reset the count of silence to 0, so that a resting face stops resting."""
         self._silent_s = 0.0
 
     def advance(
@@ -311,10 +315,10 @@ class ExpressionLayer:
         is_speaking: bool,
         performed: Expression = NO_EXPRESSION,
     ) -> None:
-        """The next 10 ms, of what was heard at `sound_s`; shown at monotonic `now_s`.
+        """Compute the next 10 ms of expression, heard at `sound_s`, shown at monotonic `now_s`.
 
-        is_speaking: the mouth says a phoneme at that moment. performed: what a performance stores
-        of it, which is shown in place of ours.
+        is_speaking: the mouth says a phoneme at that instant. performed: the expression that a
+        performance contains for it, which replaces the live one.
         """
         self._silent_s = 0.0 if is_speaking else self._silent_s + CUE_PERIOD_S
         self._is_speaking = self._silent_s < _PAUSE_S
@@ -340,7 +344,7 @@ class ExpressionLayer:
         self.expression = self._performed.step(live, performed, amount)
 
     def claims(self, mouth: Claim) -> list[Claim]:
-        """What lips and expression want. mouth: what the lips would have."""
+        """Return the claims of lips and expression, given the lips' claim `mouth`."""
         is_idle = self._silent_s > _IDLE_AFTER_S and self.requests.look_at_deg is None
         claims = self._claims.claims(self.expression, Layer.IDLE if is_idle else Layer.EXPRESSION)
         if self._is_speaking:
@@ -349,15 +353,16 @@ class ExpressionLayer:
 
 
 def check_expression(face: FaceSettings, folder: Path | None) -> None:
-    """Refuse now what `make_expression` would refuse later. Raises ExpressionModelError."""
+    """Raise ExpressionModelError or UserError if the face's learned model cannot be used."""
     if face.expression.model is not None:
         expression_source(face, folder, face.expression.seed)
 
 
 def expression_source(face: FaceSettings, folder: Path | None, seed: int) -> WholeExpression:
-    """Who makes the expressions of a face. Raises ExpressionModelError.
+    """Return the source of a face's live expressions: generated, or from its learned model.
 
-    folder: of the YAML, from which a learned model is named; None: a shipped face.
+    folder: of the YAML, to which the model's path is relative; None: a shipped face. Raises
+    ExpressionModelError, and UserError without lipservo-lab.
     """
     expression_settings = face.expression
     # Of a face that its YAML lets look more or less often at whoever it speaks with.
@@ -377,7 +382,10 @@ def expression_source(face: FaceSettings, folder: Path | None, seed: int) -> Who
 
 
 def _player_of_models() -> Callable[[Path, int, WholeExpression], WholeExpression]:
-    """What plays a learned model in place of a source. Raises UserError without lipservo-lab."""
+    """Return the function that loads a learned model. Raises UserError without lipservo-lab.
+
+    The function gets the model's path, a seed, and the generated source that the model replaces.
+    """
     for point in entry_points(group="lipservo.expressions"):
         return cast(Callable[[Path, int, WholeExpression], WholeExpression], point.load())
     raise UserError(
@@ -389,10 +397,11 @@ def _player_of_models() -> Callable[[Path, int, WholeExpression], WholeExpressio
 def make_expression(
     face: FaceSettings, folder: Path | None, *, is_watched: bool
 ) -> ExpressionLayer:
-    """Everything between the sound that is heard and the servos besides the mouth.
+    """Return the expression layer of a face, with its voice tracker, source and servos.
 
-    folder: as `expression_source` has it. is_watched: the page may show a head with eyes where the
-    face has none. Raises ExpressionModelError for a model that cannot be used.
+    folder: of the YAML, to which a model's path is relative; None: a shipped face. is_watched: a
+    page may show a head with eyes, so a source is made even without expression servos. Raises
+    ExpressionModelError for a model that cannot be used.
     """
     servos, source = expression_servos(face), None
     if servos or is_watched:

@@ -1,4 +1,4 @@
-"""Each servo has one owner at a time: lips before expression before idle before neutral."""
+"""Servo ownership: each servo has one owner at a time, lips, expression, idle or neutral."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ STEEPEST = 1.5
 
 
 class Layer(IntEnum):
-    """Who may move a servo; of all that claim one, the highest owns it."""
+    """The layers that may move a servo; of all that claim one, the highest owns it."""
 
     NEUTRAL = 0
     IDLE = 1
@@ -29,7 +29,7 @@ class Layer(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """What one layer wants: `positions_deg` (k,) of the servos numbered `servos` (k,)."""
+    """The goals of one layer: `positions_deg` (k,) for the servos numbered `servos` (k,)."""
 
     layer: Layer
     servos: Indices
@@ -37,10 +37,10 @@ class Claim:
 
 
 class ServoLayers:
-    """Puts the claims of all layers together, one pose each period."""
+    """A combiner of the claims of all layers into one pose each period."""
 
     def __init__(self, servo_names: Sequence[str], neutral_deg: Array, period_s: float) -> None:
-        """neutral_deg: (n_servos,), the goal of a servo without an owner."""
+        """Start without owners. neutral_deg: (n_servos,), the goals of servos without owner."""
         self.servo_names = tuple(servo_names)
         self._neutral_deg = neutral_deg
         self._step = period_s / HANDOVER_S
@@ -51,7 +51,7 @@ class ServoLayers:
         self._progress = np.ones(len(self.servo_names))
 
     def indices(self, names: Sequence[str]) -> Indices:
-        """The numbers of some servos. Raises ValueError for a name that the face has not."""
+        """Return the numbers of servos, given by name. Raises ValueError for an unknown name."""
         for name in names:
             if name not in self.servo_names:
                 raise ValueError(f"no servo {name!r} in this face: {', '.join(self.servo_names)}")
@@ -66,10 +66,10 @@ class ServoLayers:
         return dict(zip(self.servo_names, owners, strict=True))
 
     def compose(self, claims: Sequence[Claim]) -> Array:
-        """Return each servo's goal: where its owner wants it, or on its way there.
+        """Return each servo's goal: its owner's, or one between the former goal and its owner's.
 
-        The first pose is taken as it is. From then on a new owner starts from where the servo was
-        last sent to, and has it fully after HANDOVER_S.
+        The first pose is used as it is. From then on a new owner starts from the servo's last goal,
+        and controls it fully after HANDOVER_S.
 
         Parameters
         ----------

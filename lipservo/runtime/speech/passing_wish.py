@@ -1,6 +1,6 @@
-"""Values that complete a passing request, so that a caller need not give all of them.
+"""Default values that complete a request to look somewhere or to set a mood.
 
-Loads nothing: a person who types `lipservo set` stands beside the robot and waits.
+Imports almost nothing, so that `lipservo set` starts fast beside the robot.
 """
 
 from collections.abc import Mapping
@@ -11,9 +11,9 @@ _MOOD: Final = ("affect_valence", "affect_arousal")
 
 
 def with_expiry(values: Mapping[str, float], now_s: float) -> dict[str, float]:
-    """These settings, and what makes them count: somewhere to look at, when a mood began.
+    """Return the settings, with `look_weight` added to a look angle and `affect_at_s` to an affect.
 
-    now_s: monotonic, one clock for all processes of a computer. What is given stays as it is.
+    now_s: monotonic, one clock for all processes of a computer. Given values are never changed.
     """
     whole = dict(values)
     if any(name in whole for name in _WHERE):

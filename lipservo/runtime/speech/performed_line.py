@@ -25,10 +25,11 @@ Samples = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class PerformedLine:
-    """A line with `EASING_S` of silence before its sound and after its faces.
+    """A performance's sound and motion with `EASING_S` of silence before and after.
 
-    sounds: gives the sound between, mono (n,) in pieces, from its beginning at every call. lasts_s:
-    that and the silence after it. phonemes: counted from the first sample of the silence.
+    sounds: returns the sound, mono (n,) in pieces, from its beginning at every call. lasts_s:
+    seconds of the sound and the silence after it. phonemes: times from the first sample of the
+    silence.
     """
 
     name: str
@@ -39,13 +40,14 @@ class PerformedLine:
     motion: StoredMotion
 
     def stream(self, playout: Playout) -> "PerformedStream":
-        """An empty stream for the playout, that is to be given the chunks."""
+        """Return an empty stream for the playout, into which the caller pushes the chunks."""
         return PerformedStream(self, playout.output_rate_hz)
 
     def chunks(self) -> Iterator[Samples]:
-        """Silence, the sound, a second at a time at most, and silence.
+        """Yield silence, the sound in pieces of at most a second, and silence.
 
-        Raises PerformanceError where the sound is another one than it was, or is damaged late.
+        Raises PerformanceError where the sound file has changed, or is damaged after its first
+        minute.
         """
         n_left = ceil(self.lasts_s * self.sample_rate_hz)
         yield np.zeros(round(EASING_S * self.sample_rate_hz), np.float32)
@@ -56,19 +58,19 @@ class PerformedLine:
 
 
 class PerformedStream(PlayoutStream):
-    """A stream that brings its motion with it."""
+    """A playout stream that carries the stored motion of its performance."""
 
     def __init__(self, line: PerformedLine, output_rate_hz: int) -> None:
-        """output_rate_hz: the loudspeaker's, a multiple of 100. Raises ValueError for a rate."""
+        """Create it for a line. output_rate_hz: a multiple of 100; else ValueError is raised."""
         super().__init__(line.name, line.sample_rate_hz, output_rate_hz, line.phonemes)
         self.motion = line.motion
 
 
 def performed_line(performance: Performance, path: Path) -> PerformedLine:
-    """The line of the performance that was read from `path`.
+    """Return the line of the performance that was read from `path`, with its sound checked.
 
-    Raises PerformanceError where the sound is missing, another one, damaged within its first
-    minute, or not as long as the faces.
+    Raises PerformanceError where the sound is missing, has changed, is damaged within its first
+    minute, or is not as long as the faces.
     """
     sound = performance.sound
 
@@ -101,7 +103,7 @@ def performed_line(performance: Performance, path: Path) -> PerformedLine:
 def line_of(
     performance: Performance, name: str, samples: Samples, sample_rate_hz: int
 ) -> PerformedLine:
-    """Return the line of a sound (n,) that is decoded already."""
+    """Return the line of a performance whose sound (n,) is decoded already."""
     sound_s = len(samples) / sample_rate_hz
     return _line(performance, name, lambda: iter([samples]), sound_s, sample_rate_hz)
 
@@ -124,7 +126,10 @@ def _line(
 
 
 def performed_in(playout: Playout) -> Callable[[float], tuple[StoredMotion, float] | None]:
-    """What is performed at a sound time, by what the playout has committed: `PerformedMotion`."""
+    """Return a function from sound time to (stored motion, seconds since its start) in the playout.
+
+    The function returns None where no performance plays.
+    """
 
     def performed_at(sound_s: float) -> tuple[StoredMotion, float] | None:
         stream = playout.stream_at(sound_s)

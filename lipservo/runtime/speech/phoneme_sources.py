@@ -30,25 +30,25 @@ _N_KEPT: Final = 1_000
 
 
 class HeardVoice:
-    """Keeps the voice frames of the last seconds."""
+    """A store of the voice frames (prosody, 10 ms each) of the last ten seconds of sound."""
 
     def __init__(self, listener: VoiceTracker) -> None:
         self._listener = listener
         self._kept: list[tuple[int, VoiceFrame]] = [(-1, SILENT_VOICE)] * _N_KEPT
 
     def hear(self, block: AudioBlock) -> None:
-        """The next 10 ms of sound."""
+        """Analyse the next 10 ms of sound and keep the resulting voice frame."""
         n = round(block.start_s / BLOCK_S)
         self._kept[n % _N_KEPT] = (n, self._listener.feed(block.samples))
 
     def at(self, sound_s: float) -> VoiceFrame:
-        """The 10 ms around a sound time; silence where nothing was heard."""
+        """Return the voice frame of the 10 ms around a sound time; silence where none is kept."""
         n = math.floor(sound_s / BLOCK_S + 1e-6)
         kept, frame = self._kept[n % _N_KEPT]
         return frame if kept == n else SILENT_VOICE
 
     def peaks(self, after_s: float, until_s: float, most: int) -> list[float]:
-        """Of every 10 ms between two sound times, the newest `most` of them."""
+        """Return the peak (0 to 1) of each 10 ms between two sound times, the last `most` ones."""
         first, last = (math.floor(each / BLOCK_S + 1e-6) for each in (after_s, until_s))
         return [self.at(n * BLOCK_S).peak for n in range(max(first, last - most) + 1, last + 1)]
 
@@ -59,7 +59,7 @@ class RecognizedPhonemes:
     def __init__(
         self, source: AudioSource, recognizer: LiveRecognizer, voice: HeardVoice | None = None
     ) -> None:
-        """voice: gets the same sound."""
+        """Connect a source to a recogniser. voice: gets the source's sound as well, if given."""
         self._voice = voice
         self._source = source
         self._recognizer = recognizer
@@ -71,7 +71,7 @@ class RecognizedPhonemes:
 
     @property
     def latency_s(self) -> float:
-        """At sound time t the phonemes before t - latency_s are settled."""
+        """The recogniser's latency: at sound time t phonemes before t - latency_s are settled."""
         return self._recognizer.latency_s
 
     @property
@@ -81,34 +81,34 @@ class RecognizedPhonemes:
 
     @property
     def hearing(self) -> Hearing | None:
-        """What is believed about the sound; None where the recogniser does not say."""
+        """The recogniser's class of the sound (speech, noise, ...); None: it reports none."""
         return None if self._listener is None else self._listener.hearing
 
     @property
     def moved_by(self) -> MovedBy | None:
-        """Whether a text moves the mouth, or what is heard; None where no recogniser says it."""
+        """Whether a text or the sound moves the mouth; None if the recogniser follows no text."""
         return None if self._follower is None else self._follower.moved_by
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """Words around the one that is spoken now, and its index; ((), 0): no text is known."""
+        """The words around the one spoken now, and its index in them; ((), 0): no text is known."""
         return ((), 0) if self._follower is None else self._follower.saying
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """Pass servo speeds to the recogniser; a device can hear the servos, a file cannot.
+        """Pass servo speeds to the recogniser, if the source is live and so can hear the servos.
 
         Parameters
         ----------
         sound_s : float
-            Seconds.
+            Sound time of the speeds, s.
         speeds_deg_s : Array
-            (n_servos,).
+            (n_servos,) degrees a second.
         """
         if self._source.is_live and isinstance(self._recognizer, ServoListener):
             self._recognizer.note_servo_speeds(sound_s, speeds_deg_s)
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
-        """Hear the sound that is due at sound time `until_s`; what became known by it."""
+        """Recognise the sound due at sound time `until_s`; return the phoneme updates from it."""
         # A device gives what has arrived, whatever the clock says.
         blocks = self._sound.blocks(math.inf if self._source.is_live else until_s)
         if self._voice is not None:
@@ -126,12 +126,12 @@ _AHEAD_S = 1.0
 
 
 class SpokenPhonemes:
-    """A `PhonemeSource` of a playout: a recogniser, and what the streams bring with them."""
+    """A `PhonemeSource` of a playout: a recogniser, and phonemes known with the streams."""
 
     def __init__(
         self, playout: Playout, recognizer: LiveRecognizer, voice: HeardVoice | None = None
     ) -> None:
-        """voice: gets the sound also where its phonemes are known."""
+        """Connect a playout to a recogniser. voice: analyses all spoken sound as well, if given."""
         self._voice = voice
         self._playout = playout
         self._recognizer = recognizer
@@ -142,7 +142,7 @@ class SpokenPhonemes:
 
     @property
     def latency_s(self) -> float:
-        """At sound time t the phonemes before t - latency_s are settled."""
+        """The recogniser's latency: at sound time t phonemes before t - latency_s are settled."""
         return self._recognizer.latency_s
 
     @property
@@ -152,12 +152,15 @@ class SpokenPhonemes:
 
     @property
     def hearing(self) -> Hearing | None:
-        """What is believed about the sound; None where the recogniser does not say."""
+        """The recogniser's class of the sound (speech, noise, ...); None: it reports none."""
         return None if self._listener is None else self._listener.hearing
 
     @property
     def moved_by(self) -> MovedBy | None:
-        """What moves the mouth; phonemes or visemes where the stream brings them."""
+        """The source of the motion: sound, text, words, phonemes or visemes; None: not known.
+
+        Phonemes and visemes come with the stream, all else from the recogniser.
+        """
         known = self._playout.known_kind(self._playout.committed_s - self.latency_s)
         if known is not None:
             return known
@@ -167,9 +170,9 @@ class SpokenPhonemes:
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """Words around the one that is spoken now, and its index; ((), 0): no text is known.
+        """The words around the one spoken now, and its index in them; ((), 0): no text is known.
 
-        By their times where they have some, else as far as they were followed.
+        Found by the words' times where they have some, else by the recogniser that follows them.
         """
         timed = self._playout.timed_words()
         if timed is not None or self._follower is None:
@@ -177,7 +180,7 @@ class SpokenPhonemes:
         return self._follower.saying
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
-        """Commit the sound that is due at sound time `until_s`; what became known by it."""
+        """Commit the sound due at sound time `until_s`; return the phoneme updates from it."""
         blocks = self._playout.commit(until_s)
         for words in self._playout.take_words():
             if self._follower is not None:
@@ -209,7 +212,7 @@ _FOLLOWED: Final[dict[UnitKind, MovedBy]] = {
 
 
 def with_known(update: PhonemeUpdate, stretches: Iterable[KnownStretch]) -> PhonemeUpdate:
-    """The update with what is known beforehand in place of what was recognised there.
+    """Return the update with phonemes known beforehand in place of the recognised ones.
 
     stretches: (start_s, end_s, events) in order of time, not overlapping.
     """

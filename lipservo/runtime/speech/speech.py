@@ -1,4 +1,4 @@
-"""The speech side of a face: phonemes in, targets for servos out. No threads, no sleep."""
+"""From phonemes to servo targets: the core of a face's speech side, without threads or sleeping."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -36,7 +36,7 @@ PUBLISH_PERIOD_S = 0.010
 
 @dataclass(frozen=True, slots=True)
 class Delay:
-    """How much later than its sound a face is shown, part by part. Added up here and only here."""
+    """The delay from a sound to the face shown for it, part by part, in s; summed only here."""
 
     recognizer_s: float
     lookahead_s: float
@@ -47,16 +47,16 @@ class Delay:
 
     @property
     def synthesis_s(self) -> float:
-        """How much sound must have been heard after an instant before its face is computed."""
+        """The seconds of sound needed after an instant before its face can be computed."""
         return self.recognizer_s + self.lookahead_s + self.sound_block_s + self.loudspeaker_s
 
     def at_least(self, delay_s: float) -> "Delay":
-        """The same, with the face waiting for a loudspeaker that is later than all else."""
+        """Return the delay with `loudspeaker_s` such that the total is `delay_s` at least."""
         return replace(self, loudspeaker_s=max(0.0, delay_s - self.total_s))
 
     @property
     def total_s(self) -> float:
-        """Display time minus sound time."""
+        """The display time minus the sound time, s."""
         return self.synthesis_s + self.publish_period_s + self.actuation_s
 
     def __str__(self) -> str:
@@ -80,10 +80,10 @@ JOINING_S = 0.08
 
 
 class CutOff:
-    """Poses of all servos, one each period; positions are joint angles in degrees (n_servos,)."""
+    """The mouth's path to rest when speech is cut off, and back: joint degrees, pose by pose."""
 
     def __init__(self, n_servos: int, period_s: float) -> None:
-        """The mouth comes from neutral, where a face begins."""
+        """Start at neutral, where a face begins; the first `join` poses lead from there."""
         self._period_s = period_s
         self._start_deg: Array = np.zeros(n_servos)
         self._rest_deg: Array = np.zeros(n_servos)
@@ -94,14 +94,14 @@ class CutOff:
         self.is_closing = False
 
     def begin(self, shown_deg: Array, rest_deg: Array, until_s: float) -> None:
-        """Begin to close the mouth.
+        """Begin to close the mouth; if it closes already, only extend `until_s`.
 
         Parameters
         ----------
         shown_deg,rest_deg : Array
-            (n_servos,) degrees: where it is, and where it rests.
+            (n_servos,) degrees: the present pose, and the pose at rest.
         until_s : float
-            Sound time until which it rests.
+            Sound time until which the mouth rests.
         """
         self.until_s = max(self.until_s, until_s) if self.is_closing else until_s
         if self.is_closing:
@@ -111,7 +111,7 @@ class CutOff:
         self._closed = 0.0
 
     def close(self) -> Array:
-        """Return the next pose on the way to rest.
+        """Return the next pose on the path to rest.
 
         Returns
         -------
@@ -122,7 +122,7 @@ class CutOff:
         return self._between(self._start_deg, self._rest_deg, self._closed)
 
     def join(self, live_deg: Array) -> Array:
-        """Return the next pose on the way back to the live one.
+        """Return the next pose on the path back from rest to the live pose.
 
         Parameters
         ----------
@@ -145,7 +145,7 @@ class CutOff:
 
     @staticmethod
     def _between(start_deg: Array, end_deg: Array, share: float) -> Array:
-        """3 u^2 - 2 u^3 of the way: it begins and ends at rest."""
+        """Return start + (3 u^2 - 2 u^3) (end - start), u = `share`: speed 0 at both ends."""
         return np.asarray(start_deg + share * share * (3.0 - 2.0 * share) * (end_deg - start_deg))
 
 
@@ -156,21 +156,21 @@ _THERE_MM: Final = 0.005
 
 
 class LipGapOffset:
-    """Streaming: `feed` a face each `period_s`, get the one to show. NumPy only."""
+    """A constant offset of the gap between the lips, eased in after changes; NumPy only."""
 
     def __init__(self, model: FaceModel, offset_mm: float, period_s: float) -> None:
-        """offset_mm: from the beginning on."""
+        """Start with `offset_mm` fully applied. period_s: seconds between calls of `feed`."""
         #: The change of the face (n_components,) that goes with a gap 1 mm higher.
         self._per_mm: Array = np.asarray(lip_gap_of(model).response[1])
         self._share = float(1.0 - np.exp(-period_s / _TIME_CONSTANT_S))
         self.wanted_mm = self._halfway_mm = self._shown_mm = offset_mm
 
     def change(self, settings: Mapping[str, float]) -> None:
-        """Take what was set, by name, eased in."""
+        """Set the wanted offset from settings, if they contain it; `feed` eases it in."""
         self.wanted_mm = settings.get(LIP_GAP_OFFSET, self.wanted_mm)
 
     def feed(self, face: Array) -> Array:
-        """Advance one period, and return its faces.
+        """Advance the offset by one period, and return the period's faces with it applied.
 
         Parameters
         ----------
@@ -192,7 +192,7 @@ class LipGapOffset:
         return self.shifted(face)
 
     def shifted(self, face: Array) -> Array:
-        """Return faces as they would be shown now.
+        """Return faces with the present offset applied.
 
         Parameters
         ----------
@@ -226,11 +226,11 @@ _MOST_ADVANCE_S = 0.200
 
 @dataclass(frozen=True, slots=True)
 class SpeechOptions:
-    """What a face has besides a mouth that speaks at once.
+    """The optional parts of a face's speech side.
 
-    least_delay_s: the face waits for a loudspeaker that is so late. expression: moves all else.
-    lip_gap: lips more open or closed than planned; None: as planned. plan: of the mouth's joints;
-    None: joint goals are the planned ones.
+    least_delay_s: the face waits for a loudspeaker that is so late. expression: moves head and
+    eyes. lip_gap: lips more open or closed than planned; None: as planned. plan: of the mouth's
+    joints; None: joint goals are the planned ones.
     """
 
     least_delay_s: float = 0.0
@@ -240,7 +240,7 @@ class SpeechOptions:
 
 
 class Speech:
-    """The speech side: follows phonemes, publishes targets for times still to come."""
+    """The speech side of a face: follows phonemes, publishes servo targets for future times."""
 
     def __init__(
         self,
@@ -252,10 +252,10 @@ class Speech:
         channel: TargetChannel,
         options: SpeechOptions | None = None,
     ) -> None:
-        """servo_names: of the whole face, in the order of the targets.
+        """Connect phonemes to a target channel. servo_names: of the whole face, in targets' order.
 
-        Those without calibration that the expression does not move stay at neutral. Raises
-        ValueError for a calibrated servo that is not among them.
+        Servos without calibration that the expression does not move stay at neutral. Raises
+        ValueError for a calibrated servo that is not in `servo_names`.
         """
         options = options or SpeechOptions()
         self._phonemes = phonemes
@@ -292,12 +292,12 @@ class Speech:
 
     @property
     def phonemes_planned(self) -> int:
-        """Phonemes that moved the mouth so far."""
+        """The number of phonemes that have moved the mouth so far."""
         return self._synthesizer.phonemes_planned
 
     @property
     def held_back_share(self) -> Array:
-        """In which share of the time each joint of the mouth gave way to its limits.
+        """The share of time in which each joint of the mouth was kept off its target by its limits.
 
         Returns
         -------
@@ -308,51 +308,51 @@ class Speech:
 
     @property
     def hearing(self) -> Hearing | None:
-        """The class of the sound that was settled last; None: no recogniser listens."""
+        """The class of the sound (speech, noise, ...) settled last; None: no recogniser listens."""
         return None if self._listener is None else self._listener.hearing
 
     @property
     def moved_by(self) -> MovedBy | None:
-        """What moves the mouth, of the sound that was settled last; None: no source says it."""
+        """The source (sound, text, words, ...) of the settled phonemes; None: not known."""
         return self._phonemes.moved_by if isinstance(self._phonemes, MouthMover) else None
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """Words around the one that is spoken now, and its index; ((), 0): no text is known."""
+        """The words around the one spoken now, and its index in them; ((), 0): no text is known."""
         return self._phonemes.saying if isinstance(self._phonemes, MouthMover) else ((), 0)
 
     @property
     def calibration(self) -> Calibration:
-        """How faces become joint angles, for the servos of the mouth."""
+        """The calibration that maps faces to joint angles of the mouth's servos."""
         return self._calibration
 
     def note_servo_speeds(self, now_s: float, speeds_deg_s: Array) -> None:
-        """Note the speeds of all servos of the face.
+        """Pass the speeds of all servos to the phoneme source, if its recogniser uses them.
 
         Parameters
         ----------
         now_s : float
             Monotonic seconds.
         speeds_deg_s : Array
-            (n_servos,).
+            (n_servos,) degrees a second.
         """
         if isinstance(self._phonemes, ServoListener):
             self._phonemes.note_servo_speeds(self._clock.sound_s(now_s), speeds_deg_s)
 
     def begin(self, zero_s: float) -> None:
-        """The sound begins at monotonic `zero_s`."""
+        """Set the monotonic time at which the sound begins to `zero_s`."""
         self._clock.begin(zero_s)
 
     def rest_before(self, wait_s: float) -> None:
-        """For so long before the first sound the mouth is shown at rest, too."""
+        """Publish the mouth at rest for `wait_s` seconds longer before the first sound is shown."""
         self._n_published -= round(wait_s / PUBLISH_PERIOD_S)
 
     def sound_time_s(self, display_s: float) -> float:
-        """The sound time whose face belongs to monotonic display time `display_s`."""
+        """Return the sound time whose face is shown at monotonic time `display_s`."""
         return self._clock.sound_s(display_s) - self.delay.total_s
 
     def advance(self, now_s: float) -> None:
-        """Recognise, move and publish all that is due at monotonic `now_s`."""
+        """Recognise, compute and publish all that is due at monotonic `now_s`."""
         self._hear(now_s)
         heard_s = self._clock.sound_s(now_s)
         if self._cut_off.is_closing and heard_s - self.delay.synthesis_s < self._cut_off.until_s:
@@ -380,7 +380,7 @@ class Speech:
         rest : Array
             (n_components,), the face of a mouth at rest.
         until_s : float | None
-            Sound time; None: until the sound, which stands still, goes on.
+            Sound time; None: until the sound's clock, which has stopped, goes on.
         """
         if until_s is None:
             until_s = self._clock.sound_s(now_s) - self.delay.synthesis_s + _GOES_ON_S
@@ -393,24 +393,24 @@ class Speech:
 
     @property
     def is_cut_off(self) -> bool:
-        """Whether the mouth is at rest, or on its way there, because its sound was cut off."""
+        """Whether the mouth rests, or is closing, because its sound was cut off."""
         return self._cut_off.is_closing
 
     def event_at(self, sound_s: float) -> PhonemeEvent | None:
-        """The phoneme of a sound time, as far as it is known."""
+        """Return the phoneme believed at a sound time; None where none is known."""
         return self._synthesizer.event_at(sound_s)
 
     def captured_s(self, goal_s: float) -> float | None:
-        """When the sound was captured that moves the servos at `asked_s`, on the same clock.
+        """Return the monotonic time of capture of the sound that moves the servos at `goal_s`.
 
-        Before any sound moves them, or where it is not known: None. Call in order of time.
+        None before any sound moves them, or where it is not known. Call in order of time.
         """
         # Beyond the newest target, whatever is shown was made of that one.
         sound_s = self._newest_sound_s - max(0.0, self._newest_goal_s - goal_s)
         return None if sound_s < 0.0 else self._clock.captured_s(sound_s)
 
     def shown_at(self, sound_s: float) -> tuple[str, Frame]:
-        """The phoneme and the frame of a sound time that was published."""
+        """Return (phoneme, frame) shown for a sound time; phoneme SIL where none is known."""
         event = self._synthesizer.event_at(sound_s)
         phoneme = SILENCE if event is None else event.phoneme
         return phoneme, self._synthesizer.frame_at(sound_s)
@@ -422,7 +422,7 @@ class Speech:
             self._synthesizer.push(update)
 
     def _close(self, now_s: float) -> None:
-        """The mouth goes to rest by the clock of the computer, whatever the sound's clock does."""
+        """Publish poses on the path to rest up to monotonic `now_s`, whatever the sound's clock."""
         self._newest_goal_s = max(self._newest_goal_s, now_s - _OLDEST_WORTH_SHOWING_S)
         # Every period counts, also where ticks are farther apart: it closes in the same time.
         while self._newest_goal_s < now_s + PUBLISH_PERIOD_S / 2:
@@ -450,10 +450,10 @@ class Speech:
         return ServoTargets(goal_s, self._lag.feed(pose_deg))
 
     def _plan_mouth(self, wanted: TargetWindow) -> None:
-        """Goals for poses of the mouth that are wanted now and later.
+        """Set the mouth's goals from poses that are wanted now and later.
 
-        Backlash is made up for before the plan, which so knows of every turn, and keeps the limits
-        of the servos, not those of the horns.
+        Backlash is compensated before the plan, so that the plan sees every reversal and keeps the
+        limits of the servos, not those of the horns.
         """
         ahead = replace(wanted, positions_deg=self._backlash.feed(wanted.positions_deg))
         self._goals_deg = ahead.positions_deg[0]
@@ -465,9 +465,9 @@ class Speech:
     def _compose(
         self, sound_s: float, shown_s: float, phoneme: str, performed: Expression
     ) -> Array:
-        """The pose (n_servos,) of the next 10 ms: the newest of the mouth, and the expression.
+        """Return the pose (n_servos,) of the next 10 ms from the mouth's goals and the expression.
 
-        performed: what a performance says of head and eyes.
+        performed: the expression that a performance contains.
         """
         mouth = Claim(Layer.LIPS, self.mouth, self._goals_deg)
         if self.expression is None:
@@ -477,6 +477,6 @@ class Speech:
         return self._layers.compose(self.expression.claims(mouth))
 
     def _publish(self, targets: ServoTargets) -> None:
-        """Nothing of a face that rests: the bridge lets its servos go, and takes them up again."""
+        """Publish the targets unless the face rests: then the bridge may release its servos."""
         if self.expression is None or not self.expression.is_resting:
             self._channel.publish(targets)

@@ -1,4 +1,4 @@
-"""Sound to targets: the speech side of a face, with its own voice where it has one."""
+"""From sound to servo targets: the speech side of a face, with its own voice where it has one."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -32,7 +32,7 @@ _SMALLEST_CHANGE: Final = 0.02
 
 
 class AdjustableMouth:
-    """Strength, and what else the strategy in use lets its user set.
+    """The settings of the mouth's motion that may change while it moves: strength and others.
 
     Closures lie outside of the strength (`FinishedSynthesizer`): a gain never opens them.
     """
@@ -44,7 +44,7 @@ class AdjustableMouth:
         self._due_s = 0.0
 
     def change(self, settings: Mapping[str, float]) -> None:
-        """Take what was set, by name, eased in."""
+        """Apply changed settings, by name, that the synthesiser has; it eases them in."""
         if self._live is None:
             return
         if "strength" in settings and settings["strength"] != self._strength:
@@ -54,7 +54,7 @@ class AdjustableMouth:
             self._live.adjust(name, settings[name])
 
     def follow(self, now_s: float, gain: float, valence: float) -> None:
-        """Move so much livelier, and look as glad, -1 to 1, at monotonic `now_s`."""
+        """Set the motion's gain and valence (-1 to 1) at monotonic `now_s`, at most each 0.5 s."""
         change = max(abs(gain - self._gain), abs(valence - self._valence))
         if self._live is None or now_s < self._due_s or change < _SMALLEST_CHANGE:
             return
@@ -79,7 +79,7 @@ _CAUGHT_UP_S: Final = 0.03
 
 
 class OwnVoice:
-    """Joins playout, its clock and speech; call `advance` in each tick, before that of speech."""
+    """The link of playout, playback clock and speech: call `advance` each tick, before speech's."""
 
     def __init__(
         self,
@@ -90,9 +90,10 @@ class OwnVoice:
         *,
         quiet_s: float = 0.0,
     ) -> None:
-        """clock: of the same speech side. rest: the face (n_components,) of a mouth at rest.
+        """Link the parts; the clock leads by the speech's delay. clock: the one that `speech` uses.
 
-        quiet_s: seconds of silence at the beginning, as servos are slow at first.
+        rest: the face (n_components,) of a mouth at rest. quiet_s: seconds of silence at the
+        beginning, as servos are slow at first.
         """
         self._quiet_s = quiet_s
         self.playout = playout
@@ -105,11 +106,11 @@ class OwnVoice:
         clock.lead_s = speech.delay.total_s
 
     def begin(self) -> None:
-        """The timeline begins now: what is committed is played one declared delay later."""
+        """Begin the playout's timeline now; committed sound is played one declared delay later."""
         self.playout.begin(self._clock.lead_s, self._quiet_s)
 
     def advance(self, now_s: float) -> None:
-        """Follow the playout, run its requests, note which phoneme is heard."""
+        """Run the playout until monotonic `now_s`, close the mouth on a cut, log phonemes heard."""
         self._follow(now_s)
         self._get_up()
         position_s = self._clock.sound_s(now_s) - self._clock.lead_s
@@ -122,23 +123,23 @@ class OwnVoice:
             self.playout.phonemes.append((event.phoneme, event.start_s, end_s))
 
     def be_quiet(self) -> None:
-        """The servos come on: nothing is spoken until all of them follow."""
+        """Play nothing for `quiet_s` seconds, as servos that just got torque cannot follow."""
         self.playout.be_quiet(self._quiet_s)
 
     def fall_silent(self) -> None:
-        """Drop all speech that was not heard: the face is stopped."""
+        """Drop all speech that was not heard yet, because the face is stopped."""
         self.playout.requests.append(PlayoutRequest("interrupt"))
         self.playout.advance(self.playout.position_s)
 
     def _get_up(self) -> None:
-        """Give a face whose servos rest its torque before anything is spoken."""
+        """Wake a resting face and delay its speech for the servos, if there is sound to play."""
         expression = self._speech.expression
         if expression is not None and expression.is_resting and not self.playout.is_over:
             expression.wake()
             self.be_quiet()
 
     def _follow(self, now_s: float) -> None:
-        """A device that stands still closes the mouth; its clock stands still with it."""
+        """Pass the loudspeaker's position to the clock; close the mouth while it has stalled."""
         report = self.playout.report()
         if report is None:
             return
@@ -163,7 +164,7 @@ _ROUNDING_TIME_S: Final = 0.03
 
 
 class SpeechBoard:
-    """Writes to a `LiveBoard` what is shown.
+    """A writer of what is shown to a `LiveBoard`.
 
     The page's head is drawn: its lips round where those of the talker, and so of the robot, hardly
     do (`lipsync.motion.rounding`).
@@ -178,7 +179,7 @@ class SpeechBoard:
         self._shown_until_s = 0.0
 
     def tell(self, now_s: float, speech: Speech) -> None:
-        """Write what is shown at monotonic `now_s`."""
+        """Write the speech record of what is shown at monotonic `now_s` to the board."""
         sound_s = speech.sound_time_s(now_s)
         phoneme, frame = speech.shown_at(max(0.0, sound_s))
         expression = speech.expression
@@ -200,7 +201,7 @@ class SpeechBoard:
         self._shown_until_s = max(self._shown_until_s, sound_s)
 
     def _rounded(self, frame: Frame, speech: Speech) -> Array:
-        """The frame's face (n_components,), its lips rounded for W, UW and their likes."""
+        """Return the frame's face (n_components,), its lips rounded for W, UW and the like."""
         if self._width is None:
             return frame.coefficients
         event = speech.event_at(frame.time_s + _ROUNDING_LEAD_S)
@@ -215,7 +216,7 @@ _MARGIN_S: Final = 0.3
 
 
 class SpeechSide:
-    """`start` or `begin` once, `advance` in each tick."""
+    """The speech side of a face: call `start` or `begin` once, then `advance` in each tick."""
 
     def __init__(
         self,
@@ -228,11 +229,11 @@ class SpeechSide:
         quiet_s: float = 0.0,
         is_live: bool = False,
     ) -> None:
-        """mouth: takes what is set of it, and moves livelier with a voice that is excited.
+        """Join the parts. mouth: gets changed settings, and a gain from the voice's arousal.
 
         rest: the face (n_components,) of a mouth at rest, for while the face is stopped. board:
-        where it writes what it shows; None: no watcher. quiet_s: servos follow so long after
-        they got torque. is_live: the sound does not wait for them.
+        gets what is shown; None: not written. quiet_s: seconds until servos follow after torque on.
+        is_live: the sound does not wait for them.
         """
         self._quiet_s, self._is_live = quiet_s, is_live
         self._was_stopped = False
@@ -244,16 +245,16 @@ class SpeechSide:
         self._board = board
 
     def begin(self, zero_s: float) -> None:
-        """The sound begins at monotonic `zero_s`."""
+        """Begin the sound at monotonic `zero_s`."""
         self.speech.begin(zero_s)
         if self.voice is not None:
             self.voice.begin()
 
     def start(self, now_s: float) -> float:
-        """The servos get torque at monotonic `now_s`; when the sound begins.
+        """Begin when the servos get torque at monotonic `now_s`; return the sound's start time.
 
-        Nothing is spoken and no mouth moves until all of them follow: of servos that come on one
-        after another half a mouth would.
+        Sound that can wait begins once all servos follow; else the mouth rests, or the voice is
+        silent, until then: of servos that come on one after another half a mouth would move.
         """
         waits = self.voice is None and not self._is_live
         zero_s = now_s + self._quiet_s if waits else now_s
@@ -272,7 +273,7 @@ class SpeechSide:
             self.speech.cut_off(now_s, self._rest, until_s)
 
     def advance(self, now_s: float) -> None:
-        """Hear, play and publish all that is due at monotonic `now_s`."""
+        """Recognise, play and publish all that is due at monotonic `now_s`."""
         if self.voice is not None:
             self.voice.advance(now_s)
         self.speech.advance(now_s)
@@ -283,28 +284,28 @@ class SpeechSide:
             self._board.tell(now_s, self.speech)
 
     def shown(self, time_s: float) -> tuple[float, str, Frame]:
-        """What is shown at monotonic `time_s`: sound time, phoneme and face; rest once cut off."""
+        """Return (sound time, phoneme, frame) shown at monotonic `time_s`; rest while cut off."""
         sound_s = self.speech.sound_time_s(time_s)
         if self.speech.is_cut_off and self._rest is not None:
             return sound_s, SILENCE, Frame(sound_s, self._rest)
         return sound_s, *self.speech.shown_at(max(0.0, sound_s))
 
     def note_servos(self, time_s: float, positions_deg: Array) -> None:
-        """Note where all servos of the face are, by encoders.
+        """Note the encoder positions of all servos, from which the recogniser learns their speeds.
 
         Parameters
         ----------
         time_s : float
             Monotonic seconds.
         positions_deg : Array
-            (n_servos,).
+            (n_servos,) degrees.
         """
         found = self._servo_speeds.take(time_s, positions_deg)
         if found is not None:
             self.speech.note_servo_speeds(*found)
 
     def change(self, settings: Mapping[str, float]) -> None:
-        """Apply settings changed while the face runs, by name; unknown names are left alone."""
+        """Apply settings changed while the face runs, by name; unknown names are ignored."""
         if self._mouth is not None:
             self._mouth.change(settings)
         if self.speech.lip_gap is not None:
@@ -313,12 +314,12 @@ class SpeechSide:
             self.speech.expression.change(settings)
 
     def fall_silent(self) -> None:
-        """The face is stopped: drop all speech."""
+        """Drop all speech that was not heard yet, because the face is stopped."""
         if self.voice is not None:
             self.voice.fall_silent()
 
     def follow_stop(self, now_s: float, *, is_stopped: bool) -> None:
-        """Before `advance`: a face that a person has stopped says nothing, and its mouth rests."""
+        """Silence the face and rest its mouth while `is_stopped`; call before `advance`."""
         if is_stopped:
             self.fall_silent()
             if self._rest is not None:
@@ -329,7 +330,7 @@ class SpeechSide:
 
 
 def mouth_plan(face: Face) -> JointPlan:
-    """The plan of a face's calibrated joints, by the limits of its YAML and the speeds measured."""
+    """Return a plan for the calibrated joints, limited by the YAML and by measured speeds."""
     servos = [face.settings.servos[name] for name in face.calibration.servo_names]
     speeds_deg_s = np.array([servo.max_speed_deg_s for servo in servos])
     if face.calibration.following is not None:
@@ -348,9 +349,9 @@ def make_speech_side(
     start_s: float,
     board: LiveBoard | None = None,
 ) -> SpeechSide:
-    """Everything between an entered source and the targets of a face's servos.
+    """Return the speech side between an entered source and the servo targets in `channel`.
 
-    start_s: the servos come on for so long, and nothing is spoken until they follow.
+    start_s: seconds for which servos come on; no sound is spoken until they follow.
     """
     names: Sequence[str] = list(face.settings.servos)
     mouth, rest = AdjustableMouth(synthesizer), face.model.rest

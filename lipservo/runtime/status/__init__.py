@@ -1,1 +1,1 @@
-"""What a running face says of itself."""
+"""The status of a running face, and the shared memory in which other processes read it."""

@@ -1,4 +1,4 @@
-"""The status of a whole face: a record of the servos' side and one of the speech side, as one.
+"""The status of a whole face: a record of the servo side and one of the speech side, joined.
 
 The terminal view, `--json`, `lipservo status` and the summary read it. What is not known at the
 moment is None. docs/architecture.md has the same fields as a table, which a test keeps true.
@@ -11,19 +11,19 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class BridgeSide:
-    """What the process knows that drives the servos, or the supervisor while there is none.
+    """The status of the servo side, from the process that drives it, else from the supervisor.
 
     name: of the face; config: its YAML, by the name of a shipped face or by its path; sounds: the
-    folder whose sound files may be played; port: of its servos, None: simulated in memory; state:
-    a `FaceState`, or what the supervisor does while no bridge runs; stopped: the stop of a person
-    that holds, and stopped_by: who requested it; stop_report: what the servos reported of it
-    (`StopReport`), None before they have; can_start: whether a person can start it now; plugged:
-    whether the port is there; torque_on: whether a servo is driven; servos: the state of each, by
+    folder whose sound files may be played; port: of its servos, None: simulated in memory; state: a
+    `FaceState`, or the supervisor's state while no bridge runs; stopped: a person's stop that is in
+    force, and stopped_by: its requester; stop_report: the servos' report of that stop
+    (`StopReport`), None before it; can_start: whether a person can start the face now; plugged:
+    whether the port exists; torque_on: whether a servo is driven; servos: the state of each, by
     name; troubles: a line for each servo that is not driven; jogged: joints that a person jogs;
-    health: how each servo is, as `ServoHealth` has it, None for what was never heard; capabilities:
-    what the bus can do (`BusCapabilities`); pulses: of each hobby servo, by name, its limits and
-    what it was sent last; n_ticks to n_rejected_targets: the counts of `BridgeStatus`; *_total: how
-    often the gate stepped in, over all servos; bridge_pid: the process that drives them.
+    health: readings of each servo (`ServoHealth`), None for one never received; capabilities: what
+    the bus can do (`BusCapabilities`); pulses: of each hobby servo, by name, its limits and its
+    last pulse; n_ticks to n_rejected_targets: the counts of `BridgeStatus`; *_total: how often the
+    gate changed a goal, over all servos; bridge_pid: the process that drives them.
     """
 
     name: str = ""
@@ -58,23 +58,21 @@ class BridgeSide:
 
 @dataclass(frozen=True, slots=True)
 class SpeechStatus:
-    """What the speech side knows.
+    """The status of the speech side.
 
-    sound: what is heard, by the name of file or device. recognizer: who listens now;
-    fallback_level: how many better ones are not in use, 0: the best is;
-    fallback_reasons: why each of them is not. engine, weights, strategy: as requested. settings:
-    what the strategy lets its user set, as set last. hears: the class of the sound,
-    `speech`, `noise` or `silence`; moved_by: what that is known from, `sound`, `text`, `words`,
-    `phonemes` or `visemes`; words: those around the one that is spoken, as far as they are known,
-    word: which of them that is. delay_ms: how much later than its sound the face is shown.
-    n_phonemes: that moved the mouth; n_lost_sound_blocks: sound not heard. output: the
-    loudspeaker, None: nothing is played; output_lost: it is gone; listens_on: where voice agents
-    are waited for; speaking: the stream that is being spoken; n_playout_underruns: how often sound
-    that was to be played was not there in time, a stream's or the device's. arousal: of the voice
-    that is shown, -1 to 1; mouth_closes: whether its lips meet, as its
-    calibration saw, None: not observed.
-    is_resting: after a long silence its servos are let go until a person speaks; expression: how
-    lively it is, where it looks and what affect was set, by name.
+    sound: name of the file or device. recognizer: the one in use; fallback_level: number of better
+    ones that are not in use, 0: the best is; fallback_reasons: why each of these is not. engine,
+    weights, strategy: as requested. settings: the strategy's settings, as set last. hears: the
+    class of the sound, `speech`, `noise` or `silence`; moved_by: the source of the phonemes,
+    `sound`, `text`, `words`, `phonemes` or `visemes`; words: those around the spoken one, as far as
+    they are known, word: the spoken one's index. delay_ms: from a sound to the face shown for it.
+    n_phonemes: those that moved the mouth; n_lost_sound_blocks: sound not received. output: the
+    loudspeaker, None: no sound is played; output_lost: it is gone; listens_on: URL for voice
+    agents; speaking: name of the stream being spoken; n_playout_underruns: how often sound to be
+    played came too late, a stream's or the device's. arousal: of the voice that is shown, -1 to 1;
+    mouth_closes: whether the lips meet, as observed in calibration, None: not observed. is_resting:
+    torque is off after a long silence until a person speaks; expression: its settings (liveliness,
+    target to look at, affect), by name.
     """
 
     sound: str | None = None
@@ -112,14 +110,14 @@ SILENT = SpeechStatus()
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """The whole face at one moment. Nothing in it changes afterwards."""
+    """The status of the whole face at one moment; immutable."""
 
     bridge: BridgeSide
     speech: SpeechStatus = SILENT
 
     @property
     def troubles(self) -> Sequence[str]:
-        """Those of the servos, and one while a lesser recogniser is in use."""
+        """The servos' troubles, and a line for the recogniser while a lesser one is in use."""
         speech = self.speech
         if not speech.fallback_level:
             return self.bridge.troubles
@@ -127,7 +125,7 @@ class Status:
         return (*self.bridge.troubles, f"recogniser {speech.recognizer} in use: {reasons}")
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON, flat: first the fields of the bridge, then those of the speech side."""
+        """Return all fields for JSON, flat: those of the bridge, then those of the speech side."""
         values = {name: getattr(self.bridge, name) for name in _BRIDGE_NAMES}
         values["troubles"] = self.troubles
         values.update((name, getattr(self.speech, name)) for name in _SPEECH_NAMES)
@@ -135,8 +133,9 @@ class Status:
 
 
 def whole_status(bridge: Mapping[str, Any], speech: SpeechStatus | None) -> Status:
-    """The two sides as one. bridge: what `face_status` gives, and name and port of the face.
+    """Return the status of a face from the fields of `BridgeSide` and the status of its speech.
 
-    Raises TypeError for a part that is not in `BridgeSide`: it would be missing in every answer.
+    speech: None: the face has none. Raises TypeError for a field that `BridgeSide` lacks: it would
+    be missing in every answer.
     """
     return Status(BridgeSide(**bridge), speech or SILENT)

@@ -1,9 +1,9 @@
-"""The present state of a face, in memory that watching programs may read.
+"""The present state of a face, in shared memory that watching programs may read.
 
 The loop that drives the servos and the one that recognises each write a record a tick, some hundred
-bytes, and know nothing of who reads: one watcher or twenty cost them the same. A record has a
-number and a checksum; one that is read while it is being written is not believed.
-`firmware_bridge.process.control_socket` hands the memory to those who ask, to read only.
+bytes, and know nothing of readers: one watcher or twenty cost them the same. A record has a number
+and a checksum; one that is read while it is being written is rejected.
+`firmware_bridge.process.control_socket` hands the memory to clients, read-only.
 """
 
 import json
@@ -43,7 +43,7 @@ _N_SLOTS: Final = 64
 
 @dataclass(frozen=True, slots=True)
 class BoardLayout:
-    """What the records hold. servos: names; states: of the face, by their number in a record."""
+    """The layout of a board's records. servos: names; states: face states, numbered in records."""
 
     name: str
     config: str
@@ -54,7 +54,7 @@ class BoardLayout:
     rate_hz: float
 
     def servo_type(self) -> np.dtype[Any]:
-        """A record of the servo side: `time_s` is monotonic, NaN where a servo never answered."""
+        """Return the NumPy type of servo records; readings never received are NaN in a record."""
         n = len(self.servos)
         return np.dtype(
             [
@@ -65,7 +65,7 @@ class BoardLayout:
         )  # fmt: skip
 
     def speech_type(self) -> np.dtype[Any]:
-        """A record of the speech side: what is shown at monotonic `time_s`.
+        """Return the NumPy type of speech records: what is shown at monotonic `time_s`.
 
         sound_s: its sound time; phoneme: number in `phonemes`; peaks: of the 10 ms blocks shown
         since the record before, 255 = full scale; expression: NaN where none is set.
@@ -81,9 +81,9 @@ class BoardLayout:
 
 
 class _Ring:
-    """Records of one writer, the newest `_N_SLOTS` of them.
+    """A ring buffer in shared memory: the newest `_N_SLOTS` records of one writer.
 
-    fields: of the record in the making, by name; what is not given stays as in the one before.
+    fields: of the record in the making, by name; fields not set keep the last record's values.
     """
 
     def __init__(self, memory: mmap.mmap, offset: int, kind: np.dtype[Any]) -> None:
@@ -97,7 +97,7 @@ class _Ring:
 
     @property
     def size(self) -> int:
-        """Bytes that the ring takes."""
+        """The number of bytes that the ring occupies."""
         return self._slot_bytes * _N_SLOTS
 
     def write(self, values: Mapping[str, object]) -> None:
@@ -110,11 +110,11 @@ class _Ring:
         _HEAD.pack_into(self._memory, start, self._n_written, zlib.crc32(raw))
 
     def continue_numbers(self) -> None:
-        """Go on where the writer before this one, which has died, left off."""
+        """Continue the record numbers of an earlier writer, which has died."""
         self._n_written = max((number for number, _ in self._slots()), default=0)
 
     def newer_than(self, number: int) -> list[tuple[int, Record]]:
-        """(number, record) of every whole one after `number`, oldest first."""
+        """Return (number, record) of every intact record after `number`, oldest first."""
         found = []
         for n, start in self._slots():
             if n <= number:
@@ -130,10 +130,13 @@ class _Ring:
 
 
 class LiveBoard:
-    """Both rings. Make it with `create`, hand its `fileno` to a child, which does `adopt`."""
+    """The shared memory with the ring of servo records and the ring of speech records.
+
+    Make it with `create`; a child process that inherits its `fileno` calls `adopt`.
+    """
 
     def __init__(self, fd: int, *, writable: bool) -> None:
-        """Raises ValueError where the descriptor holds no board."""
+        """Map the board of an open descriptor. Raises ValueError where it has no board."""
         self._fd = fd
         access = mmap.ACCESS_WRITE if writable else mmap.ACCESS_READ
         self._memory = mmap.mmap(fd, 0, access=access)
@@ -151,7 +154,7 @@ class LiveBoard:
 
     @classmethod
     def create(cls, layout: BoardLayout) -> Self:
-        """Create an empty board."""
+        """Create an empty board, writable. Raises ValueError if the servos' names are too long."""
         text = json.dumps(asdict(layout)).encode()
         if len(text) > _ABOUT_BYTES - _ABOUT_HEAD.size:
             raise ValueError("names of servos are too long for a live board")
@@ -166,35 +169,38 @@ class LiveBoard:
 
     @classmethod
     def adopt(cls, fd: int) -> Self:
-        """The one whose descriptor a supervisor handed over."""
+        """Return the board, writable, of a descriptor that a supervisor handed over."""
         os.set_inheritable(fd, False)
         return cls(fd, writable=True)
 
     @classmethod
     def watch(cls, fd: int) -> Self:
-        """One to read only, as the control socket gives it. Raises ValueError, OSError."""
+        """Return the board, read-only, of a descriptor from the control socket.
+
+        Raises ValueError, OSError.
+        """
         return cls(fd, writable=False)
 
     def fileno(self) -> int:
-        """The descriptor that a child inherits."""
+        """Return the descriptor that a child inherits."""
         return self._fd
 
     def write_servos(self, **values: object) -> None:
-        """Write one tick of the servo side; `BoardLayout.servo_type` has the names."""
+        """Write the servo record of one tick; `BoardLayout.servo_type` has the names."""
         self._servos.write(values)
 
     def write_speech(self, peaks: Sequence[float] = (), **values: object) -> None:
-        """One tick of the speech side; `BoardLayout.speech_type` has the names. peaks: 0 to 1."""
+        """Write one speech record; `BoardLayout.speech_type` has the names. peaks: 0 to 1."""
         newest = [round(255 * min(1.0, max(0.0, p))) for p in peaks[-MOST_PEAKS:]]
         self._speech.fields["peaks"][: len(newest)] = newest
         self._speech.write({**values, "n_peaks": len(newest)})
 
     def servos_since(self, number: int) -> list[tuple[int, Record]]:
-        """(number, record) of every tick of the servo side after `number`, oldest first."""
+        """Return (number, record) of every servo record after `number`, oldest first."""
         return self._servos.newer_than(number)
 
     def speech_since(self, number: int) -> list[tuple[int, Record]]:
-        """Return the records of the speech side since a number."""
+        """Return (number, record) of every speech record after `number`, oldest first."""
         return self._speech.newer_than(number)
 
     def __enter__(self) -> Self:
@@ -206,7 +212,7 @@ class LiveBoard:
 
 
 def expression_values(expression: Expression = NO_EXPRESSION) -> list[float]:
-    """In the order of a record, NaN where none is set."""
+    """Return the values of an expression in the order of a speech record, NaN where none is set."""
     values = (getattr(expression, name) for name in EXPRESSION_NAMES)
     return [float("nan") if value is None else value for value in values]
 
@@ -225,7 +231,7 @@ FACE_STATES = tuple(state.value for state in FaceState)
 
 
 class ServoBoard:
-    """Writes to a `LiveBoard` what was sent and where the servos stand."""
+    """A writer of the servos' goals and positions to a `LiveBoard`."""
 
     def __init__(self, board: LiveBoard, bridge: Bridge) -> None:
         self._board = board
@@ -234,11 +240,11 @@ class ServoBoard:
         self._numbers = {state: FACE_STATES.index(state.value) for state in FaceState}
 
     def observe(self, tick: "StreetTick") -> None:
-        """Write one tick of the street."""
+        """Write the servo record of one tick of the street."""
         self.tell(tick.report)
 
     def tell(self, report: TickReport) -> None:
-        """Write the record of one tick."""
+        """Write the servo record of one tick of the bridge."""
         feedback = self._bridge.feedback
         n_ticks, n_late, n_stale = self._bridge.tick_counts
         self._board.write_servos(
@@ -255,7 +261,7 @@ class ServoBoard:
 
 
 def _answered_deg(feedback: Feedback) -> Array:
-    """NaN for a servo that has been silent for so long that its goals are withheld."""
+    """Return the servos' positions (n_servos,) in degrees, NaN for one silent for too long."""
     if not any_set(feedback.age_s):  # all answered just now
         return feedback.positions_deg
     return np.where(feedback.age_s > SILENT_S, np.nan, feedback.positions_deg)

@@ -24,7 +24,7 @@ from lipsync.phonemes import PHONEMES, SILENCE
 
 
 class SilentBoard:
-    """Made by `create`. fileno: of the memory that a client may watch."""
+    """A live board of a face without speech. fileno: descriptor that a client may watch."""
 
     def __init__(self, board: LiveBoard, n_components: int) -> None:
         self._board = board
@@ -35,7 +35,7 @@ class SilentBoard:
     @classmethod
     @contextmanager
     def create(cls, settings: FaceSettings, config: str) -> Iterator[Self]:
-        """config: of the face, as its status names it."""
+        """Yield a new board for a face. config: the face's name or path in its status."""
         n_components = load_face_model(None).n_components
         servos, rate_hz = tuple(settings.servos), settings.rate_hz
         layout = BoardLayout(
@@ -45,7 +45,7 @@ class SilentBoard:
             yield cls(board, n_components)
 
     def tell(self, bridge: Bridge, report: TickReport) -> None:
-        """Write one tick of the bridge, always the same one."""
+        """Write one tick of the bridge, which must always be the same, with a silent mouth."""
         self._servos = self._servos or ServoBoard(self._board, bridge)
         self._servos.tell(report)
         self._board.write_speech(

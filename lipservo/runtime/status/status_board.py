@@ -1,10 +1,10 @@
-"""What the processes of one face know of each other: three notes in memory that they share.
+"""Shared memory with three notes between the processes of a face: settings, speech status, stop.
 
-The bridge process answers people and writes down which settings they want; the speech process
-follows them, and writes down how it is. The supervisor writes down whether a person has stopped the
-face, so that speech falls silent. The memory is the supervisor's, so that what was set and
-the results outlive either of them. No process waits: a note that is being written is read at the
-next look. Each note has one writer at a time.
+The bridge process answers clients and writes the settings they request; the speech process follows
+them, and writes its status. The supervisor writes whether a person has stopped the face, so that
+speech falls silent. The memory is the supervisor's, so that settings and status outlive either
+process. No process waits: a note that is being written is read at the next attempt. Each note has
+one writer at a time.
 """
 
 import json
@@ -28,7 +28,7 @@ _SIZE: Final = 3 * _NOTE_BYTES
 
 
 class _Note:
-    """A JSON object at a place in shared memory."""
+    """A JSON object with version and checksum, at an offset in shared memory."""
 
     def __init__(self, memory: mmap.mmap, offset: int) -> None:
         self._memory = memory
@@ -47,7 +47,7 @@ class _Note:
         _HEAD.pack_into(self._memory, self._offset, version + 1, len(text), zlib.crc32(text))
 
     def read(self) -> dict[str, object]:
-        """The newest whole note; {} before the first."""
+        """Return the newest intact value of the note; {} before the first."""
         version, length, checksum = _HEAD.unpack_from(self._memory, self._offset)
         if version != self._version and length <= _NOTE_BYTES - _HEAD.size:
             start = self._offset + _HEAD.size
@@ -58,7 +58,7 @@ class _Note:
 
 
 class StatusBoard:
-    """The notes. Make it with `create`, hand its `fileno` to a child, which does `adopt`."""
+    """The shared notes: make them with `create`; a child that inherits `fileno` calls `adopt`."""
 
     def __init__(self, fd: int) -> None:
         self._fd = fd
@@ -69,52 +69,52 @@ class StatusBoard:
 
     @classmethod
     def create(cls) -> Self:
-        """Create an empty board."""
+        """Create a board with three empty notes."""
         fd = os.memfd_create("lipservo-status")
         os.ftruncate(fd, _SIZE)
         return cls(fd)
 
     @classmethod
     def adopt(cls, fd: int) -> Self:
-        """The one whose descriptor was inherited."""
+        """Return the board of a descriptor that this process inherited."""
         os.set_inheritable(fd, False)
         return cls(fd)
 
     def fileno(self) -> int:
-        """The descriptor that a child inherits."""
+        """Return the descriptor that a child inherits."""
         return self._fd
 
     def add_settings(self, changed: Mapping[str, float]) -> None:
-        """Add settings to the requested ones."""
+        """Add changed settings to the requested ones in the note."""
         self._settings.write({**self.settings(), **changed})
 
     def settings(self) -> dict[str, float]:
-        """The settings requested last, by name; {} where none was changed."""
+        """Return the settings requested so far, by name; {} where none was changed."""
         return {name: float(str(value)) for name, value in self._settings.read().items()}
 
     def write_stopped(self, *, is_stopped: bool) -> None:
-        """Whether a person has stopped the face."""
+        """Write whether a person has stopped the face."""
         self._stop.write({"is_stopped": is_stopped})
 
     def is_stopped(self) -> bool:
-        """Whether a person has stopped the face; False before anything was written."""
+        """Return whether a person has stopped the face; False before anything was written."""
         return self._stop.read().get("is_stopped") is True
 
     def write_speech(self, status: SpeechStatus) -> None:
-        """How the speech side is."""
+        """Write the status of the speech side."""
         self._speech.write(asdict(status))
 
     def speech(self) -> SpeechStatus | None:
-        """The last status of the speech side; None before the first."""
+        """Return the last status of the speech side; None before the first."""
         record = self._speech.read()
         return SpeechStatus(**record) if record else None  # type: ignore[arg-type]  # as written
 
     def describe_stopped(self, supervisor: Mapping[str, object]) -> dict[str, object]:
-        """The status for JSON while no bridge runs: copied, so that nothing in it can fail."""
+        """Return the status for JSON while no bridge runs. supervisor: the servo side's fields."""
         return {**_UNKNOWN, **self._speech.read(), **supervisor}
 
     def describe(self, bridge: Mapping[str, object]) -> dict[str, object]:
-        """The status of the whole face for JSON. bridge: what the bridge knows."""
+        """Return the status of the whole face for JSON. bridge: the servo side's fields."""
         return whole_status(bridge, self.speech()).as_dict()
 
     def __enter__(self) -> Self:

@@ -1,4 +1,4 @@
-"""What one tick of the street showed, and who may watch it."""
+"""The result of one tick of sound, motion and servos, and the protocol of its observers."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -12,11 +12,11 @@ from lipsync.recognition.text_decoder import MovedBy
 
 @dataclass(frozen=True, slots=True)
 class StreetTick:
-    """What one tick of the street showed. sound_s is negative before the first sound is shown.
+    """The frame shown in one tick and the servos' report. sound_s: negative before the first sound.
 
-    captured_s: when the sound was captured that the servos were moved by; None before there is one.
-    hearing: the class of the sound that was settled last, which is not shown yet; None:
-    no recogniser listens. moved_by: the source of the phonemes, sound that was heard, text, words,
+    captured_s: monotonic time at which the sound that moves the servos was captured; None before
+    that. hearing: the class of the sound that was settled last, which is not shown yet; None: no
+    recogniser listens. moved_by: the source of the phonemes, sound that was heard, text, words,
     phonemes or visemes.
     """
 
@@ -30,7 +30,7 @@ class StreetTick:
 
     @property
     def coefficients(self) -> Array:
-        """The mouth that was shown.
+        """The face coefficients of the mouth that was shown.
 
         Returns
         -------
@@ -44,4 +44,4 @@ class TickObserver(Protocol):
     """An observer of every tick; must return at once."""
 
     def observe(self, tick: StreetTick) -> None:
-        """Handle one tick."""
+        """Process one tick without blocking."""

@@ -1,1 +1,1 @@
-"""The page of a new face, from the port to its first words: a step a script."""
+"""Scripts of the page that sets up a new face, from the port to its first words."""

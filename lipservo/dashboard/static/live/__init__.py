@@ -1,1 +1,1 @@
-"""What the live page draws, and other pages with it."""
+"""Scripts of the elements on the live page, which other pages load, too."""

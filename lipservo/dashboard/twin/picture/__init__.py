@@ -1,1 +1,1 @@
-"""What runs in the browser: JavaScript modules that draw a twin from frames."""
+"""JavaScript modules that draw a twin from frames, in the browser."""
