@@ -42,10 +42,7 @@ _DIFFERENCE_DEG = 0.5
 
 @dataclass(frozen=True, slots=True)
 class ShapeFeatures:
-    """The weighted features of a mouth's shape: marker positions and lip gaps.
-
-    lips: indices of lip markers; gaps: (n_gaps, 2), index of each gap's upper and lower marker.
-    """
+    """Weighted features of a shape. lips: marker indices; gaps: (n_gaps, 2), upper and lower."""
 
     lips: tuple[int, ...]
     gaps: tuple[tuple[int, int], ...]
@@ -195,8 +192,7 @@ def shape_slopes(
 def bounded_minimum(matrices: Array, rights: Array, lower: Array, upper: Array) -> Array:
     """Return the x that minimises x'Ax/2 - b'x with lower <= x <= upper, for n problems at once.
 
-    Coordinate descent: each coordinate in turn is set to its own bounded minimum, which converges
-    for positive definite A.
+    By coordinate descent: each coordinate in turn is set to its own bounded minimum.
 
     Parameters
     ----------

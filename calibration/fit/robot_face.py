@@ -1,10 +1,9 @@
 """A model of a robot's face: markers as a function of servo angles, learnt from captured poses.
 
-Until lips meet, they follow the joints: the free face. Where the free face would bring two dots
-nearer than they ever come, the lips stop each other. The least gap is found from the captured poses
-in alternation with the free face, which is learnt without what the lips hide: poses that count as
-in contact contain no height of the free lips. Dots beside the lips' edges, thick lips and a neutral
-that is open are thereby all handled alike.
+Until lips meet, they follow the joints: the free face. Where it would bring two dots nearer than
+they ever come, the lips stop each other. That least gap is estimated in alternation with the free
+face, which is learnt without the lips of poses in contact. Dots beside the lips' edges, thick lips
+and an open neutral are thereby handled alike.
 Loads scikit-learn; the live path never does.
 """
 
@@ -94,9 +93,7 @@ def poses_in_contact(free_gaps_mm: Array, closed_mm: Array) -> NDArray[np.bool_]
 
 
 def first_closed_mm(seen_gaps_mm: Array, contact: NDArray[np.bool_]) -> Array:
-    """Return the median gaps of poses in contact, (n_gaps,) mm, a first estimate of closed gaps.
-
-    A gap with a dot hidden in all these poses gets its least captured value.
+    """Return the median gap of poses in contact, (n_gaps,) mm; the least where they hide a dot.
 
     Parameters
     ----------
@@ -115,8 +112,7 @@ def closed_gaps_mm(
 ) -> Array:
     """Return the gaps at which lips begin to touch, from poses in contact, (n_gaps,) mm.
 
-    Soft lips yield when pressed, so a line is fitted through the gaps by overlap: its start is the
-    closed gap, its slope is between 0 and half a millimetre per millimetre.
+    Soft lips yield when pressed: the start of a line through the gaps by overlap, slope 0 to .5.
 
     Parameters
     ----------
@@ -454,10 +450,7 @@ class _Learning:
         )
 
     def at(self, filled: Array, goals_deg: Array) -> Array:
-        """Return markers (m, n_markers, 3) at goals (m, n_servos), robot warm, without backlash.
-
-        The process is fitted to the open poses of `filled`.
-        """
+        """Return markers (m, n_markers, 3) at goals (m, n_servos), by the process of open poses."""
         assert self.hyperparameters is not None
         of = self._poses
         warm = np.hstack([goals_deg, np.ones((len(goals_deg), 1))])

@@ -33,16 +33,15 @@ class MaestroRelease:
         up to three times. Raises PortError when channels still send afterwards, or no Maestro
         answers.
         """
-        self._tell(range(self._n_channels))
-        left = [each for each in addresses or (0,) if self._maestro.position_us(each) != 0.0]
-        for _ in range(_REPEATS):
+        told: Sequence[int] = range(self._n_channels)
+        left: Sequence[int] = addresses or (0,)
+        for _ in range(1 + _REPEATS):
+            self._tell(told)
+            told = left = [each for each in left if self._maestro.position_us(each) != 0.0]
             if not left:
                 return
             self._maestro.check(self._port)
-            self._tell(left)
-            left = [each for each in left if self._maestro.position_us(each) != 0.0]
-        if left:
-            raise PortError(f"{self._port}: the Maestro goes on with its pulses on channels {left}")
+        raise PortError(f"{self._port}: the Maestro goes on with its pulses on channels {left}")
 
     def ask(self, address: int) -> str:
         """Return why a channel's servo never counts as limp: a hobby servo reports nothing."""
