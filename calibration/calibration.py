@@ -29,8 +29,8 @@ class CouplingRule:
 def keep_rules(rules: Sequence[CouplingRule], positions_deg: Array) -> Array:
     """Return joint angles scaled towards neutral until no rule is broken.
 
-    All joints of a broken rule are multiplied by one factor below 1, which stays within limits that
-    include 0. Where that breaks another rule in turn, all joints of the robot are multiplied.
+    The joints with a weight in a broken rule are multiplied by one factor below 1, which keeps them
+    within limits that include 0. Where that breaks another rule, all joints are multiplied so.
 
     Parameters
     ----------
@@ -69,15 +69,15 @@ _REST_TOLERANCE = 1e-4
 
 
 class CalibrationError(UserError):
-    """A calibration cannot be made or used; the message contains which, why and the remedy."""
+    """An error: a calibration cannot be made or used; the message has place, cause and remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class Following:
-    """How each servo follows its goal position; all arrays are (n_servos,).
+    """How each servo's angle follows its goal angle; all arrays are (n_servos,).
 
-    lag_s: delay at the frequencies of speech; bandwidth_hz: at -3 dB. Speed and bandwidth are inf
-    where not known.
+    lag_s: delay behind the goal at the frequencies of speech; backlash_deg: whole width of the
+    backlash; bandwidth_hz: at -3 dB. Speed and bandwidth are inf where not known.
     """
 
     lag_s: Array
@@ -88,7 +88,7 @@ class Following:
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """Joint angles, (n_servos,) degrees, at which the lips just meet, and a servo's limit in mA."""
+    """A pose, (n_servos,) degrees, in which lips just meet, and the most mA for a servo then."""
 
     positions_deg: Array
     current_cap_ma: float
@@ -135,12 +135,12 @@ class Calibration:
     row by row, or no columns for a linear map; rest: (n_components,); rest_deg: (n_servos,), the
     angles at rest; x_range: (2, n_components), least and most x of the fitted frames; min_deg,
     max_deg: (n_servos,), the face's limits at the time of the fit. trim: degrees (n_servos,) to add
-    for a viseme class, by the first phoneme of the class. hand_poses: angles (n_servos,) that a
-    person set by hand, by name. rules: from the face's YAML, never from the calibration file; every
-    pose keeps them. centres: (n_centres, n_components), c_k, or empty; centre_weights: (n_servos,
-    n_centres). grade: None where nothing was measured after the fit. learnt_lips: None where no
-    lips were captured; closure: None where it is not known how this robot's lips close; closing:
-    None where the lips were not observed.
+    while a viseme class is spoken, by the first phoneme of the class. hand_poses: angles
+    (n_servos,) that a person set by hand, by name. rules: from the face's YAML, never from the
+    calibration file; every pose keeps them. centres: (n_centres, n_components), c_k, or empty;
+    centre_weights: (n_servos, n_centres). grade: None where nothing was measured after the fit.
+    learnt_lips: None where no lips were captured; closure: None where it is not known how this
+    robot's lips close; closing: None without clear evidence of whether the lips meet.
     """
 
     servo_names: tuple[str, ...]
@@ -233,11 +233,11 @@ def linear_calibration_parts(n_servos: int, n_components: int) -> tuple[Array, A
 def check_calibration(
     calibration: Calibration, model: "FaceModel", servo_names: Sequence[str], face_checksum: str
 ) -> None:
-    """Raise CalibrationError unless `calibration` was made for this model and this face.
+    """Raise CalibrationError unless `calibration` was made for this speaker's model and this face.
 
-    Compared are the servo names, the model's checksum and rest, and the face's checksum; the
-    message contains the remedy. servo_names: the servos that move the mouth; those of a neck or an
-    eye have no calibration.
+    Compared are the servo names, the model's checksum and rest, and face_checksum, that of the
+    face's YAML file; the message contains the remedy. servo_names: the servos that move the mouth;
+    those of a neck or an eye have no calibration.
     """
     for name in servo_names:
         if name not in calibration.servo_names:
@@ -260,7 +260,7 @@ def check_calibration(
 
 
 def check_servo_models(calibration: Calibration, servo_models: Sequence[str]) -> None:
-    """Raise CalibrationError if a servo is of another model than the one that was calibrated.
+    """Raise CalibrationError if a servo is of another model than when it was calibrated.
 
     servo_models: models of the calibrated servos, in their order. A calibration that names no servo
     models passes.
@@ -276,7 +276,7 @@ def check_servo_models(calibration: Calibration, servo_models: Sequence[str]) ->
 
 
 def check_servo_memories(calibration: Calibration, memories: Sequence[ServoMemory | None]) -> None:
-    """Raise CalibrationError, naming the registers, if a servo's memory differs from calibration.
+    """Raise CalibrationError, naming servo and register, if a memory has changed since calibration.
 
     memories: of the calibrated servos, in their order; a servo that did not answer is None and is
     skipped. A calibration made without servos passes.

@@ -76,7 +76,7 @@ class Closure:
         from_rest : Array
             (n_components,) mm, the face's coefficients less the rest.
         apart_mm : float
-            Distance of the speaker's lips.
+            Distance of the speaker's lips in this face.
 
         Returns
         -------
@@ -90,8 +90,8 @@ class Closure:
     def corrected_deg(self, from_rest: Array, poses_deg: Array, low: Array, high: Array) -> Array:
         """Return poses (k, n_servos) corrected so that near lips are as far apart as wanted.
 
-        Poses with the speaker's lips 2.6 mm apart or more are unchanged. Frame by frame with plain
-        numbers: live there is one, and NumPy takes longer for it.
+        Poses with the speaker's lips 2.6 mm apart or more are unchanged. Frame by frame, because
+        live there is only one, for which operations on arrays of frames are slower.
 
         Parameters
         ----------
@@ -124,5 +124,5 @@ class Closure:
 
 @lru_cache
 def pairs(n_servos: int) -> tuple[Indices, Indices]:
-    """Return the row and column indices i <= j of every product of two of n_servos, row by row."""
+    """Return the row and column indices i <= j of all pairs of n_servos values, row by row."""
     return np.triu_indices(n_servos)

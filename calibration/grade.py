@@ -177,11 +177,14 @@ CONTACT, PASSED, LIMITS = "contact", "passed", "limits"
 
 @dataclass(frozen=True, slots=True)
 class Closing:
-    """Whether the robot's lips meet, by evidence: CONTACT, PASSED or LIMITS (not seen to meet).
+    """Whether the robot's lips meet, by evidence from poses that close them step by step.
 
-    Where they do not: apart_mm, how far lips stay apart at most, for dots may lie beside the lips'
-    edges; joint, the one at its limit that closes lips most, and missing_deg, how much farther it
-    would have to turn. Empty and 0 where they do.
+    evidence: CONTACT: they stopped each other; PASSED: dots of both lips passed one another;
+    LIMITS: joints reached their limits before.
+
+    For LIMITS: apart_mm, how far lips stay apart at most, for dots may lie beside the lips' edges;
+    joint, the one at its limit that closes lips most, and missing_deg, how much farther it would
+    have to turn. 0 and empty otherwise.
     """
 
     evidence: str
@@ -225,9 +228,9 @@ class Grade:
 def lips_off_mm(grade: Grade, lips: LearntLips | None) -> float:
     """Return the lips' rms distance from the shapes of speech, in mm.
 
-    It joins the grade's error with the doubt about the wanted shapes. Without the doubt it would be
-    a fifth too little (elastic robots of seeds 100 to 117, whose true shapes no calibration knows).
-    lips None: the grade's error alone.
+    The grade's error and the doubt about the wanted shapes, from `lips`, are added as squares.
+    Without the doubt it would be a fifth too little (elastic robots of seeds 100 to 117, whose true
+    shapes no calibration knows). lips None: the grade's error alone.
     """
     if lips is None:
         return grade.lip_rms_mm

@@ -27,7 +27,10 @@ _MIDDLE: Final = frozenset({"middle", "mid"})
 
 @dataclass(frozen=True, slots=True)
 class JointMotion:
-    """The motion of a joint; sign -1: a positive angle is the channel's backward direction."""
+    """The motion of a joint. channel: the part and direction that it moves, such as `corner_out`.
+
+    sign: -1 where a positive angle moves the part in the opposite direction.
+    """
 
     channel: Channel
     side: Side
@@ -38,7 +41,8 @@ class JointMotion:
 class _Rule:
     """A rule that assigns a channel to a joint, by words in its name and of its direction.
 
-    The name needs a word of each of `named`, the direction a word of `forward` or `backward`.
+    The name needs a word of each of `named`; the word for a positive angle must be one of
+    `forward`, the channel's direction, or of `backward`, the opposite.
     """
 
     channel: Channel
@@ -67,7 +71,10 @@ _RULES: Final = (
 
 
 def joint_motion(name: str, positive: str) -> JointMotion | None:
-    """Return a joint's motion by its name and positive word; None if these do not define one."""
+    """Return a joint's motion by its name and the word for its positive angle, such as `opens`.
+
+    None if these do not define a motion.
+    """
     named, positive_words = words(name), words(positive)
     for rule in _RULES:
         if not all(named & each for each in rule.named):

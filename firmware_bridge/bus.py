@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 def any_set(values: NDArray[np.bool_] | NDArray[np.number]) -> bool:
     """Return whether any value is not 0; ten times as quick as `any()` for a face's few joints.
 
-    The bytes are tested: -0.0, which nothing here counts from, therefore counts as not 0.
+    The bytes are tested, so that -0.0 counts as not 0.
 
     Parameters
     ----------
@@ -72,7 +72,10 @@ class HardwareError(IntFlag):
 
 
 def describe_errors(bits: int) -> str:
-    """Return the errors set in `bits` in words, as in `overload and overheating`; `none` for 0."""
+    """Return the `HardwareError` bits set in `bits` as words, as in `overheating and overload`.
+
+    `none` for 0; `unknown` with the number where no bit is known.
+    """
     words = [e.name.lower().replace("_", " ") for e in HardwareError if e & bits and e.name]
     return " and ".join(words) or ("none" if not bits else f"unknown ({bits:#04x})")
 
@@ -81,11 +84,13 @@ def describe_errors(bits: int) -> str:
 class Feedback:
     """Positions, load and errors of all servos, read in every tick. Arrays are (n_servos,).
 
-    positions_deg: NaN for a servo that never answered, or cannot report its position. effort: share
-    of the stall torque, 0..1; NaN where it is not measured. age_s: 0 = answered just now, or cannot
-    answer. ready: of servos that start without a known position, which move towards their goals by
-    now; sent_deg: the angle sent last to each, short of its goal while it catches up; None: all are
-    ready and were sent their goals.
+    time_s: monotonic seconds of the read. positions_deg: NaN for a servo that never answered, or
+    cannot report its position. effort: share of the stall torque, 0..1; NaN where it is not
+    measured. errors: number of the servo's last error, 0 = none; `GOAL_OUT_OF_RANGE` where its last
+    goal was skipped. age_s: age of each servo's values; 0 = answered just now, or cannot answer.
+    ready: False for servos that start without a known position, one after another, until their turn
+    has come; sent_deg: the angle sent last to each, short of its goal while the servo catches up.
+    Both are None where every servo has started and was sent its goal.
     """
 
     time_s: float
@@ -99,13 +104,14 @@ class Feedback:
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """The last reading of each servo's condition; one servo is polled at a time.
+    """The last readings of all servos' condition, polled one at a time; arrays are (n_servos,).
 
     silent_s: seconds since its last answer. torque_on: content of its torque register.
-    watchdog_tripped: it stopped by itself because it received no packet in time. temperature_degc,
-    voltage_v: NaN = never read, or not measured; room_degc: how far its temperature is below its
-    own limit, infinite where that is unknown. effort: share of the stall torque; current_ma: NaN
-    where it is not measured. n_unanswered: requests of ticks left unanswered so far.
+    watchdog_tripped: it stopped by itself because it received no packet in time. hardware_errors:
+    bits of `HardwareError`. temperature_degc, voltage_v: NaN = never read, or not measured.
+    room_degc: how far its temperature is below its own limit; 45 before the first reading, infinite
+    where it is not measured. effort: share of the stall torque; current_ma: NaN where it is not
+    measured. n_unanswered: requests of ticks left unanswered so far.
     """
 
     silent_s: Array
@@ -121,7 +127,7 @@ class Health:
 
 
 class ServoState(IntEnum):
-    """The state of one servo in `ServoSupervision`."""
+    """The state of one servo in `ServoSupervision`: driven, or why it gets no goals."""
 
     DRIVEN = 0
     WAITING = 1
@@ -145,9 +151,9 @@ STATE_WORDS = tuple(state.name.lower().replace("_", " ") for state in ServoState
 class ServoHealth:
     """The condition of one servo for logs, tables and web pages. NaN: never read, or not measured.
 
-    state: `ServoState` in words. load: share of the stall torque, 0..1. current_ma: None where the
-    model does not measure it. hardware_errors: bits of `HardwareError`. n_reboots, n_unanswered:
-    since the bridge was made.
+    state: `ServoState` in words. load: share of the stall torque, 0..1. current_ma: None: never
+    read, or not measured by this servo model. hardware_errors: bits of `HardwareError`. n_reboots,
+    n_unanswered: restarts, and requests left unanswered, since the bridge was made.
     """
 
     name: str
@@ -168,7 +174,7 @@ class Readings:
     """The newest reply of each servo. Every array is (n_servos,), in the face YAML's order.
 
     positions_deg: angle of each joint; NaN for a servo that never answered or cannot report it.
-    goals_deg: each servo's goal position, with torque off the one it would go to; NaN: not read.
+    goals_deg: each servo's goal position, with torque off the goal it would go to; NaN: not read.
     torque_on: whether the servo holds its goal by force.
     errors: number in the last status packet, 0 = none;
         https://emanual.robotis.com/docs/en/dxl/protocol2/#error
@@ -221,7 +227,7 @@ class ServoBus(Protocol):
 
     @property
     def capabilities(self) -> BusCapabilities:
-        """The capabilities of its servos; known before the port is open, and never changed."""
+        """The capabilities of the servos; known before the port is open, and never changed."""
 
     def write_positions(self, positions_deg: Array) -> None:
         """Send every servo its next goal position; return before the servos have arrived.
@@ -240,9 +246,10 @@ class ServoBus(Protocol):
         """
 
     def widen(self, joints: NDArray[np.bool_]) -> None:
-        """Accept goals of the given joints as far as limits may be searched: `JointPulse.reach_us`.
+        """Accept goals of `joints` beyond their limits from now on, up to `JointPulse.reach_us`.
 
-        Goals of all other joints stay within their limits. A bus without pulses does nothing.
+        For the search for the limits of hobby servos; a bus without them does nothing. Goals of all
+        other joints stay within their limits.
 
         Parameters
         ----------
@@ -254,16 +261,19 @@ class ServoBus(Protocol):
         """Read and return position, goal position and torque of every servo."""
 
     def feedback(self) -> Feedback:
-        """Read and return the position of every servo: the short request of every tick."""
+        """Read and return position, load and errors of every servo, as every tick does."""
 
     def remarks(self) -> Sequence[str]:
         """Return what is unusual about adapter and servos, as sentences; the list only grows."""
 
     def look_after(self) -> Health:
-        """Read the condition of one servo, the next in turn; return what is known of all servos."""
+        """Read the condition of the next servo in turn; return the last readings of all servos.
+
+        To be called once in every tick.
+        """
 
     def obstacle(self, index: int) -> str:
-        """Return why one servo cannot hold its position as the face's YAML requires; empty: it can.
+        """Return why servo `index` cannot hold its position as the YAML requires; empty: it can.
 
         Reads its model, settings and position; changes nothing.
         """
@@ -276,15 +286,16 @@ class ServoBus(Protocol):
         """
 
     def keep_torque(self, index: int) -> bool:
-        """Keep a servo whose torque is on at its present position; return whether its torque is on.
+        """Hold a servo whose torque is on at its present position; return whether it confirmed.
 
-        Switches no torque on: after a lost connection, for a face frozen by a person.
+        Switches no torque on: a limp servo stays limp (False). After a lost connection, for a face
+        frozen by a person.
         """
 
     def disable_torque(self, index: int) -> bool:
         """Switch one servo's torque off; return whether the servo confirmed it.
 
-        True also where the packet was sent to a servo that cannot confirm.
+        True, too, for a servo that was sent the packet and cannot confirm.
         """
 
     def disable_all(self) -> NDArray[np.bool_]:

@@ -1,8 +1,9 @@
 """Kinds of servo bus: a kind is one entry, found by the name that a face's YAML gives it.
 
-The entry has the settings' model, opens the bus, simulates it, and examines its port while no face
-drives it. Kinds of other packages are entry points of the group `lipservo.buses`. The module of a
-kind is loaded when its name is first used, and what opens its port when the port is opened.
+An entry has the pydantic models of the YAML settings, opens the bus, simulates it, and examines its
+port while no face drives it. Kinds of other packages are entry points of the group
+`lipservo.buses`. The module of a kind is loaded when its name is first used, and what opens its
+port when the port is opened.
 """
 
 import importlib
@@ -46,10 +47,10 @@ class UnknownBusError(BusError):
 class Wiring:
     """The servos of one face on one bus.
 
-    settings: the bus section, of the kind's own model; servos: of the kind's own model, in the
-    order of `joints`. kept: the file with the positions sent last, for a bus whose servos cannot
-    report theirs; None: no file. capabilities: of servos in memory that simulate others; None:
-    their kind's.
+    settings: the bus section of the YAML, a `BusKind.settings`; servos: the servos' entries, each a
+    `BusKind.servo`, in the order of `joints`. rate_hz: ticks a second. kept: the file with the
+    positions sent last, for a bus whose servos cannot report theirs; None: no file. capabilities:
+    of servos in memory that simulate others; None: their kind's.
     """
 
     settings: Any
@@ -61,7 +62,7 @@ class Wiring:
 
 
 class Severity(IntEnum):
-    """How much a finding of the doctor matters."""
+    """How serious a finding of `lipservo doctor` is."""
 
     GOOD = 0
     WARNING = 1
@@ -70,7 +71,7 @@ class Severity(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What the doctor found, and what to do about it."""
+    """One finding of `lipservo doctor`: what was found, and the remedy; empty: none is needed."""
 
     severity: Severity
     what: str
@@ -91,13 +92,13 @@ class PortRelease(Protocol):
         """Send torque off to these addresses and to all others at the port; read no answer."""
 
     def ask(self, address: int) -> str:
-        """Return "" when a servo confirms torque off.
+        """Read whether the servo at `address` has its torque off; return "" if it confirms that.
 
-        Otherwise return the reason, after torque off was sent once more.
+        Otherwise return the reason, after torque off was sent to it once more.
         """
 
     def find(self, addresses: Sequence[int]) -> Sequence[int]:
-        """Send torque off at every baud rate; return `addresses` and every address that answers."""
+        """Send torque off at every baud rate; return `addresses` and all others that answer."""
 
     def close(self) -> None:
         """Close the port."""
@@ -130,15 +131,18 @@ class BusKind:
         raise NotImplementedError
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":
-        """Return the bus, a context manager; with strict=False servos may be missing."""
+        """Return the bus, which its `with` block opens; with strict=False servos may be missing."""
         raise NotImplementedError
 
     def slowness(self, _wiring: Wiring, _rate_hz: float) -> str | None:
-        """Return why the bus cannot do this rate with feedback, and the remedy; None if it can."""
+        """Return why the bus cannot do this many ticks a second, and the remedy; None if it can."""
         return None
 
     def allow_first_start(self, _wiring: Wiring) -> None:
-        """Allow servos of unknown position to jump to neutral, which a person has confirmed."""
+        """Record a person's consent that servos of unknown position jump to neutral at their start.
+
+        Does nothing for a kind whose servos report their positions.
+        """
 
     def is_at(self, _port: str) -> bool:
         """Return whether the USB device at a port identifies itself as of this kind."""
@@ -149,18 +153,19 @@ class BusKind:
         return False
 
     def port_release(self, _port: str, _wiring: Wiring | None) -> Callable[[], PortRelease]:
-        """Return a function that opens the port to switch torque off, every time on one adapter.
+        """Return a function that opens the port to switch torque off.
 
-        wiring: the servos at the port; None: unknown. Raises BusError where the kind has no port.
+        Each call requires the adapter found by the first. `_wiring`: the servos at the port; None:
+        unknown. Raises BusError where the kind has no port.
         """
         raise self._lacks("port")
 
     def examine(self, _wiring: Wiring) -> Iterator[Finding]:
-        """Yield findings about everything between computer and servos; writes to no servo."""
+        """Yield what `lipservo doctor` finds between computer and servos; writes to no servo."""
         raise self._lacks("doctor")
 
     def memories(self, _wiring: Wiring) -> Sequence[Mapping[str, int] | None]:
-        """Return each servo's stored settings by register name, None for a silent servo.
+        """Return each servo's stored settings by register name; None for a servo that is silent.
 
         Empty: servos of this kind store none.
         """
@@ -210,9 +215,9 @@ def bus_kind(name: str) -> BusKind:
 
 
 def other_kind_at(transport: "Transport", own: str) -> str:
-    """Return a message naming the kind other than `own` whose servos answer; "" if none answers.
+    """Return a message naming the kind whose servos answer at an open port; "" if none answers.
 
-    Raises PortError when the port fails.
+    `own`: the name of the kind that is not tried. Raises PortError when the port fails.
     """
     for name in _BUILT_IN:
         kind = bus_kind(name)
@@ -222,7 +227,7 @@ def other_kind_at(transport: "Transport", own: str) -> str:
 
 
 def kind_at(port: str) -> BusKind:
-    """Return the kind that the device at a port identifies itself as, else the kind `AT_A_PORT`."""
+    """Return the kind that the device at `port` identifies itself as, otherwise `dynamixel`."""
     kinds = (bus_kind(name) for name in _BUILT_IN)
     return next((kind for kind in kinds if kind.is_at(port)), bus_kind(AT_A_PORT))
 

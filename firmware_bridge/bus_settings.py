@@ -47,14 +47,17 @@ class Strict(BaseModel):
 
 
 class BusSettings(Strict):
-    """The bus section of a face YAML. kind: a name of `firmware_bridge.bus_kinds`."""
+    """The bus section of a face YAML. kind: a name of `firmware_bridge.bus_kinds`.
+
+    port: path of the serial device; None: no port, as for servos simulated in memory.
+    """
 
     kind: str = "simulated"
     port: Text | None = None
 
     @property
     def board(self) -> str:
-        """What distinguishes its board from others at one port; empty: only one fits a port."""
+        """What distinguishes the board from others at the same port; empty: a port has one."""
         return ""
 
 
@@ -78,7 +81,7 @@ class BusServo(Strict):
 
     @property
     def address(self) -> int:
-        """The value of `address_key`, by which the bus finds the servo."""
+        """The servo's id or channel, by which the bus finds it: the value of `address_key`."""
         return int(getattr(self, self.address_key))
 
     @property
@@ -93,11 +96,14 @@ class BusServo(Strict):
 
     @property
     def bounds(self) -> Mapping[str, float | None]:
-        """Temperature and voltage limits of the servo's model; None where the maker states none."""
+        """Limits of the servo model: hottest_degc, least_v, most_v; None where none is stated."""
         return {"hottest_degc": None, "least_v": None, "most_v": None}
 
     def strain(self, _effort: float) -> float:
-        """Return the share of the maximum current drawn at an effort; 0 where it is unknown."""
+        """Return the current at an effort, a share of the stall torque, as a share of its limit.
+
+        0 where current or limit is unknown.
+        """
         return 0.0
 
     @model_validator(mode="after")

@@ -65,8 +65,8 @@ class BusCapabilities:
     def warnings(self) -> list[str]:
         """Return what a person must know before starting a face: a line for each kind of stop.
 
-        Only the line about a dead computer where torque off is confirmed; empty for servos in
-        memory, and where servos also have a watchdog.
+        Only the line about a dead computer where servos confirm torque off; empty where they also
+        stop by a watchdog, and for servos in memory.
         """
         if self.in_memory or (self.confirmed_limp and self.watchdog):
             return []
@@ -74,7 +74,7 @@ class BusCapabilities:
         return lines[-1:] if self.confirmed_limp else lines
 
     def stop_table(self) -> Mapping[str, str]:
-        """Return the effect of each kind of stop on the servos, by its name; docs/hardware.md."""
+        """Return the effect of each kind of stop on the servos, by its name, as `stop --limp`."""
         let_go = f"{self.released_words}, " + (
             "confirmed by each servo" if self.confirmed_limp else "which no servo confirms"
         )
@@ -104,7 +104,7 @@ ONE_LOST: Final = (
 class MixedCapabilities(BusCapabilities):
     """Capabilities of a face with several buses: what all servos can do; `of` has one servo's.
 
-    buses: by name. bus_of: the name of each servo's bus.
+    buses: the capabilities of each bus, by its name. bus_of: the name of each servo's bus.
     """
 
     buses: Mapping[str, BusCapabilities] = field(default_factory=dict)
@@ -124,9 +124,9 @@ class MixedCapabilities(BusCapabilities):
         return {**BusCapabilities.as_dict(self), "buses": buses, "bus_of": list(self.bus_of)}
 
     def warnings(self) -> list[str]:
-        """Return the warnings of each bus, then one about the loss of a single bus.
+        """Return the warnings of each bus, then a line about the loss of a single bus.
 
-        Without the latter where the servos exist in memory only.
+        Without the last line where the servos exist in memory only.
         """
         lines = [f"{name}: {line}" for name, can in self.buses.items() for line in can.warnings()]
         return lines if self.in_memory else [*lines, ONE_LOST]
@@ -135,7 +135,10 @@ class MixedCapabilities(BusCapabilities):
 def mixed_capabilities(
     buses: Mapping[str, BusCapabilities], bus_of: Sequence[str]
 ) -> MixedCapabilities:
-    """Return the capabilities of a face with these buses. bus_of: the name of each servo's bus."""
+    """Return the capabilities of a face with several buses.
+
+    buses: the capabilities of each bus, by its name. bus_of: the name of each servo's bus.
+    """
     cans = list(buses.values())
     common = {
         each.name: all(getattr(can, each.name) for can in cans)

@@ -52,9 +52,9 @@ class ManualClock:
 def ticks(clock: Clock, rate_hz: float) -> Iterator[tuple[float, int]]:
     """Yield (tick time, ticks missed just before it) on a fixed grid, for ever.
 
-    The grid starts at the first call for a tick; tick n is at start + n / rate_hz (> 0). After a
-    stall the newest tick that is due is yielded, once, and the missed ones are counted: servos want
-    one fresh goal, not a burst of old ones.
+    The grid starts when the first tick is requested; tick n is at start + n / rate_hz (> 0). After
+    a stall the newest tick that is due is yielded, once, and the missed ticks are counted: servos
+    want one fresh goal, not a burst of old goals.
     """
     start_s = clock.now()
     due = 0
@@ -68,10 +68,10 @@ def ticks(clock: Clock, rate_hz: float) -> Iterator[tuple[float, int]]:
 
 
 def _newest_due(now_s: float, start_s: float, rate_hz: float) -> int:
-    """Return the number of the last tick at or before `now_s`.
+    """Return the number of the last tick at or before `now_s` on the grid from `start_s`.
 
-    It is compared with the very times that `ticks` yields: the quotient alone rounds to the wrong
-    side of a grid point once the clock shows days, and one tick would be yielded twice.
+    Compared with the very times that `ticks` yields: the quotient alone rounds to the wrong side of
+    a grid point once the clock shows days, and one tick would be yielded twice.
     """
     guess = math.floor((now_s - start_s) * rate_hz) + 1
     while start_s + guess / rate_hz > now_s:

@@ -50,7 +50,7 @@ class JointPulse:
 class Joint:
     """One servo-driven joint, in joint degrees: 0 = its neutral, between the two limits.
 
-    servo_id: by which its bus finds the servo, under the name `address_key` in the YAML.
+    servo_id: id or channel of its servo on the bus; `address_key` is its key in the YAML.
     max_acceleration_deg_s2: infinite = not limited. critical: without it the whole face stops.
     pulse: of a hobby servo; None for any other servo. Raises ValueError unless min_deg <= 0 <=
     max_deg, max_speed_deg_s > 0, all finite, and max_acceleration_deg_s2 > 0.

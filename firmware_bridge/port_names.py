@@ -10,12 +10,12 @@ _NAMED: Final = re.compile(r"([a-z][a-z0-9_]*)=(.+)", re.DOTALL)
 
 
 def ports_text(ports: Mapping[str, str]) -> str | None:
-    """Return ports, by bus name, as the text `name=port,...`; None: there are no ports."""
+    """Return ports, by bus name, as the text `name=port,...`; None: `ports` is empty."""
     return ",".join(f"{name}={port}" for name, port in ports.items()) or None
 
 
 def named_ports(text: str) -> dict[str, str] | None:
-    """Parse the text `name=port,...` into ports by bus name; None: the text is one unnamed port."""
+    """Parse `name=port,...` into ports by bus name; None: not every part of `text` has a name."""
     found = [_NAMED.fullmatch(each) for each in text.split(",")]
     if not all(found):
         return None

@@ -49,7 +49,7 @@ _KEEP_EVERY_S: Final = 1.0
 
 
 def usb_product(port: str, sysfs: Path = Path("/sys")) -> str:
-    """Return vendor and product of the USB device behind a port, as 1ffb:0089; empty: no such."""
+    """Return vendor and product of the USB device behind a port, as 1ffb:0089; empty: no device."""
     device = (sysfs / "class/tty" / Path(port).resolve().name / "device").resolve()
     for folder in (device, *device.parents):
         with contextlib.suppress(OSError):
@@ -83,7 +83,7 @@ class PulseController(Protocol):
         """
 
     def sending(self, index: int) -> float:
-        """Return the pulse that goes to one servo now, in us; 0: none, NaN: no answer."""
+        """Return the pulse in us that servo `index` gets now; 0: none, NaN: no answer."""
 
     def remarks(self) -> Sequence[str]:
         """Return remarks on unusual conditions, in sentences for a log."""
@@ -112,7 +112,7 @@ class KeptPulses:
             return {}
 
     def allow_neutral(self, servos: Sequence[PulseServo]) -> None:
-        """Write neutral for servos that had no pulse yet: a person allows them to jump there."""
+        """Write neutral for servos without any pulse yet: a person allows them to jump there."""
         self.write({each.address: each.neutral_us for each in servos} | dict(self.read()))
 
     def follow(self, channels: Sequence[int], sent_us: Array) -> None:
@@ -173,9 +173,10 @@ class PulseBus:
         *,
         may_jump: bool = False,
     ) -> None:
-        """kept: the pulses sent last by earlier processes; None: none.
+        """Prepare the bus; `with` opens it.
 
-        may_jump: whether a servo of unknown position may start at neutral without permission.
+        kept: the pulses sent last by earlier processes; None: none. may_jump: whether a servo of
+        unknown position may start at neutral without permission.
         """
         n = len(servos)
         self.capabilities = capabilities
@@ -241,12 +242,12 @@ class PulseBus:
         self._send()
 
     def widen(self, joints: NDArray[np.bool_]) -> None:
-        """Accept goals of the servos that are True beyond min_us..max_us, as far as `reach_us`.
+        """Accept goals beyond min_us..max_us, as far as `reach_us`, for the given servos only.
 
         Parameters
         ----------
         joints : NDArray[np.bool_]
-            (n_servos,).
+            (n_servos,): True for servos that may go beyond.
         """
         low_us, high_us = self._scale.reach_us.T
         self._low_us = np.where(joints, low_us, self._scale.min_us)
@@ -281,7 +282,7 @@ class PulseBus:
         return self._controller.remarks()
 
     def look_after(self) -> Health:
-        """Query the controller, every .2 s, for a channel's pulse, in case it lost its state.
+        """Query the controller for a channel's pulse, every .2 s, in case its state was lost.
 
         Return the health, in which only torque and the controller's silence are known.
         """
@@ -298,7 +299,7 @@ class PulseBus:
         )
 
     def obstacle(self, index: int) -> str:
-        """Return why a servo may not start; empty: it may.
+        """Return why servo `index` may not start; empty: it may.
 
         Reasons are an unknown position, and a channel that does not obey.
         """
@@ -311,7 +312,10 @@ class PulseBus:
         return self._wrong[index]
 
     def enable_torque(self, index: int) -> str:
-        """Start a servo's pulses with its last one, in its turn; return "", or why it may not."""
+        """Start a servo's pulses with its last one, .25 s or more after the servo before it.
+
+        Return "" if it is started, else why it may not start.
+        """
         if why := self.obstacle(index):
             return why
         if self._held[index]:
@@ -446,13 +450,13 @@ class PulseBus:
         self._is_steady = all_set(on) and not any_set(self._slow)
 
     def _lose_all(self) -> None:
-        """Mark all servos off: the controller lost its state; each restarts at its last pulse."""
+        """Mark all servos off: the controller lost its state. Goals are the last pulses again."""
         self._held[:] = self._slow[:] = self._fresh[:] = self._is_steady = False
         self._on_s[:] = np.inf
         self._goal_us = np.where(np.isnan(self._last_us), self._goal_us, self._last_us)
 
     def _look(self, now_s: float) -> None:
-        """Query the pulse of a newly started servo, else of the next; if wrong, mark it off."""
+        """Query the pulse of a newly started servo, or else of the next; if wrong, mark it off."""
         on = self._held & (self._on_s <= now_s)
         fresh = np.flatnonzero(self._fresh & on)
         self._next = int(fresh[0]) if len(fresh) else (self._next + 1) % len(on)

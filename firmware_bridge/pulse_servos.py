@@ -83,7 +83,7 @@ class PulseScale:
         self.max_us_s = np.abs(self.us_per_deg) * [each.max_speed_deg_s for each in servos]
 
     def pulses_us(self, joints_deg: Array) -> Array:
-        """Return pulses for joint angles, not kept within min_us..max_us.
+        """Return the pulse widths for joint angles, not limited to min_us..max_us.
 
         Parameters
         ----------
@@ -98,7 +98,7 @@ class PulseScale:
         return joints_deg * self.us_per_deg + self.neutral_us
 
     def joints_deg(self, pulses_us: Array) -> Array:
-        """Return joint angles for pulses.
+        """Return the joint angles that pulse widths move the servos to.
 
         Parameters
         ----------

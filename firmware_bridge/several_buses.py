@@ -50,11 +50,12 @@ _FIRST: Final = (_LEAVE, _OFF)
 
 
 class BusThread:
-    """One bus, used by its own thread alone. Of jobs with one key the newest counts.
+    """One bus, used by its own thread alone.
 
-    at: the indices of its servos in the face. lost: why its port is gone, None: it is not.
-    is_behind: a wait for it was in vain, and it has not caught up since.
-    feedback, health: the last report, and its time.
+    A job has a key: its name, and the index on the bus of the servo that it concerns, -1 for all. A
+    job replaces a waiting one with its key. at: the indices of the bus's servos in the face. lost:
+    why the bus's port is gone; None: it is not. is_behind: whether the bus was waited for in vain,
+    and has not caught up since. feedback, health: the last report, and its time; None: none yet.
     """
 
     def __init__(self, name: str, bus: ServoBus, at: NDArray[np.intp], clock: Clock) -> None:
@@ -81,9 +82,10 @@ class BusThread:
             self._put(key, job)
 
     def wait(self, key: _Key, wait_s: float) -> bool:
-        """Wait up to `wait_s` for a job; return whether it is done. Raises errors of the bus.
+        """Wait up to `wait_s` for the job of `key`; return whether it is done and has an answer.
 
-        A PortError is not raised, but stored in `lost`.
+        False, too, if the job was dropped or the port is gone. Raises errors of the bus, except a
+        PortError, which is stored in `lost`.
         """
         with self._changed:
             self._changed.wait_for(lambda: self._is_settled(key), wait_s)
@@ -93,11 +95,11 @@ class BusThread:
             return key in self._answers
 
     def ask(self, key: _Key, job: Callable[[], Any], wait_s: float, *, holds: bool = False) -> Any:
-        """Do a job and return its answer; None: not done yet, it goes on: call again.
+        """Do a job and return its answer; None: not done within `wait_s`, call again.
 
-        Other answers about the job's servo that were not fetched are forgotten. holds: the servo
-        may hold torque afterwards, so that a job that has not begun in time is dropped: later it
-        may be forbidden. Raises PortError when the port is gone.
+        The job then continues, unless it has not begun and `holds`: such a job, after which the
+        servo may hold torque, is dropped, since later it may be forbidden. Other answers about the
+        job's servo that were not fetched are forgotten. Raises PortError when the port is gone.
         """
         with self._changed:
             if key not in self._answers and key != self._running and key not in self._jobs:
@@ -121,12 +123,12 @@ class BusThread:
         return self._running is not None and self._clock.now() - self._since_s > _HUNG_S
 
     def take(self, key: _Key) -> Any:
-        """Return and remove the answer to a finished job; None: there is none."""
+        """Return and remove the answer to the finished job of `key`; None: there is no answer."""
         with self._changed:
             return self._answers.pop(key, None)
 
     def let_go(self) -> None:
-        """Drop all jobs handed over before, and switch torque off as the next one."""
+        """Drop all waiting jobs, and make torque off for the whole bus the next job."""
         with self._changed:
             self._jobs.clear()
             self._answers.clear()
@@ -134,17 +136,17 @@ class BusThread:
             self._put(_OFF, self.bus.disable_all)
 
     def was_let_go(self, index: int) -> bool:
-        """Return whether the last torque off for the whole bus included the servo at `index`."""
+        """Return whether the last torque off for the whole bus included its servo `index`."""
         with self._changed:
             let_go = self._answers.get(_OFF)
             return let_go is not None and bool(let_go[index])
 
     def hear(self) -> None:
-        """Store the bus's feedback and its time; run in the thread."""
+        """Read the bus's feedback and store it with its time; a job of the thread."""
         self.feedback = self.bus.feedback(), self._clock.now()
 
     def look(self) -> None:
-        """Store the bus's health report and its time; run in the thread."""
+        """Read the bus's health report and store it with its time; a job of the thread."""
         self.health = self.bus.look_after(), self._clock.now()
 
     def lose(self, error: PortError) -> None:
@@ -216,15 +218,18 @@ class SeveralBuses:
     """All servos of a face on several buses of any kind, as one `ServoBus`.
 
     Goals, positions and health pass through in the tick. Orders to single servos (torque on, off,
-    restart) are done by its bus meanwhile; where that takes longer, the caller must call again, as
-    for a servo that did not answer. A port that is lost makes the methods of the tick raise
-    PortGone; `disable_all` reaches all others nevertheless.
+    restart) are done by the thread of the servo's bus; where that takes longer, the caller must
+    call again, as for a servo that did not answer. A port that is lost makes the methods of the
+    tick raise PortGone; `disable_all` reaches the buses of all other ports nevertheless.
     """
 
     def __init__(
         self, buses: Mapping[str, ServoBus], bus_of: Sequence[str], clock: Clock, rate_hz: float
     ) -> None:
-        """buses: by name, not open. bus_of: the name of each servo's bus. rate_hz: of ticks."""
+        """Prepare the buses, which must not be open; `with` opens them.
+
+        buses: by name. bus_of: the name of each servo's bus. rate_hz: ticks a second.
+        """
         names, self._n_servos = np.array(bus_of), len(bus_of)
         self.capabilities = mixed_capabilities(
             {name: bus.capabilities for name, bus in buses.items()}, bus_of
@@ -259,12 +264,12 @@ class SeveralBuses:
             each.hand(_WRITE, partial(each.bus.write_positions, positions_deg[each.at]))
 
     def widen(self, joints: NDArray[np.bool_]) -> None:
-        """Have every bus accept goals beyond the limits for those of its servos that are True.
+        """Have every bus accept goals beyond the limits, for the given servos only.
 
         Parameters
         ----------
         joints : NDArray[np.bool_]
-            (n_servos,), of all buses.
+            (n_servos,), of all buses: True for servos that may go beyond.
         """
         for each in self._threads.values():
             each.hand(_WIDEN, partial(each.bus.widen, joints[each.at]))
@@ -292,7 +297,7 @@ class SeveralBuses:
         return found
 
     def feedback(self) -> Feedback:
-        """Return every servo's position; of a bus that is behind, its last one with its age."""
+        """Return every servo's feedback; of a bus that is behind, its last one with its age."""
         n = self._n_servos
         self._ask_all(_FEEDBACK, BusThread.hear)
         now_s = self._clock.now()
@@ -316,7 +321,10 @@ class SeveralBuses:
         return found
 
     def look_after(self) -> Health:
-        """Return the health of all servos; each bus polls one. A bus behind counts as silent."""
+        """Return the health of all servos; each bus polls one of them.
+
+        The servos of a bus that is behind count as silent since its last report.
+        """
         n = self._n_servos
         found = Health(
             silent_s=np.full(n, np.inf),
@@ -348,7 +356,7 @@ class SeveralBuses:
         return self._remarks
 
     def obstacle(self, index: int) -> str:
-        """Return why one servo may not get torque, or that its bus is busy; empty: it may."""
+        """Return why servo `index` may not get torque, or that its bus is busy; empty: it may."""
         each, n = self._on(index)
         answer = each.ask(("obstacle", n), partial(each.bus.obstacle, n), self._wait_s)
         return _BUSY if answer is None else str(answer)
@@ -365,7 +373,7 @@ class SeveralBuses:
         return _BUSY if answer is None else str(answer)
 
     def keep_torque(self, index: int) -> bool:
-        """Keep a servo's torque on if it still is; return whether it is, False for a busy bus."""
+        """Keep a servo's torque on if it is on; return False if it is off or its bus is busy."""
         each, n = self._on(index)
         keep = partial(each.bus.keep_torque, n)
         return bool(each.ask(("keep", n), keep, self._wait_s, holds=True))
@@ -381,7 +389,7 @@ class SeveralBuses:
     def disable_all(self) -> NDArray[np.bool_]:
         """Switch all torque off, on all buses at the same time, before any other job of theirs.
 
-        Servos of a bus that has not done it yet are not counted; it does it as soon as it can.
+        A bus that is busy does it as soon as it can; until then its servos count as not off.
 
         Returns
         -------
@@ -437,7 +445,7 @@ class SeveralBuses:
             each.join(max(0.0, until_s - time.monotonic()))
 
     def _ask_all(self, key: _Key, ask: Callable[[BusThread], None]) -> None:
-        """Hand every bus the job `ask`, and wait for all together, but not for buses behind."""
+        """Hand every bus the job `ask`, and wait for those not behind, for part of a tick."""
         self._check()
         threads = self._threads.values()
         for each in threads:
@@ -474,7 +482,7 @@ class SeveralBuses:
 
 
 def _put(whole: Any, at: NDArray[np.intp], part: Any) -> None:
-    """Copy one bus's arrays into the arrays of all servos, at its servos' indices."""
+    """Copy one bus's arrays (`part`) into those of all servos (`whole`), at its servos' indices."""
     for each in fields(whole):
         values = getattr(part, each.name)
         if each.name != "time_s" and values is not None:

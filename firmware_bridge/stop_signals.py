@@ -44,15 +44,16 @@ def install_handler(handler: Handler, *, leave_ignored: bool = False) -> Previou
 
 
 def restore_handlers(previous: PreviousHandlers) -> None:
-    """Restore the handlers that `install_handler` replaced."""
+    """Restore the handlers in `previous`, which `install_handler` replaced and returned."""
     for number, handler in previous.items():
         signal.signal(number, handler)
 
 
 class SignalCounter:
-    """A counter of the signals that end a program. A context manager, for the main thread.
+    """A context manager that counts the signals that end a program; for the main thread.
 
-    A handler that only counts cannot leave anything half done, wherever it strikes.
+    count: how many have come. last: name of the last one. A handler that only counts cannot leave
+    anything half done, wherever it strikes.
     """
 
     def __init__(self) -> None:
@@ -89,7 +90,7 @@ class SignalCounter:
 
 
 class StopRequested(Exception):  # noqa: N818 - a wish of a person, not an error
-    """A signal to end the program was received. number: of the signal."""
+    """Raised when a signal to end the program was received. number: of the signal."""
 
     def __init__(self, number: int) -> None:
         super().__init__(signal.Signals(number).name)
@@ -97,9 +98,10 @@ class StopRequested(Exception):  # noqa: N818 - a wish of a person, not an error
 
 
 class DeferredSignals:
-    """Raises StopRequested at a stop signal, at once or after a block that must be finished.
+    """A context manager that raises StopRequested at a stop signal, or defers it; main thread only.
 
-    Use it as a context manager, in the main thread; afterwards the previous handlers are restored.
+    Inside `finish_first` the signal is raised at the end of the block. At its exit the previous
+    handlers are restored.
     """
 
     def __init__(self) -> None:

@@ -51,12 +51,12 @@ class ExitStatus(IntEnum):
 class StopReport:
     """The torque states that the servos themselves reported at a stop.
 
-    confirmed: servos, by name, that were read with torque off. unconfirmed: why not, by name.
-    released: servos that were sent torque off on a bus where they cannot confirm it;
+    confirmed: servos, by name, that were read with torque off. unconfirmed: why others were not, by
+    name. released: servos that were sent torque off on a bus where they cannot confirm it;
     released_words: their state then, in words.
     at_rest: whether the face had come to neutral before; None: not known, since the process that
     switched torque off had not moved it. dry_run: no torque was ever switched on. confirms: whether
-    there are servos that can confirm it.
+    there are servos that can confirm torque off.
     """
 
     confirmed: tuple[str, ...] = ()
@@ -69,12 +69,12 @@ class StopReport:
 
     @property
     def complete(self) -> bool:
-        """Whether every servo that can confirm torque off did; the others were sent it."""
+        """Whether every servo that can confirm torque off did; the others were sent torque off."""
         return not self.unconfirmed
 
     @property
     def log_level(self) -> int:
-        """The level for `logging`: INFO if all servos that can confirm did, else WARNING."""
+        """The level for `logging`: INFO if the report is complete, else WARNING."""
         return logging.INFO if self.complete else logging.WARNING
 
     def text(self) -> str:
@@ -136,7 +136,11 @@ def let_go_report(
     dry_run: bool = False,
     confirms: bool = True,
 ) -> StopReport:
-    """Return the report of a stop: `let_go` has the capabilities of each limp servo, by name."""
+    """Return the report of a stop.
+
+    let_go: capabilities, by name, of the servos that are limp or were sent torque off. unconfirmed:
+    why other servos did not confirm, by name. Other arguments as in `StopReport`.
+    """
     confirmed = tuple(name for name, can in let_go.items() if can.confirmed_limp)
     released = {name: can.released_words for name, can in let_go.items() if name not in confirmed}
     words = "; ".join(dict.fromkeys(released.values()))
@@ -144,7 +148,7 @@ def let_go_report(
 
 
 def named_by_reason(unconfirmed: Mapping[str, str]) -> str:
-    """Return servos and reasons as text, each reason once: `jaw, left: did not answer` for one."""
+    """Return reasons by servo as text, each reason once: `jaw, left: does not answer; lip: ...`."""
     servos: dict[str, list[str]] = {}
     for name, why in unconfirmed.items():
         servos.setdefault(why, []).append(name)
@@ -165,7 +169,7 @@ class ServoSwitch(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ServoOrder:
-    """The order to switch one servo, by name. requested_by: process and user, for a log."""
+    """The order to switch the servo `name`. requested_by: process and user, for a log."""
 
     name: str
     switch: ServoSwitch
@@ -177,12 +181,15 @@ class ServoOrder:
 
 @dataclass(frozen=True, slots=True)
 class ArmJog:
-    """The order to start jogging, or to prolong it: it ends some seconds after the last order."""
+    """The order to start or prolong jogging: moving single joints by command while a face runs.
+
+    Jogging ends some seconds after the last order.
+    """
 
 
 @dataclass(frozen=True, slots=True)
 class JogTo:
-    """The order to jog one joint to an angle, in joint degrees, where it stays."""
+    """The order to jog joint `name` to an angle, in joint degrees, where it stays."""
 
     name: str
     position_deg: float
@@ -190,7 +197,7 @@ class JogTo:
 
 @dataclass(frozen=True, slots=True)
 class JogPulse:
-    """The order to jog one hobby servo to a pulse in us, also a little beyond its limits."""
+    """The order to jog hobby servo `name` to a pulse in us, also a little beyond its limits."""
 
     name: str
     pulse_us: float

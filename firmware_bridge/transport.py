@@ -27,7 +27,7 @@ class Transport(Protocol):
         """Return the bytes that arrive next, by `deadline_s` at the latest; b"": none arrived."""
 
     def discard_input(self) -> bytes:
-        """Return and remove the bytes that have arrived, without waiting."""
+        """Return and remove the bytes that have arrived, without waiting; b"": none."""
 
     def close(self) -> None:
         """Close the port; safe to call twice."""

@@ -67,7 +67,7 @@ def main() -> None:
 
 
 def _run(arguments: list[str]) -> int:
-    """Run a command, `stop`, `start`, `status` if possible without the slow parser.
+    """Run a command; `stop`, `start` and `status`, if possible, without the slow parser.
 
     Return its exit status.
     """
@@ -82,7 +82,7 @@ def _run(arguments: list[str]) -> int:
 
 
 def _moved_option(error: typer.TyperException) -> str | None:
-    """Return a line with the present position of a moved option; None for any other error."""
+    """Return a line on where an option has moved; None for an error about anything else."""
     from lipservo.commands.options import MOVED_OPTIONS, OPTIONS_OF_THE_PROGRAM
 
     name = getattr(error, "option_name", "")

@@ -1,9 +1,9 @@
 """Tables that turn phoneme and viseme labels of other programs into phones of our inventory.
 
-A viseme stands for several phonemes; its row in alphabets.yaml has the one phone that moves the
-mouth for it, and the reason. Phonemes of any language are given in IPA (ipa.yaml), or in a spelling
-that is turned into IPA letter by letter: X-SAMPA, and misaki, the phoneme alphabet of Kokoro.
-docs/text.md shows the tables.
+A viseme covers several phonemes; its row in alphabets.yaml has the one phone that moves the mouth
+in their place, and the reason. Phonemes of any language are given in IPA (ipa.yaml), or in a
+spelling that is turned into IPA letter by letter: X-SAMPA, and misaki, the phoneme alphabet of
+Kokoro. docs/text.md shows the tables.
 """
 
 import re
@@ -51,7 +51,7 @@ def _tables() -> Mapping[str, Mapping[str, tuple[str, ...]]]:
 
 @cache
 def viseme_sets() -> Mapping[str, Mapping[str, tuple[str, str]]]:
-    """Return, by name of the viseme set, a table from viseme label (text) to (phone, reason)."""
+    """Return, by name of the viseme set, a table from viseme label to (phone, reason for it)."""
     sets = {name: rows for name, rows in _tables().items() if name not in _SPELLINGS}
     return MappingProxyType(
         {
@@ -67,10 +67,11 @@ def alphabets() -> tuple[str, ...]:
 
 
 def phones_of(label: str, alphabet: str = ARPABET) -> tuple[str, ...]:
-    """Return the phones for one label of an alphabet ("": ARPAbet).
+    """Return our inventory's phones for one `label` of an `alphabet` ("": ARPAbet).
 
-    Empty for a mark alone, such as one of length: the phone before it goes on. An IPA letter that
-    ipa.yaml lacks is guessed. Raises AlphabetError for an unknown alphabet or label.
+    Empty for a label that is only a mark, such as a length mark: the phone before it goes on. An
+    IPA letter that ipa.yaml lacks is guessed. Raises AlphabetError for an unknown alphabet or
+    label.
     """
     if alphabet in ("", ARPABET):
         phone = label.rstrip("012") or label
@@ -97,10 +98,11 @@ def phones_of(label: str, alphabet: str = ARPABET) -> tuple[str, ...]:
 def in_inventory(
     kind: UnitKind, units: Iterable[SpokenUnit], alphabet: str, sample_rate_hz: int
 ) -> SpokenText:
-    """Return the units of an alphabet as units of phones; one unit's phones share its time evenly.
+    """Return `units`, labelled in `alphabet`, as units of phones; each divides its time evenly.
 
-    A label without a phone, such as a length mark, extends the unit before it. Raises AlphabetError
-    for an unknown label or alphabet, and SpokenTextError.
+    kind: of all units; sample_rate_hz: that of the sound whose samples are their times. A label
+    without a phone, such as a length mark, extends the unit before it. Raises AlphabetError for an
+    unknown label or alphabet, and SpokenTextError for units that are too many or out of order.
     """
     found: list[SpokenUnit] = []
     units = tuple(units)
@@ -117,9 +119,9 @@ def in_inventory(
 
 
 def _shared(phones: tuple[str, ...], unit: SpokenUnit, next_sample: int | None) -> list[SpokenUnit]:
-    """Return one unit for each phone, the unit's time divided evenly among them.
+    """Return one unit for each of `phones`, with the time of `unit` divided evenly among them.
 
-    next_sample: start of the next unit, used as the end where the unit has none; None: not known.
+    next_sample: start of the next unit, used as the end where `unit` has none; None: not known.
     Without a start the phones have no times; without an end only the first phone is returned.
     """
     end_sample = next_sample if unit.end_sample is None else unit.end_sample
@@ -146,7 +148,10 @@ def _spelled(label: str, alphabet: str) -> tuple[str, ...]:
 
 
 def _as_ipa(label: str, alphabet: str) -> str:
-    """Return the label in IPA, longest symbols replaced first; unknown letters are kept."""
+    """Return a label of X-SAMPA or misaki (`alphabet`) in IPA; letters not in its table are kept.
+
+    The longest symbols are replaced first.
+    """
     table = _tables()[alphabet]
     longest = max(map(len, table))
     found, place = "", 0

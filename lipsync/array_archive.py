@@ -1,10 +1,10 @@
 """Archives of arrays, `.npz` without pickle, read within bounds of memory.
 
 Packed data may be a thousand times larger unpacked, and a header may promise arrays that no memory
-holds. So everything is compared with a bound before it is made: the list of members before it is
-parsed, the size of each member before it is unpacked, and the shape of an array with the number of
-its bytes. Only plain arrays are read: numbers, booleans and texts as `numpy.savez` and
-`savez_compressed` write them.
+holds. So each size is compared with a bound before memory is used: that of the list of members
+before the list is parsed, that of each member before it is unpacked, and the shape of an array with
+the number of its bytes. Only plain arrays are read: numbers, booleans and texts as `numpy.savez`
+and `savez_compressed` write them.
 """
 
 import io
@@ -86,7 +86,10 @@ class ArrayArchive:
         return name in self._members
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """Read and return one array. Raises KeyError if it is not there, or `UNREADABLE` errors."""
+        """Read and return the array `name`; raise KeyError if there is none.
+
+        Raises one of `UNREADABLE` if the array is damaged.
+        """
         with self._opened(name) as (file, shape, dtype, order):
             data = bytearray(math.prod(shape) * dtype.itemsize)
             held = memoryview(data)
@@ -101,7 +104,7 @@ class ArrayArchive:
         )
 
     def chunks(self, name: str) -> Iterator[bytes]:
-        """Yield the bytes of an array (n,) uint8 in pieces, never all of them in memory.
+        """Yield the bytes of the array `name`, (n,) uint8, in pieces, never all of them in memory.
 
         Raises ValueError for an array of another type or shape.
         """
@@ -119,7 +122,7 @@ class ArrayArchive:
 
     @contextmanager
     def _opened(self, name: str) -> Iterator[tuple[IO[bytes], tuple[int, ...], np.dtype[Any], Any]]:
-        """Yield the file at an array's first value, the shape, type, and order "C" or "F"."""
+        """Yield the array `name` as (file at its first value, shape, type, order "C" or "F")."""
         member = self._members[name]
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise ValueError(f"{name!r} is packed in a way that NumPy does not write")

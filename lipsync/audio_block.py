@@ -14,7 +14,7 @@ BLOCK_S = 0.010
 
 @dataclass(frozen=True, slots=True)
 class AudioBlock:
-    """Mono sound: samples (n,) float32 in [-1, 1], starting `start_s` after the stream's first."""
+    """Mono sound: samples (n,) float32 in [-1, 1], the first `start_s` after the stream's first."""
 
     samples: NDArray[np.float32]
     start_s: float

@@ -67,7 +67,8 @@ class MissingExtraError(UserError):
 def check_extra(library: str, purpose: str) -> None:
     """Raise MissingExtraError unless `library`, one of `EXTRA_OF`, is installed.
 
-    purpose: what needs it, in words. Imports nothing, so that it can be called before the work.
+    purpose: what needs the library, in words. Nothing is imported, so that a command can check it
+    before its work begins.
     """
     if find_spec(library) is None:
         raise MissingExtraError(

@@ -24,7 +24,7 @@ class IpaRow:
 
 @dataclass(frozen=True, slots=True)
 class InventoryPhones:
-    """The phones for an IPA phoneme, none for a mark. `is_guess`: the table lacks a letter."""
+    """Phones for an IPA phoneme, none for a mark alone; `is_guess`: a letter is not in ipa.yaml."""
 
     phones: tuple[str, ...]
     is_guess: bool
@@ -72,7 +72,7 @@ def phones_of_ipa(phoneme: str) -> InventoryPhones:
 
 
 def _without_marks(phoneme: str) -> str:
-    """Return the letters alone: no combining or modifier letters, punctuation, digits or spaces."""
+    """Return the letters of an IPA phoneme alone: no diacritics, punctuation, digits or spaces."""
     decomposed = unicodedata.normalize("NFD", phoneme.replace("ç", "\0"))
     letters = (
         letter

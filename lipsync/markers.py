@@ -85,13 +85,13 @@ class PointLayout:
         return len(self.landmarks)
 
     def group(self, name: str) -> tuple[int, ...]:
-        """Return the indices of the points of a group, in its order; empty if there is none."""
+        """Return the indices of the points of group `name`, in its order; empty: no such group."""
         numbers = dict(self.groups).get(name, ())
         return tuple(self.landmarks.index(n) for n in numbers)
 
     @cached_property
     def lips(self) -> tuple[int, ...]:
-        """Indices of all points in groups with `lip` in their name."""
+        """Indices of all points in groups whose name has the word `lip`, such as `inner_lip`."""
         return tuple(
             i for name, _ in self.groups if "lip" in name.split("_") for i in self.group(name)
         )
@@ -108,7 +108,7 @@ class PointLayout:
 
     @property
     def has_inner_lips(self) -> bool:
-        """Whether the points of the lip gap lie on the inner lips: 0 mm apart where lips touch."""
+        """Whether the points of the lip gap lie on the inner lips: 0 mm apart where these touch."""
         return {self.upper_lip, self.lower_lip} <= set(self.group(INNER_LIP_GROUP))
 
     def gap_vectors_mm(self, markers_mm: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -136,7 +136,7 @@ class PointLayout:
 
 
 def layout_of(description: Mapping[str, Any]) -> PointLayout:
-    """Return the layout of a description of groups of landmarks and lip gap.
+    """Return the layout that `PointLayout.description`, or a JSON file of the same form, describes.
 
     Raises LayoutError for a missing entry, or a landmark that is no number or occurs twice.
     """
@@ -201,7 +201,7 @@ LAYOUTS = {str(each.n_points): each for each in (MARKERS_39, MARKERS_47, FACE_ME
 
 
 def find_layout(choice: str) -> PointLayout:
-    """Return a shipped layout by its number of points, or that of a JSON file.
+    """Return a shipped layout by its number of points, or that of a JSON file at the path `choice`.
 
     Raises LayoutError for a choice that is neither, or a file that describes no layout.
     """

@@ -1,7 +1,8 @@
 """Files that a command writes: refused before the work begins, and written whole or not at all.
 
 While it is written a file is called `NAME.partial`, in the same folder; it is renamed when it is
-complete and on the disk. What fails or is interrupted leaves neither file.
+complete and on the disk. A write that fails or is interrupted deletes the partial file and leaves
+an earlier file of that name as it was.
 """
 
 import errno
@@ -19,11 +20,11 @@ _HEAD_BYTES = 4096
 
 
 class OutputError(UserError):
-    """A file cannot be written to the given path; the message says which, why, and what to do."""
+    """Error for a path that cannot be written to; the message says why and what to do."""
 
 
 def nothing(_head: bytes) -> bool:
-    """Return False: as `replaces` of `check_output`, it lets no existing file be replaced."""
+    """Return False: as the argument `replaces` of `check_output`, let no file be replaced."""
     return False
 
 
@@ -36,9 +37,9 @@ def check_output(
 ) -> None:
     """Raise OutputError if a file could not be written to `path` later; leave no file behind.
 
-    replaces: whether an existing file may be replaced, decided by its first 4096 bytes; an
-    empty one always may. kind: what `replaces` accepts, in words, for the message. inputs: files
-    that the command reads, which are never written over.
+    replaces: returns whether an existing file may be replaced, given its first 4096 bytes; an
+    empty file always may. kind: the files that `replaces` accepts, in words, for the error message.
+    inputs: files that the command reads, which are never written over.
     """
     try:
         place = _place(path)
@@ -56,9 +57,10 @@ def check_output(
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """Yield a temporary path; its file is renamed to `path` at the end, deleted on any exception.
+    """Yield a temporary path to write to; rename that file to `path` at the end.
 
-    Raises OutputError where the file cannot be written, on a full disk for one.
+    On any exception the temporary file is deleted instead. Raises OutputError where the file cannot
+    be written, for example on a full disk.
     """
     try:
         place = _place(path)
@@ -97,7 +99,7 @@ def _partial(place: Path) -> Path:
 
 @contextmanager
 def _open_partial(place: Path) -> Iterator[None]:
-    """Create the partial file anew, deleting an earlier one, so that two writers never share it."""
+    """Create the partial file of `place` anew, deleting an earlier one; no two writers share it."""
     partial = _partial(place)
     partial.unlink(missing_ok=True)
     descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)

@@ -65,11 +65,11 @@ _STAND_INS: Mapping[str, tuple[tuple[str, ...], ...]] = MappingProxyType(
 
 
 def stand_in(phoneme: str, known: Sequence[str] | frozenset[str]) -> tuple[str, ...]:
-    """Return phones of `known` that together look like `phoneme`; `(phoneme,)` if that is known.
+    """Return phones of `known` that together resemble `phoneme` on the lips.
 
-    A stand-in is a named one (OY as AO then IY), else a phone of the same viseme class, else any
-    known phone, so that every phone of the inventory moves the mouth.
-    Raises ValueError for a phoneme outside the inventory or an empty `known`.
+    `(phoneme,)` if that is known itself; else a named substitute (OY as AO then IY), else a phone
+    of the same viseme class, else any known phone, so that every phone of the inventory moves
+    the mouth. Raises ValueError for a phoneme outside the inventory or an empty `known`.
     """
     if phoneme not in VISEME_OF:
         raise ValueError(f"unknown phoneme {phoneme!r}; known here: {' '.join(PHONEMES)}")
@@ -89,7 +89,7 @@ def stand_in(phoneme: str, known: Sequence[str] | frozenset[str]) -> tuple[str, 
 
 @dataclass(frozen=True, slots=True)
 class PhonemeEvent:
-    """One phoneme and its time in the sound; `end_s` is None while it is still going on."""
+    """One phoneme and its time in the sound; `end_s` is None while the phoneme still continues."""
 
     phoneme: str
     start_s: float
@@ -97,18 +97,19 @@ class PhonemeEvent:
     confidence: float = 1.0
 
     def later(self, by_s: float) -> Self:
-        """Return this event shifted `by_s` seconds later; an open end stays open."""
+        """Return a copy of this event `by_s` seconds later; an open end stays open."""
         end_s = None if self.end_s is None else self.end_s + by_s
         return replace(self, start_s=self.start_s + by_s, end_s=end_s)
 
 
 @dataclass(frozen=True, slots=True)
 class FramePosteriors:
-    """Probabilities of each phoneme, frame by frame, before anything is decided.
+    """Probabilities of each phoneme, frame by frame, before phonemes are decided.
 
-    values: (n, n_heads, len(PHONEMES)), in their order; the posteriors of a head in a frame sum to
-    1. The head that waits d = delays[h] frames gives, in row i, those of frame `first_frame` + i -
-    d, which begins at that number / frames_per_s; one that waits longer knows better.
+    values: (n, n_heads, len(PHONEMES)), in the order of PHONEMES; those of a head in a frame sum to
+    1. A head of the network waits d = delays[h] frames: its row i belongs to frame number
+    `first_frame` + i - d, which begins at that number / frames_per_s. A head that waits longer is
+    more reliable.
     """
 
     frames_per_s: int
@@ -117,7 +118,7 @@ class FramePosteriors:
     values: Array32
 
     def later(self, by_s: float) -> Self:
-        """Return these posteriors shifted `by_s` seconds later, rounded to whole frames."""
+        """Return a copy of these posteriors `by_s` seconds later, rounded to whole frames."""
         return replace(self, first_frame=self.first_frame + round(by_s * self.frames_per_s))
 
 
@@ -126,10 +127,10 @@ class PhonemeUpdate:
     """A source's phonemes from `replace_from_s` on, which replace all its earlier ones from there.
 
     Events are in order of time, do not overlap, and only the last may have no end. The first may
-    have begun before `replace_from_s`: it is then the one going on there, with its true start. The
-    sound was heard until `heard_until_s`; nothing before `final_until_s` changes again.
-    posteriors: what it was decided from, of the frames heard since the last update; None where
-    nothing was heard, or the phonemes are known.
+    have begun before `replace_from_s`: it is then the phoneme that continues at that time, with its
+    true start. The sound was heard until `heard_until_s`; no phoneme before `final_until_s` changes
+    again. posteriors: of the frames heard since the last update, from which the events were
+    decided; None where no frame was heard, or the phonemes are known beforehand.
     """
 
     replace_from_s: float
@@ -140,22 +141,22 @@ class PhonemeUpdate:
 
 
 class PhonemeScript(Protocol):
-    """Phonemes that are known beforehand, released in time: label file, speech synthesis."""
+    """Phonemes known beforehand (label file, speech synthesis), released as their time comes."""
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
-        """Return the updates for the sound until `until_s` that are new since the last call."""
+        """Return the updates for the sound before `until_s` that are new since the last call."""
 
 
 class PhonemeSource(PhonemeScript, Protocol):
-    """A source of phonemes for the speech side: a recogniser with its sound, or a script."""
+    """A source of phonemes for live motion: a recogniser with its sound, or a script."""
 
     @property
     def latency_s(self) -> float:
-        """Seconds until phonemes are settled: at sound time t, those before t - latency_s are."""
+        """Seconds until a phoneme is final: at sound time t, those before t - latency_s are."""
 
     @property
     def heard_until_s(self) -> float:
-        """The sound time up to which anything was heard or is known, in s."""
+        """The sound time in s up to which sound was heard or phonemes are known."""
 
 
 #: What is believed about the sound: somebody speaks, something else is to be heard, or nothing is.
@@ -164,11 +165,11 @@ Hearing = Literal["speech", "noise", "silence"]
 
 @runtime_checkable
 class Listener(Protocol):
-    """A recogniser that classifies the sound that was settled last."""
+    """A recogniser that also classifies its sound as speech, noise or silence."""
 
     @property
     def hearing(self) -> Hearing | None:
-        """The class of the last settled sound: speech, noise, silence; None: nothing recognises."""
+        """The class of the newest final sound: speech, noise, silence; None if not classified."""
 
 
 @runtime_checkable
@@ -176,23 +177,23 @@ class ServoListener(Protocol):
     """A recogniser that discounts the noise of the robot's own servos, given their speeds."""
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """Note the servos' speeds at a sound time.
+        """Store the servos' speeds at a sound time, so that their noise is not recognised as voice.
 
         Parameters
         ----------
         sound_s : float
-            Seconds.
+            Seconds of sound time.
         speeds_deg_s : Array
             (n_servos,) in deg/s; NaN: not known.
         """
 
 
 class LiveRecognizer(Protocol):
-    """A recogniser of phonemes in live sound; all it knows is what it was fed, and no clock."""
+    """A recogniser of phonemes in live sound; its results depend on the sound fed, on no clock."""
 
     @property
     def latency_s(self) -> float:
-        """Seconds until phonemes are settled: at sound time t, those before t - latency_s are."""
+        """Seconds until a phoneme is final: at sound time t, those before t - latency_s are."""
 
     def feed(self, block: AudioBlock) -> None:
         """Process the next block of sound, of any size; a gap before it counts as silence."""
@@ -201,15 +202,15 @@ class LiveRecognizer(Protocol):
         """Return the phoneme updates that are new since the last call."""
 
     def reset(self) -> None:
-        """Forget everything, ready for a new stream at sound time 0."""
+        """Forget all sound and phonemes; the next block begins a new stream, from time 0 on."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecognizerKind:
-    """How to make a live recogniser: an entry of `lipsync.plugins.RECOGNIZERS`.
+    """A way to make a live recogniser: an entry of `lipsync.plugins.RECOGNIZERS`.
 
     make: from the name or file of weights, and the latency in seconds after which a phoneme is to
-    be settled; a recogniser without such weights ignores them. latency_s: the least that it needs.
+    be final; a recogniser without such weights ignores both. latency_s: the least that it needs.
     """
 
     make: Callable[[str, float], LiveRecognizer]

@@ -14,14 +14,15 @@ from lipsync.errors import UserError, shown
 
 
 class PluginError(UserError):
-    """A plug-in's name is unknown, or the plug-in cannot be loaded; the message is one line."""
+    """Error for an unknown plug-in or one that cannot be loaded; the message is one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plugins:
-    """The plug-ins of one kind.
+    """The plug-ins of one kind, such as recognisers.
 
-    group: of the entry points. what: the kind, in words. built_in: `module:attribute` by name.
+    group: entry-point group in which other packages register theirs. what: the kind, in words, for
+    error messages. built_in: `module:attribute` of lipservo's own, by name.
     """
 
     group: str
@@ -34,7 +35,7 @@ class Plugins:
         return list(dict.fromkeys([*self.built_in, *others]))
 
     def check(self, name: str) -> str:
-        """Return `name` if a plug-in has it, without loading it. Raises PluginError if none has."""
+        """Return `name` if there is a plug-in of that name, else raise PluginError; load none."""
         if name not in self.built_in and not entry_points(group=self.group, name=name):
             raise PluginError(
                 f"{self.what} {shown(name)} is not known here; use one of "
@@ -44,7 +45,7 @@ class Plugins:
         return name
 
     def load(self, name: str) -> Any:
-        """Return the object that a plug-in's name refers to. Raises PluginError where it cannot."""
+        """Return the object of the plug-in `name`. Raises PluginError if unknown or broken."""
         if (target := self.built_in.get(name)) is not None:
             module, _, attribute = target.partition(":")
             return getattr(importlib.import_module(module), attribute)

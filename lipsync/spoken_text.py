@@ -1,4 +1,4 @@
-"""The words or units of a stream of sound, as far as its sender knows: one type for every sender.
+"""The words, phonemes or visemes of a stream of sound, as far as known: a type for every sender.
 
 Voice agents, speech synthesisers, label files and scripted lines know text, words, phonemes or
 visemes; with times or without; before their sound, with it or after it; and may correct
@@ -32,14 +32,14 @@ _SHORTEST_S: Final = 0.01
 
 
 class SpokenTextError(UserError):
-    """Units cannot be the text of a stream; the message says which, where, and what to do."""
+    """Error for units that cannot be the text of a stream; the message says why and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
 class SpokenUnit:
     """A piece of text, word, phoneme or viseme, with sample numbers of its stream; None: unknown.
 
-    A unit without an end lasts until the next one begins.
+    A unit without an end lasts until the next unit begins.
     """
 
     label: str
@@ -52,7 +52,7 @@ class PronouncedWord:
     """A word with its pronunciations, to be found in its sound by `text_decoder`.
 
     pronunciations: at least one; phonemes of the inventory without silence, the commonest first.
-    start_s: about when it begins in its stream, None where that is not known.
+    start_s: about when the word begins in its stream, None where that is not known.
     """
 
     label: str
@@ -64,8 +64,8 @@ class PronouncedWord:
 class SpokenText:
     """Units of one kind in the order in which they are spoken.
 
-    Raises SpokenTextError for a label that is empty, too long or no phoneme, for more than
-    `MOST_UNITS` or `MOST_CHARACTERS`, and for times that are negative, overlap or go back.
+    Creating it raises SpokenTextError for a label that is empty, too long or no phoneme, for more
+    than `MOST_UNITS` or `MOST_CHARACTERS`, and for times that are negative, overlap or go back.
     """
 
     kind: UnitKind
@@ -104,12 +104,12 @@ class SpokenText:
 
     @property
     def n_characters(self) -> int:
-        """The number of characters of all units."""
+        """The number of characters of all units' labels."""
         return sum(len(unit.label) for unit in self.units)
 
     @property
     def moves_mouth(self) -> bool:
-        """Whether the units are mouth shapes (phonemes, visemes), not text to find in the sound."""
+        """Whether the units are phonemes or visemes, not text or words to find in the sound."""
         return self.kind in ("phoneme", "viseme")
 
     @property
@@ -118,10 +118,10 @@ class SpokenText:
         return all(unit.start_sample is not None for unit in self.units)
 
     def revised(self, later: "SpokenText") -> "SpokenText":
-        """Return the units revised by `later`: appended, or in place of all from its start on.
+        """Return a copy with the units of `later` appended, or in place of all from its start on.
 
-        The newest are kept where they become too many. Raises SpokenTextError for another kind or
-        rate, or where the result goes back in time.
+        The newest units are kept where there are too many. Raises SpokenTextError for another kind
+        or rate, or where the result goes back in time.
         """
         if (later.kind, later.sample_rate_hz) != (self.kind, self.sample_rate_hz):
             raise SpokenTextError(
@@ -146,9 +146,10 @@ class SpokenText:
     def events(
         self, from_sample: int = 0, until_sample: int | None = None
     ) -> tuple[PhonemeEvent, ...]:
-        """Return the phonemes, in seconds of the stream, that sound between two samples of it.
+        """Return the phonemes between two samples of the stream, as events in seconds of it.
 
-        Raises SpokenTextError without times, or for words. Units that take no time are left out.
+        until_sample: None for no limit. Raises SpokenTextError for units without times, and for
+        words. Units that last no time are left out.
         """
         if not (self.moves_mouth and (not self.units or self.units[-1].start_sample is not None)):
             raise SpokenTextError(f"{self.kind}s without times move no mouth by themselves")
@@ -179,7 +180,7 @@ class SpokenText:
 
 
 def _joined(kind: UnitKind, units: tuple[SpokenUnit, ...], sample_rate_hz: int) -> SpokenText:
-    """Return a `SpokenText` of units already checked: a stream may send each phoneme by itself."""
+    """Return a `SpokenText` of units already checked, so that adding one unit costs little."""
     joined = object.__new__(SpokenText)
     fields = {"kind": kind, "units": units, "sample_rate_hz": sample_rate_hz}
     for name, value in fields.items():
@@ -196,9 +197,10 @@ def _start(unit: SpokenUnit) -> int:
 
 
 def _before(units: Sequence[SpokenUnit], start_sample: int) -> Sequence[SpokenUnit]:
-    """Return the units before the first known to begin at or after a sample; an overlap is cut.
+    """Return the units before `start_sample`; one that lasts beyond it is cut there.
 
-    Nothing is before the first sample, whether its time is known or not.
+    They end at the first unit known to begin at or after that sample. No unit is before sample 0,
+    whether its time is known or not.
     """
     if start_sample == 0:
         return ()

@@ -1,4 +1,4 @@
-"""Reading and writing Praat TextGrids: labelled intervals, and the phonemes of a tier."""
+"""Reading and writing of Praat TextGrids: labelled intervals, and the phonemes of a tier."""
 
 from os import PathLike
 from pathlib import Path
@@ -13,7 +13,7 @@ from lipsync.phonemes import SILENCE, VISEME_OF, PhonemeEvent
 
 
 class LabelError(UserError):
-    """A label file cannot be used; the message is one line: what, where, what to do."""
+    """Error for a label file that cannot be used; the message is one line: what, where, remedy."""
 
 
 Interval = tuple[str, float, float]
@@ -49,7 +49,10 @@ def read_phonemes(path: str | PathLike[str], tier: str = "phones") -> tuple[Phon
 
 
 def read_tiers(path: str | PathLike[str]) -> dict[str, tuple[Interval, ...]]:
-    """Return a TextGrid's interval tiers, (label, start_s, end_s) by name. Raises LabelError."""
+    """Return a TextGrid's interval tiers by name, each as (label, start_s, end_s) in order.
+
+    Raises LabelError for a missing file and one that is no TextGrid.
+    """
     path = Path(path)
     if not path.is_file():
         raise LabelError(f"{path}: no such file; give the path of a Praat TextGrid")
@@ -72,9 +75,10 @@ def read_tiers(path: str | PathLike[str]) -> dict[str, tuple[Interval, ...]]:
 
 
 def write_tiers(path: str | PathLike[str], tiers: dict[str, tuple[Interval, ...]]) -> None:
-    """Write interval tiers as a Praat TextGrid in long form; stretches between are left empty.
+    """Write interval tiers, (label, start_s, end_s) by name, as a Praat TextGrid in long form.
 
-    Whole or not at all. Raises OutputError.
+    Stretches between intervals get empty labels. The file is written whole or not at all. Raises
+    OutputError.
     """
     grid = textgrid.Textgrid()
     file_end_s = max((end_s for tier in tiers.values() for _, _, end_s in tier), default=0.0)
@@ -86,5 +90,5 @@ def write_tiers(path: str | PathLike[str], tiers: dict[str, tuple[Interval, ...]
 
 
 def is_textgrid(head: bytes) -> bool:
-    """Return whether a file's first bytes are those of a Praat TextGrid in UTF-8 or UTF-16."""
+    """Return whether a file's first bytes `head` are of a Praat TextGrid in UTF-8 or UTF-16."""
     return b"ooTextFile" in head.replace(b"\0", b"")

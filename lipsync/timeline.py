@@ -1,4 +1,4 @@
-"""The phonemes of the last and the next seconds, as revised by their source."""
+"""The phonemes of the last and the next seconds of a stream, as revised by their source."""
 
 import math
 from bisect import bisect_right
@@ -10,9 +10,9 @@ from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 class PhonemeTimeline:
     """The events of all updates so far, in order of time, not overlapping, with bounded memory.
 
-    `apply` replaces older events by those of an update. What an earlier update called final stays
-    as it is, whatever a later one contains; events older than `horizon_s` before what was heard
-    are forgotten.
+    `apply` replaces older events by those of an update. Events that an earlier update called final
+    stay, whatever a later one contains; events more than `horizon_s` seconds before the end of the
+    sound heard are dropped.
     """
 
     def __init__(self, horizon_s: float = 5.0) -> None:
@@ -33,7 +33,7 @@ class PhonemeTimeline:
         return self._final_until_s
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
-        """Return the event that goes on at `time_s`, or None where nothing is known."""
+        """Return the event that includes `time_s`, or None where no event does."""
         index = bisect_right(self._events, time_s, key=_start_s) - 1
         if index < 0 or _end_s(self._events[index]) <= time_s:
             return None
@@ -46,7 +46,7 @@ class PhonemeTimeline:
     def apply(self, update: PhonemeUpdate) -> None:
         """Replace the events from the update's `replace_from_s` on by its own, except final ones.
 
-        An event that goes on across that time keeps its earlier start. Raises ValueError for an
+        An event that continues across that time keeps its earlier start. Raises ValueError for an
         update whose events are out of order, overlap, or are open before the last.
         """
         _refuse_disorder(update)
@@ -74,7 +74,10 @@ class PhonemeTimeline:
         del self._events[:n_old]
 
     def _cut_at(self, time_s: float) -> PhonemeEvent | None:
-        """Drop what lies after `time_s`; return the event that reached it, cut there, or None."""
+        """Drop all events, and parts of events, after `time_s`.
+
+        Return the event that reached `time_s`, cut there; None if no event did.
+        """
         while self._events and self._events[-1].start_s >= time_s:
             self._events.pop()
         if not self._events or _end_s(self._events[-1]) < time_s:

@@ -1,7 +1,7 @@
 """A check of how deep a YAML text is nested, before anything is built of it.
 
-PyYAML recurses: its own reader ends in a RecursionError after seconds of work, libyaml's crashes
-the whole program.
+PyYAML recurses on deep YAML: its own reader ends in a RecursionError after seconds of work,
+libyaml's crashes the whole program.
 """
 
 import yaml
@@ -13,7 +13,7 @@ _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 def is_nested_deeper(text: str, levels: int) -> bool:
     """Return whether lists and mappings are nested in one another more than `levels` times.
 
-    Raises yaml.YAMLError where the text is no YAML before that.
+    Raises yaml.YAMLError if the text proves to be no YAML before such a depth is found.
     """
     depth = 0
     for event in yaml.parse(text, Loader=_LOADER):

@@ -55,12 +55,12 @@ class PosePlan:
 
 
 def least_poses(n_servos: int, per_sweep: int = _FEWEST_PER_SWEEP) -> int:
-    """Return the fewest poses to learn a face from: neutral, each servo's sweeps, as many more."""
+    """Return the least number of poses: 2 neutral, `per_sweep` a joint alone, and as many more."""
     return _NEUTRAL_POSES + 2 * per_sweep * n_servos
 
 
 def usual_poses(n_servos: int) -> int:
-    """Return the fewest poses of a plan that sweeps every joint alone from both sides."""
+    """Return the fewest poses of a plan in which every joint is alone from below and from above."""
     return least_poses(n_servos, _POSES_PER_SWEEP)
 
 
@@ -71,12 +71,12 @@ def plan_poses(
     rules: Sequence[CouplingRule] = (),
     seed: int = 0,
 ) -> PosePlan:
-    """Return a plan: neutral, every joint alone from both sides, then a Latin hypercube.
+    """Return a plan of `n_poses`: neutral, every joint alone from both sides, a Latin hypercube.
 
     With fewer poses than `usual_poses`, each joint is alone in one pose only, from below. With a
     hypercube of 16 poses or more, neutral comes again in the middle of the hypercube and at its
     end.
-    rules: coupling rules; a pose that breaks one is scaled towards neutral.
+    rules: coupling rules; a pose that breaks one is scaled towards neutral. seed: of the hypercube.
     Raises CalibrationError for fewer poses than `least_poses`.
     """
     least = least_poses(len(joints))
@@ -174,7 +174,7 @@ def joined(first: PosePlan, second: PosePlan) -> PosePlan:
 def reached_from(
     joints: Sequence[JointRange], goals_deg: Array, side: Array, rules: Sequence[CouplingRule]
 ) -> PosePlan:
-    """Return a plan of poses, clipped to limits and rules, with the start of each last step.
+    """Return a plan of poses within limits and rules, with a start up to 3 degrees before each.
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ def reached_from(
 
 
 def _inside(joints: Sequence[JointRange]) -> tuple[Array, Array]:
-    """Return each joint's least and most angle, less the room for a last step to a pose."""
+    """Return least and most angles, (n_servos,) each, that leave room for a last step to a pose."""
     low = np.array([j.min_deg for j in joints])
     high = np.array([j.max_deg for j in joints])
     room = np.minimum(LEAD_IN_DEG, (high - low) / 4)
@@ -208,7 +208,8 @@ def _inside(joints: Sequence[JointRange]) -> tuple[Array, Array]:
 def _sweeps(low: Array, high: Array, per_sweep: int) -> tuple[Array, Array]:
     """Return goals and sides, each (n, n_servos), of neutral and of every joint alone in turn.
 
-    A joint that is alone goes towards its wider end, `per_sweep` times.
+    `low`, `high`: each joint's least and most angle. A joint that is alone goes 0.6 of the way to
+    its wider end, `per_sweep` times. Sides: 1 reached from below, -1 from above.
     """
     n_servos = len(low)
     wider = np.where(high >= -low, high, low)
@@ -242,7 +243,7 @@ class Capture:
     goals_deg, from_below: (n, n_servos); markers_mm: (n, n_markers, 3), NaN where lost. stalled:
     one line for each pose that was left out because a joint did not reach its goal, or one for all
     that were not recorded. n_planned: number of poses in the plan, poses left out included. rows:
-    the plan's rows of these poses, where the poses were captured one by one. ladders: as in
+    the plan's rows of these poses; empty where they were read from files. ladders: as in
     PosePlan.
     """
 
@@ -299,10 +300,10 @@ def capture_poses(
 ) -> Capture:
     """Move through the plan, measure every pose, and leave the robot at its neutral.
 
-    keep: file to which each pose is written at once, one line a pose, so that an interrupted
-    capture can be resumed from it; None: nothing is written. arrived is called for each pose before
-    the pose is measured; progress is called with the number of poses done. Raises CalibrationError
-    for a `keep` of another plan.
+    move, measure: as in `Robot`. keep: file to which each pose is written at once, one line a pose,
+    so that an interrupted capture can be resumed from it; None: nothing is written. arrived is
+    called with a pose's row and reached angles before it is measured; progress is called with the
+    number of poses done. Raises CalibrationError for a `keep` of another plan.
     """
     poses = [] if keep is None else read_kept(keep, plan, marker_names)
     on = Robot(move, measure, arrived, progress)
@@ -313,8 +314,10 @@ def capture_poses(
 class Robot:
     """The functions through which a capture moves and measures a robot.
 
-    strained: returns the name of the servo that draws all the current that it may draw, None where
-    no servo does or the load is not measured.
+    move: goes to joint angles, (n_servos,) degrees, and returns those reached; measure: returns the
+    markers, (n_markers, 3) mm; arrived: called with row and reached angles of a pose; progress:
+    called with the number of poses done; strained: returns the name of a servo that draws all the
+    current that it may, None where no servo does or the load is not measured.
     """
 
     move: Move
@@ -332,10 +335,11 @@ def take_poses(
     keep: Path | None,
     pressing: Collection[int] = (),
 ) -> list[CapturedPose]:
-    """Return `poses` and those of the plan missing from `poses`, which are captured now.
+    """Return `poses` and those of the plan missing from `poses`, which robot `on` moves to now.
 
-    The robot is at neutral afterwards. pressing: rows of poses that close the lips farther and
-    farther; once a servo is strained in one of these, the remaining ones are left out.
+    The robot is at neutral afterwards. keep: file to which each new pose is appended; None: no
+    file. pressing: rows of poses that close the lips farther and farther; once a servo is strained
+    in one of these, the remaining ones are left out.
     """
     poses = list(poses)
     done = {pose.index for pose in poses}
@@ -355,7 +359,7 @@ def take_poses(
 
 
 def take_pose(plan: PosePlan, index: int, on: Robot) -> CapturedPose:
-    """Move to row `index` of the plan, through the row's start; return the measured pose."""
+    """Move robot `on` to row `index` of the plan, by the row's start; return the measured pose."""
     on.move(plan.start_deg[index])
     reached_deg = on.move(plan.goals_deg[index])
     on.arrived(index, reached_deg)
@@ -364,7 +368,7 @@ def take_pose(plan: PosePlan, index: int, on: Robot) -> CapturedPose:
 
 
 def gather(plan: PosePlan, marker_names: tuple[str, ...], poses: list[CapturedPose]) -> Capture:
-    """Return the capture of these poses of the plan, without those in which a joint stalled.
+    """Return `poses` of the plan as one capture, without those in which a joint stalled.
 
     A joint is stalled where its encoder is more than STALL_DEG from its goal.
     """
@@ -401,11 +405,11 @@ _LINE_HEAD = '{"pose": '
 def read_kept(
     keep: Path, plan: PosePlan, marker_names: tuple[str, ...], *, goes_on: bool = False
 ) -> list[CapturedPose]:
-    """Return the poses in a kept file; an unfinished last line is removed from the file.
+    """Return the poses in the file `keep`; remove an unfinished last line from the file.
 
     No file: empty list. goes_on: stop at the first pose beyond the plan, because the plan will be
-    extended; that pose and all later lines are ignored.
-    Raises CalibrationError for a file of another plan or a damaged one.
+    extended; that pose and all later lines are ignored. Raises CalibrationError for a file of
+    another plan or a damaged one.
     """
     if not keep.exists():
         return []
@@ -454,7 +458,7 @@ def _kept_pose(
 def keep_pose(
     keep: Path, pose: CapturedPose, plan: PosePlan, marker_names: tuple[str, ...]
 ) -> None:
-    """Append a pose to the file `keep` as a JSON line; of two lines of one pose the later counts.
+    """Append a pose of `plan` to the file `keep` as a JSON line; the latest line of a pose counts.
 
     Raises CalibrationError where the file cannot be written.
     """

@@ -31,7 +31,7 @@ _FOREIGN: Final = (".heic", ".heif", ".dng", ".cr2", ".nef", ".arw", ".webp", ".
 
 
 def pose_pictures(folder: Path) -> list[tuple[int, Path]]:
-    """Return pose number and file of every picture in a folder, by name; empty without pictures.
+    """Return pose number and file of a folder's pictures, sorted by file name; [] without pictures.
 
     Raises CalibrationError for a picture whose name has no number or whose format is not read.
     """
@@ -89,8 +89,8 @@ class DotColour:
 class FoundDots:
     """The dots found in a picture. size_px: the picture's height and width.
 
-    middles_px: (n, 2), column and row of every dot; n_merged: number of touching pairs, each pair
-    counted in middles_px as two dots; n_other: spots of the dots' colour that are no dots.
+    middles_px: (n, 2), column and row of every dot; n_merged: number of spots that are two touching
+    dots, both of which are in middles_px; n_other: spots of the dots' colour that are no dots.
     """
 
     middles_px: Array
@@ -103,7 +103,7 @@ class FoundDots:
 class _Spot:
     """A connected region of pixels of one colour. length: ratio of its long axis to its short one.
 
-    pixels: (n, 2), column and row; filled: its area as a share of an equal-spread ellipse's area.
+    pixels: (n, 2), column and row; filled: its area over that of an ellipse of equal variances.
     """
 
     pixels: Array
@@ -113,7 +113,7 @@ class _Spot:
 
     @property
     def is_round(self) -> bool:
-        """Whether the spot has the shape of one dot: not too long, and filled."""
+        """Whether the spot is shaped like one dot: not too long, and an ellipse without gaps."""
         return self.length <= _LONGEST and self.filled >= _LEAST_FILLED
 
 
@@ -144,7 +144,7 @@ def find_dots(picture: Path, colour: DotColour, *, least_area_px: int = 12) -> F
 
 
 def _spot(pixels: Array) -> _Spot:
-    """Return the spot of `pixels`, (n, 2), with its area, length and filled share of an ellipse."""
+    """Return the spot that `pixels`, (n, 2) columns and rows, form, with its measures of shape."""
     # A pixel is a square: it spreads by a twelfth of itself.
     spread = np.linalg.eigvalsh(np.cov(pixels.T, bias=True)) + 1.0 / 12.0
     area_px = float(len(pixels))
@@ -172,7 +172,10 @@ def _dots_among(spots: list[_Spot], size_px: tuple[int, int]) -> FoundDots:
 
 
 def _usual(spots: list[_Spot]) -> tuple[float, float]:
-    """Return area in pixels and length of a usual dot, by the usual size of round spots."""
+    """Return a usual dot's area in pixels and its ratio of long to short axis.
+
+    Both are medians over round spots of the most frequent size; 1 and 1 without round spots.
+    """
     alone = [spot for spot in spots if spot.is_round]
     if not alone:
         return 1.0, 1.0
@@ -185,7 +188,7 @@ def _usual(spots: list[_Spot]) -> tuple[float, float]:
 
 
 def _two_dots(pixels: Array) -> Array:
-    """Return the centres, (2, 2) pixels, of the two equal discs that `pixels`, (n, 2), consist of.
+    """Return the centres, (2, 2) pixels, of the two equal discs that a spot's `pixels` consist of.
 
     The variance along the line between two discs d apart is d^2 / 4 greater than across it.
     """
@@ -272,7 +275,7 @@ _FURTHEST_MM, _SURE_MM = 60.0, 10.0
 
 @dataclass(frozen=True, slots=True)
 class DotNames:
-    """The position of each dot in the picture in which it was named, (2,) pixels, and the scale."""
+    """The content of `dots.csv`: each named dot's column and row, (2,) pixels, and the scale."""
 
     first_px: dict[str, Array]
     mm_per_px: float
@@ -284,7 +287,7 @@ def is_dots_folder(folder: Path) -> bool:
 
 
 class DotsFolder:
-    """Reader of dots in a folder of pictures of one size, which may still be filled."""
+    """Reader of dots in a folder of pictures of one size, to which pictures may still be added."""
 
     def __init__(self, folder: Path, tell: Callable[[str], None] = lambda _: None) -> None:
         """Read `dots.csv`. tell: called with a line for each picture with touching or hidden dots.

@@ -39,7 +39,7 @@ _TO_FACE_AXES: Final = np.array([1.0, -1.0, -1.0])
 
 
 class NoFaceError(CalibrationError):
-    """A picture does not show exactly one face; the message contains why, but not the file."""
+    """An error: a picture does not show exactly one face; the message has the cause, no file."""
 
 
 def one_face(tracker: FaceTracker, picture: Picture) -> Array:
@@ -69,7 +69,7 @@ def one_face(tracker: FaceTracker, picture: Picture) -> Array:
 
 
 class MeshFrame:
-    """The head's frame in a first picture, onto which mesh points are laid in millimetres."""
+    """The head's coordinate frame, set by a first picture, in which markers are given in mm."""
 
     def __init__(self, points_px: Array, eye_distance_mm: float) -> None:
         """Set the frame by points_px (478, 3) of neutral and the mm between outer eye corners."""
@@ -128,7 +128,7 @@ _MOST_NAMED: Final = 8
 
 
 class MeshFolder:
-    """Reader of photographs in a folder that is being filled; it reads changed files again."""
+    """Reader of photographs in a folder to which pictures are still added or changed."""
 
     def __init__(
         self,
@@ -137,7 +137,10 @@ class MeshFolder:
         eye_distance_mm: float,
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """Open a folder. tell: called with the reason why a photograph is of no use."""
+        """Open a folder. eye_distance_mm: between the outer eye corners, for the scale.
+
+        tracker: finds faces; tell: called with the reason why a photograph is of no use.
+        """
         self._folder, self._tracker = folder, tracker
         self._eye_distance_mm = eye_distance_mm
         self._tell = tell
@@ -147,7 +150,7 @@ class MeshFolder:
         self._seen: dict[Path, tuple[tuple[int, int], Array | str]] = {}
 
     def readings(self, pose: int) -> list[Reading]:
-        """Return pose, marker and position (3,) in mm, from every photograph of one pose."""
+        """Return pose, marker and position (3,) in mm, from all usable photographs of one pose."""
         readings = []
         for number, path in pose_pictures(self._folder):
             if number == pose:
@@ -242,7 +245,11 @@ class CameraTracker:
     marker_names = MARKERS_47.names
 
     def __init__(self, see: See, eye_distance_mm: float, say: Callable[[str], None]) -> None:
-        """Take pictures of neutral. Raises CalibrationError unless 5 of 15 contain a face."""
+        """Set the frame by pictures of neutral. CalibrationError unless 5 of 15 contain a face.
+
+        see: takes a picture and returns the mesh points, (478, 3) pixels, of its face;
+        eye_distance_mm: between the outer eye corners; say: called with lines for the user.
+        """
         self._see, self._say = see, say
         points_px, why = self._pictures()
         if not points_px:

@@ -42,8 +42,8 @@ _STILL_DEG, _END_SHARE, _LEAST_RANGE_DEG = 0.1, 0.05, 1.0
 def doubtful_joints(capture: Capture, looked_at: Sequence[int] | None = None) -> list[int]:
     """Return the numbers of joints that may be dead, or only weak, by the capture.
 
-    looked_at: joints that were captured again alone, of which those found dead are returned; None:
-    none were yet, so all joints are examined.
+    looked_at: None: all joints are examined; else joints that were captured again alone, of which
+    those that are dead are returned.
     """
     lines = straight_lines(capture)
     if looked_at is None:
@@ -53,7 +53,7 @@ def doubtful_joints(capture: Capture, looked_at: Sequence[int] | None = None) ->
 
 
 def unseen_alone(capture: Capture) -> list[int]:
-    """Return the numbers of joints that may be dead and lack enough poses alone at both ends."""
+    """Return the numbers of joints that may be dead and were too seldom alone at both ends."""
     return [
         joint
         for joint in doubtful_joints(capture)
@@ -76,9 +76,9 @@ def extra_poses(
 
 
 def alive(lines: StraightLines, joint: int) -> float:
-    """Return the mean square effect of joint number `joint` on the three markers it moves most.
+    """Return joint number `joint`'s mean square effect on the three markers that it moves most.
 
-    The unit is square standard errors: noise alone gives 8 to 13.
+    lines: fitted to the capture. Unit: square standard errors, of which noise alone gives 8 to 13.
     """
     chance_mm = lines.chance_mm[joint] * lines.own_noise_mm / max(lines.noise_mm, 1e-9)
     return _mean_of_most(lines.slopes_mm[joint], chance_mm)
@@ -113,7 +113,7 @@ def moved_alone_mm(capture: Capture, joint: int) -> Array:
     Returns
     -------
     Array
-        (n_markers, 3) mm; NaN where not seen.
+        (n_markers, 3) mm; NaN where not seen, and everywhere if the joint was never alone.
     """
     upper, lower = (capture.markers_mm[rows] for rows in _ends_alone(capture, joint))
     return _apart_mm(np.ma.masked_invalid(upper), np.ma.masked_invalid(lower))
@@ -134,7 +134,10 @@ def _mean_of_most(effects_mm: Array, errors_mm: Array) -> float:
 
 
 def _ends_alone(capture: Capture, joint: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the rows with `joint` at its upper end and those at its lower, all others at 0."""
+    """Return the capture's rows with `joint` near its upper end and near its lower end.
+
+    All other joints are at 0 in them; both are empty if the joint never moved alone.
+    """
     still = (np.abs(np.delete(capture.goals_deg, joint, axis=1)) < _STILL_DEG).all(axis=1)
     rows = np.flatnonzero(still)
     own_deg = capture.goals_deg[rows, joint]
@@ -184,9 +187,10 @@ class JointFault:
 
 
 def joint_fault(capture: Capture, lines: StraightLines, sure: float = SURE) -> JointFault | None:
-    """Return the one fault that explains the capture much better than no fault; None without one.
+    """Return the one fault that explains the capture much better than no fault.
 
-    sure: F value that a fault must exceed at least. None also where the capture has too few poses.
+    lines: fitted to the capture; sure: F value that a fault must exceed at least. None where no
+    fault does, and where the capture has too few poses.
     """
     n = len(capture)
     low, high = capture.goals_deg.min(axis=0), capture.goals_deg.max(axis=0)
@@ -211,9 +215,9 @@ def joint_fault(capture: Capture, lines: StraightLines, sure: float = SURE) -> J
 def _by_chance(inputs: Array, y: Array, n_tries: int) -> float:
     """Return the F value that the best of `n_tries` faults reaches by chance once in a thousand.
 
-    Noise of many markers is of many dimensions, and its mean is sure; what a good tracker sees of
-    skin that is not quadratic is of two or three, and varies by as much as it is (the effective
-    number of dimensions: Satterthwaite, Biometrics Bulletin, 1946).
+    inputs: (n, k), columns of the fit without a fault; y: (n, m), the markers. The residuals of
+    noise have many independent dimensions, those of skin that is not quadratic two or three, so
+    that F varies more (effective number: Satterthwaite, Biometrics Bulletin, 1946).
     """
     basis = np.linalg.qr(inputs)[0]
     powers = np.linalg.svd(y - basis @ (basis.T @ y), compute_uv=False) ** 2
@@ -232,7 +236,9 @@ def _stops(
 ) -> list[tuple[float, JointFault]]:
     """Return the F value and fault of the joint whose stop from some pose on explains most.
 
-    The list is empty if that is below `sure` or hardly more than another joint explains.
+    base: (n, k), columns of the fit without a fault; x: (n, n_servos), angles scaled to -1..1; y:
+    (n, m), markers; healthy: residual sum of squares of that fit. The list is empty if the F value
+    is below `sure` or hardly more than another joint's.
     """
     n, n_servos = x.shape
     freedom = n - base.shape[1]
@@ -258,7 +264,8 @@ def _shifts(
 ) -> list[tuple[float, JointFault]]:
     """Return the F value and fault of a shift of all markers from some pose on; [] below `sure`.
 
-    The fault is `slipped` where the shift is like one joint's motion alone, else `shifted`.
+    Arguments: as of `_stops`. The fault is `slipped` where the shift is like one joint's motion
+    alone, else `shifted`.
     """
     n, n_servos = x.shape
     tries = []

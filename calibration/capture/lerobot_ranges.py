@@ -31,7 +31,8 @@ class RecordedRange:
     def limits_deg(self, neutral_tick: int | None = None) -> tuple[float, float]:
         """Return both ends of the range in joint degrees from neutral, ascending.
 
-        neutral_tick: None takes the middle of the range; a reversed drive changes both signs.
+        neutral_tick: None takes the middle of the range; a reversed drive changes both signs, so
+        the ends change places.
         """
         neutral = (self.least_tick + self.most_tick) / 2 if neutral_tick is None else neutral_tick
         ends = [
@@ -98,7 +99,7 @@ def _parse(place: str, name: str, entry: object) -> RecordedRange:
 def check_within_recorded(
     ranges: Mapping[str, RecordedRange], limits_deg: Mapping[str, tuple[float, float]]
 ) -> None:
-    """Raise CalibrationError for a joint whose limits are wider than, or without, a recorded range.
+    """Raise CalibrationError for a joint without a recorded range, or with limits wider than it.
 
     limits_deg: of the face, by joint. Only widths are compared: the face's YAML defines the
     neutral.

@@ -103,7 +103,10 @@ def read_c3d(path: Path) -> dict[str, Array]:
 
 
 def _axes_matrix(axes: str) -> Array:
-    """Return the matrix (3, 3) from a file's axes to left, up, forward. Raises CalibrationError."""
+    """Return the matrix (3, 3) from a file's axes to left, up, forward, written as `x z -y`.
+
+    Raises CalibrationError for any other text.
+    """
     matrix = np.zeros((3, 3))
     matches = [_AXIS.match(part) for part in axes.split()]
     if len(matches) != 3 or len({m.group(2) for m in matches if m}) != 3:
@@ -138,12 +141,12 @@ def write_plan(plan: PosePlan, path: Path) -> None:
 
 
 def read_plan(path: Path, servo_names: tuple[str, ...]) -> PosePlan:
-    """Return the plan in a CSV file. Raises CalibrationError, with file and line."""
+    """Return these servos' plan in a CSV file. Raises CalibrationError, with file and line."""
     return read_numbered_plan(path, servo_names)[1]
 
 
 def read_numbered_plan(path: Path, servo_names: tuple[str, ...]) -> tuple[list[int], PosePlan]:
-    """Return the pose numbers in a plan's CSV file, and the plan. Raises CalibrationError."""
+    """Return the pose numbers in a plan's CSV file, and its plan. Raises CalibrationError."""
     numbers, goals_deg, from_below, ladders = _read_plan(path, servo_names)
     start_deg = goals_deg - LEAD_IN_DEG * from_below
     return numbers, PosePlan(servo_names, goals_deg, from_below, start_deg, ladders)
@@ -193,7 +196,7 @@ def read_recorded(
     axes: str = "x y z",
     read: Callable[[], list[tuple[int, str, Array]]] | None = None,
 ) -> tuple[list[int], Capture]:
-    """Return the poses of a plan that markers were recorded for, and their rows in the plan.
+    """Return the rows of a plan that markers were recorded for, and the capture of these poses.
 
     Parameters
     ----------
@@ -237,7 +240,7 @@ def read_recorded(
 
 
 def _left_out(poses: list[int], n_poses: int) -> tuple[str, ...]:
-    """Return one line of text about poses of a plan without markers; () if there are none."""
+    """Return one line with the numbers `poses`, of `n_poses`, that lack markers; () if none do."""
     if not poses:
         return ()
     named = ", ".join(str(pose) for pose in poses[:_MOST_NAMED])
@@ -317,7 +320,8 @@ def read_readings(path: Path, axes: str = "x y z") -> list[tuple[int, str, Array
 def csv_rows(path: Path, needed: Iterable[str]) -> Iterable[tuple[str, Mapping[str, object]]]:
     """Yield `file, line n` and the row, by column, of every line of a CSV file.
 
-    Raises CalibrationError for an unreadable file, a missing column, or a line with surplus values.
+    Raises CalibrationError for an unreadable file, a missing column of `needed`, or a line with
+    surplus values.
     """
     reader = csv.DictReader(io.StringIO(_text(path)))
     try:
@@ -361,7 +365,10 @@ def _text(path: Path) -> str:
 
 
 def _millimetres(value: object, place: str, axis: str) -> float:
-    """Return a coordinate in mm, NaN if empty. Raises CalibrationError beyond a hundred metres."""
+    """Return `value` in mm as a number, NaN if it is empty.
+
+    Raises CalibrationError, which names `place` and `axis`, beyond a hundred metres.
+    """
     number = number_in(value, place, lost=True)
     if abs(number) > _FARTHEST_MM:
         raise CalibrationError(f"{place}: {axis} is {shown(value)}; are these millimetres?")
@@ -371,7 +378,7 @@ def _millimetres(value: object, place: str, axis: str) -> float:
 def number_in(value: object, place: str, *, lost: bool = False) -> float:
     """Return `value` as a finite number; NaN if it is empty or nan and `lost` allows that.
 
-    Raises CalibrationError, which names `place`, for anything else.
+    Raises CalibrationError, which names `place`, its file and line, for anything else.
     """
     if lost and (value is None or str(value).strip() == ""):
         return math.nan

@@ -39,8 +39,8 @@ _APART = 0.3
 class FaceChange:
     """A change of the face: `slipped` by degrees, `stopped` by a share, or `shifted` by mm.
 
-    joint: -1 for `shifted`. first, last: poses between which it happened, counted from 1. errors:
-    the change in standard errors of noise.
+    joint: its number, -1 for `shifted`. first, last: poses between which it happened, counted from
+    1. errors: the size of the change in standard errors.
     """
 
     kind: str
@@ -79,7 +79,7 @@ def first_part(plan: PosePlan) -> PosePlan:
 
 
 def repeats(capture: Capture) -> list[tuple[int, int]]:
-    """Return the rows of a pose's first and last capture, for poses repeated long afterwards."""
+    """Return the rows (first, last) of each pose captured again after over 0.3 of all poses."""
     keys = np.hstack([np.rint(capture.goals_deg / _SAME_DEG), capture.from_below])
     alike = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
     pairs = []
@@ -91,21 +91,22 @@ def repeats(capture: Capture) -> list[tuple[int, int]]:
 
 
 def is_repeated(capture: Capture) -> bool:
-    """Return whether every joint was captured alone both early and late."""
+    """Return whether every joint is moved in some pose that was captured both early and late."""
     goals_deg = capture.goals_deg[[early for early, _ in repeats(capture)]]
     return bool(len(goals_deg)) and bool((np.abs(goals_deg) > _STILL_DEG).any(axis=0).all())
 
 
 @dataclass(frozen=True, slots=True)
 class ChangedPoses:
-    """Measures of change over the repeated poses of a capture; arrays are (n_servos,).
+    """Measures of change between early and late captures of poses; arrays are (n_servos,).
 
     did_mm: how far each joint, alone, moved the face along its usual direction, early; does_mm: the
-    same measure late; lost_error_mm: standard error of the difference; turned_deg: the joint's
-    angle. slid_mm: common shift of all poses along that direction; slid_error_mm: its standard
-    error; alike: the cosine between common shift and direction, without the noise. common_mm:
-    (n_markers, 3), the common shift; noise_mm: of each difference. n: number of repeated poses;
-    first, last: the change happened between these poses, counted from 1.
+    same, late; lost_error_mm: standard error of their difference; turned_deg: the joint's angle in
+    these poses. slid_mm: the shift common to all poses, along that direction; slid_error_mm: its
+    standard error; alike: the cosine between common shift and direction, without the noise.
+    common_mm: (n_markers, 3), the common shift, late less early; noise_mm: standard deviation of
+    one pose's shift about it. n: number of repeated poses; first, last: the change happened between
+    these poses, counted from 1.
     """
 
     did_mm: Array
@@ -206,19 +207,22 @@ def changed_poses(capture: Capture, lines: StraightLines) -> ChangedPoses | None
 
 
 def _farthest_alone(moved: NDArray[np.bool_], goals_deg: Array, joint: int) -> NDArray[np.int64]:
-    """Return the rows in which `joint` is at its largest angle and all others are at 0."""
+    """Return the rows in which `joint` is at its largest angle and all others are at 0.
+
+    moved: (n, n_servos), which joints of `goals_deg` are off 0.
+    """
     rows = np.flatnonzero(moved[:, joint] & (moved.sum(axis=1) == 1))
     most_deg = goals_deg[rows[np.abs(goals_deg[rows, joint]).argmax()], joint]
     return np.asarray(rows[np.abs(goals_deg[rows, joint] - most_deg) < _STILL_DEG])
 
 
 def _middle(seen_mm: Array) -> Array:
-    """Return the mean of (n, n_markers, 3) over n, (n_markers, 3); NaN where never seen."""
+    """Return the mean of seen_mm, (n, n_markers, 3), over its n poses; NaN where never seen."""
     return np.asarray(np.ma.filled(np.ma.masked_invalid(seen_mm).mean(axis=0), np.nan))
 
 
 def bears_out(changed: ChangedPoses, fault: JointFault) -> bool:
-    """Return whether the repeated poses confirm a fault that a model of the capture suggests."""
+    """Return whether repeated poses, `changed`, confirm a fault that `joint_fault` has found."""
     if fault.joint < 0:
         return False
     if fault.kind == "slipped":
@@ -227,7 +231,10 @@ def bears_out(changed: ChangedPoses, fault: JointFault) -> bool:
 
 
 def face_change(changed: ChangedPoses) -> FaceChange | None:
-    """Return the change beyond doubt that explains most of the differences; None without one."""
+    """Return the one change of the face that explains most of the differences in `changed`.
+
+    None if no change is beyond doubt.
+    """
     where = changed.first, changed.last
     slip_errors = np.abs(changed.slid_mm) / changed.slid_error_mm
     lost_mm = changed.did_mm - changed.does_mm
@@ -258,6 +265,6 @@ def face_change(changed: ChangedPoses) -> FaceChange | None:
 
 
 def _filled(off_mm: Array) -> Array:
-    """Return the differences with 0 for points that are NaN."""
+    """Return `off_mm`, late less early markers, with 0 where a point was lost."""
     seen: NDArray[np.bool_] = np.isfinite(off_mm)
     return np.where(seen, off_mm, 0.0)

@@ -163,7 +163,10 @@ def check_frame(
 
 
 def _likeness(robot: Array, human: Array) -> float:
-    """Return how alike two shapes are, at most 1: equal up to their size, and not rotated."""
+    """Return the cosine between two shapes, (n, 2 or 3) each about its mean, at most 1.
+
+    It is 1 for shapes that are equal up to their size; none is rotated before.
+    """
     return float((robot * human).sum() / (np.linalg.norm(robot) * np.linalg.norm(human) + 1e-12))
 
 
@@ -183,7 +186,7 @@ _RIGHT, _LEFT = "outer_lip_61", "outer_lip_291"
 
 
 def least_poses_to_fit(n_servos: int) -> int:
-    """Return the fewest poses of a fit: 1.5 times the parameters of a line for each joint."""
+    """Return the fewest poses of a fit: 1.5 for each parameter of a line over n_servos joints."""
     return round(1.5 * (n_servos + 1))
 
 
@@ -257,7 +260,10 @@ def _check_range(capture: Capture) -> None:
 
 @dataclass(slots=True)
 class _JointFindings:
-    """Messages about joints: certain ones are refused unless accepted. still: the dead joints."""
+    """Messages about joints; certain faults are errors unless the user accepts them.
+
+    doubtful: warnings; still: the numbers of dead joints.
+    """
 
     certain: list[str] = field(default_factory=list)
     doubtful: list[str] = field(default_factory=list)
@@ -269,7 +275,8 @@ def _joint_warnings(
 ) -> _JointFindings:
     """Return the faults of joints: stopped, slipped, dead, reversed or weak.
 
-    Poses that were taken twice are preferred as evidence of what happened during the capture.
+    positive: one word per joint for its positive angle, or empty. Poses that were captured twice
+    are preferred as evidence of what happened during the capture.
     """
     found = _JointFindings()
     changed = changed_poses(capture, lines)
@@ -314,10 +321,10 @@ def _joint_warnings(
 
 
 def _is_reversed(capture: Capture, lines: StraightLines, joint: int, word: str) -> bool:
-    """Return whether a joint does the opposite of `word`, by the markers that it moves most.
+    """Return whether a joint's positive angle does the opposite of `word`, such as `opens`.
 
-    The fitted lines must show it and, where the joint was captured alone, its motion then: lines of
-    many joints are not quite straight.
+    The fitted lines must show it in the markers that the joint moves most and, where the joint was
+    captured alone, its motion then: lines of many joints are not quite straight.
     """
     slope_mm = lines.slopes_mm[joint]
     wanted = _wanted_direction(capture.marker_names, slope_mm, word)
@@ -366,7 +373,8 @@ def _check_doubles(capture: Capture) -> None:
 def _wanted_direction(names: tuple[str, ...], slope_mm: Array, word: str) -> Array | None:
     """Return the direction in which `word` moves each marker, (n_markers, 3); None: unknown word.
 
-    Of the mouth's corners only those count that the joint moves, because words contain no side.
+    slope_mm: (n_markers, 3), the joint's measured effect: of the mouth's corners only those count
+    that it moves, because words contain no side.
     """
     lips = [i for i, name in enumerate(names) if name in MARKERS_47.names and "lip" in name]
     wanted = np.zeros((len(names), 3))
@@ -403,7 +411,10 @@ _WORDS: Mapping[Channel, tuple[str, str]] = {
 
 
 def _usual_word(name: str, word: str) -> str:
-    """Return `word` as a known verb, by the joint's name: `opens` for a jaw that `drops`."""
+    """Return `word` as one of the known verbs, by the joint's name: `opens` for a jaw that `drops`.
+
+    A word that the name does not explain is returned unchanged.
+    """
     if any(word in pair for pair in _WORDS.values()):
         return word
     motion = joint_motion(name, word)
@@ -411,5 +422,5 @@ def _usual_word(name: str, word: str) -> str:
 
 
 def _bare(word: str) -> str:
-    """Return a verb without its s: `opens` -> `open`."""
+    """Return the verb `word` without its s, for messages: `opens` to `open`."""
     return word[:-1] if word.endswith("s") else word

@@ -81,7 +81,7 @@ def straight_lines(capture: Capture) -> StraightLines:
 
 
 def without_far_points(capture: Capture, lines: StraightLines) -> tuple[Capture, tuple[str, ...]]:
-    """Return the capture with outliers as NaN, and one line about them; () without outliers."""
+    """Return the capture with outliers of `lines` as NaN, and a line about them; () without any."""
     left_out = lines.far & np.isfinite(capture.markers_mm).all(axis=2)
     if not left_out.any():
         return capture, ()
@@ -106,9 +106,10 @@ _MOVES_MM, _TIMES_NOISE = 1.2, 2.0
 
 
 def in_head_frame(capture: Capture, lines: StraightLines) -> tuple[Capture, tuple[str, ...]]:
-    """Return the capture with each pose laid on the usual rigid markers, and a line of text.
+    """Return the capture with each pose laid on the usual rigid markers, and a line for the user.
 
-    Unchanged, with (), where the head is still or fewer than three nose markers are captured.
+    Unchanged, with (), where the head is still or fewer than three nose markers are captured,
+    or in less than half of the poses.
     """
     nose = [i for i, name in enumerate(capture.marker_names) if name.startswith("nose")]
     rigid = [i for i, name in enumerate(capture.marker_names) if name.startswith(_RIGID)]
@@ -180,7 +181,10 @@ def on_head(
 
 
 def _nose_moves_mm(off_mm: Array, nose: list[int]) -> float:
-    """Return the rms shift of the nose as one piece, over poses with all its markers; 0 if none."""
+    """Return the rms shift of the nose as one piece, over poses with all its markers; 0 if none.
+
+    off_mm: (n, n_markers, 3), markers less their usual positions; nose: numbers of its markers.
+    """
     whole = np.isfinite(off_mm[:, nose]).all(axis=(1, 2))
     if not whole.any():
         return 0.0
@@ -189,14 +193,14 @@ def _nose_moves_mm(off_mm: Array, nose: list[int]) -> float:
 
 
 def _middle_of(points_mm: Array) -> Array:
-    """Return the median over points of (n, n_points, 3), as (n, 1, 3)."""
+    """Return the median of each pose's points: from (n, n_points, 3) to (n, 1, 3)."""
     return np.asarray(np.median(points_mm, axis=1, keepdims=True))
 
 
 def _laid_on(points_mm: Array, rigid_mm: Array, usual_mm: Array, *, may_turn: bool = True) -> Array:
     """Return points (n, 3) moved by the rotation and shift that lay rigid_mm on usual_mm.
 
-    may_turn False: by the shift alone.
+    rigid_mm, usual_mm: (k, 3), the same k points; may_turn False: by the shift alone.
     """
     centre, target = rigid_mm.mean(axis=0), usual_mm.mean(axis=0)
     if not may_turn:

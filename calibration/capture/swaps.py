@@ -60,12 +60,12 @@ class Swap:
 
 
 def described_swaps(swaps: Sequence[Swap]) -> str:
-    """Return all swaps as one text for messages, separated by semicolons."""
+    """Return the descriptions of all swaps as one text for messages, separated by semicolons."""
     return "; ".join(swap.description() for swap in swaps)
 
 
 def refuse_swaps(swaps: Sequence[Swap]) -> None:
-    """Raise CalibrationError with all swaps in one line; return if there are none."""
+    """Raise CalibrationError with the remedy, all swaps in one line; return if there are none."""
     if swaps:
         described = described_swaps(swaps)
         raise CalibrationError(
@@ -99,7 +99,8 @@ def exchanged(capture: Capture, swaps: Sequence[Swap]) -> Array:
 def swapped_everywhere(capture: Capture, model: FaceModel) -> list[Swap]:
     """Return pairs exchanged in every pose: corrected, neutral is more like a person's face.
 
-    Compared with the speaker's rest after moving and scaling each axis; else by how lips move.
+    Compared with the speaker's rest after moving and scaling each axis; if that finds no pair,
+    inner lips are examined by how they move.
     """
     human_mm = model.markers_mm(model.rest[None])[0]
     known = [i for i, name in enumerate(capture.marker_names) if name in MARKERS_47.names]
@@ -107,7 +108,7 @@ def swapped_everywhere(capture: Capture, model: FaceModel) -> list[Swap]:
     robot_mm = np.nanmedian(capture.markers_mm, axis=0)[known]
 
     def like(points_mm: Array) -> Array:
-        """Return points less their median, scaled by the median distance from it, by axis."""
+        """Return points (n, 3) less their median, each axis over its median distance from that."""
         centred = points_mm - np.median(points_mm, axis=0)
         return np.asarray(centred / np.maximum(np.median(np.abs(centred), axis=0), 1e-6))
 
@@ -170,8 +171,9 @@ def _pairs(
 ) -> Iterator[Swap]:
     """Yield pairs of exchanged markers, the clearest first; a marker is in one pair at most.
 
-    off_mm: (n, 3), each point's offset from its expected position; near_mm: how near each must be
-    to the other's expected position.
+    off_mm: (n, 3), each marker's offset from its expected position; points_mm: (n, 3), its
+    position; pose: that the swaps will name; near_mm: how near each must be to the other's expected
+    position.
     """
     sizes_mm = np.linalg.norm(off_mm, axis=1)
     pairs = []

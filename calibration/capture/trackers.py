@@ -84,8 +84,9 @@ class FileTracker:
     ) -> None:
         """Wait until pose 0, the neutral, is recorded. Raises CalibrationError after 300 s.
 
-        read: function that returns the readings of one pose; None: `path` is read as file or
-        folder.
+        wait: lets seconds pass, servos held; say: called with lines for the user; axes: of C3D
+        files, to left, up, forward. read: function that returns the readings of one pose; None:
+        `path` is read as file or folder.
         """
         self._path = path
         self._servo_names = servo_names
@@ -110,9 +111,8 @@ class FileTracker:
     def arrived(self, pose: int, reached_deg: Array) -> None:
         """Announce a pose to the recorder in `pose.json`, and to the user.
 
-        Raises CalibrationError where the pose was recorded before this capture.
-
-        A pose that the robot holds a second time is not announced again.
+        Raises CalibrationError where the pose was recorded before this capture. A pose that the
+        robot holds a second time is not announced again.
 
         Parameters
         ----------
@@ -176,7 +176,7 @@ class FileTracker:
         )
 
     def _readings(self, pose: int) -> Mapping[str, Array]:
-        """Return the median of each marker in a pose; {} if the file is missing or incomplete."""
+        """Return the median of each marker in a pose; {} if none is recorded and complete."""
         if not self._path.exists() or self._is_in_mid_line():
             return {}
         try:
@@ -203,7 +203,7 @@ class FileTracker:
 
 
 class TypedTracker:
-    """A tracker whose markers a person measures and types: three numbers each, none if hidden."""
+    """A tracker whose markers a person measures and types: three numbers each, empty if hidden."""
 
     def __init__(self, marker_names: tuple[str, ...], ask: Ask) -> None:
         self._names = marker_names

@@ -114,14 +114,14 @@ class Place:
         return self._value
 
     def places(self) -> list["Place"]:
-        """Return the values of a list with at least one; CalibrationError otherwise."""
+        """Return the values of this list as places, at least one; CalibrationError otherwise."""
         values = self._value
         if not isinstance(values, list) or not values:
             raise CalibrationError(f"{self.path} should be a list")
         return [Place(value, f"{self.path}[{i}]") for i, value in enumerate(values)]
 
     def numbers(self, n: int | None = None) -> Array:
-        """Return a list of `n` numbers, at least one if None; CalibrationError otherwise."""
+        """Return this list of `n` numbers, None: of any number; CalibrationError otherwise."""
         values = self._value
         if not isinstance(values, list) or not values:
             raise CalibrationError(f"{self.path} should be a list of numbers")
@@ -293,7 +293,10 @@ def _parse_closing(file: Place) -> Closing | None:
 
 
 def _parse_centres(file: Place, servos: list[Place], n_components: int) -> tuple[Array, Array]:
-    """Return centres and weights of bends that are not quadratic; empty arrays without centres."""
+    """Return centres and weights of bends that are not quadratic; empty arrays without `centres`.
+
+    servos: one mapping per servo, each with `centre_weights`.
+    """
     if not file.has("centres"):
         return np.zeros((0, n_components)), np.zeros((len(servos), 0))
     centres = np.array([centre.numbers(n_components) for centre in file.at("centres").places()])
@@ -324,7 +327,7 @@ def _parse_memories(servos: list[Place]) -> tuple[ServoMemory, ...]:
 
 
 def _parse_following(servos: list[Place]) -> Following | None:
-    """Return how servos follow; None if none has `lag_s`; CalibrationError if only some have."""
+    """Return how servos follow goals; None without `lag_s`; CalibrationError if some lack it."""
     if not any(servo.has("lag_s") for servo in servos):
         return None
 
@@ -350,7 +353,7 @@ def _parse_touch(file: Place, names: tuple[str, ...]) -> Touch | None:
 
 
 def _parse_trim(file: Place, names: tuple[str, ...]) -> dict[str, Array]:
-    """Return the trims; phonemes and servos are checked, because people write trims by hand."""
+    """Return the trims by viseme class; names are checked, because people write trims by hand."""
     if not file.has("trim"):
         return {}
     trim = file.at("trim")
@@ -400,7 +403,7 @@ def _parse_errors(hold_out: Place, servos: list[Place]) -> HoldOutErrors:
 
 
 def _parse_each_marker(hold_out: Place) -> dict[str, float]:
-    """Return each marker's error; CalibrationError unless there are `n_markers` of them."""
+    """Return each marker's error; {} for `n_markers` 0; CalibrationError for another number."""
     n_markers = hold_out.at("n_markers").count()
     if n_markers == 0:
         return {}
@@ -411,7 +414,7 @@ def _parse_each_marker(hold_out: Place) -> dict[str, float]:
 
 
 def parse_learnt_lips(file: Place) -> LearntLips | None:
-    """Return how the lips were learnt; None without `learnt_lips`. Raises CalibrationError."""
+    """Return how the lips were learnt; None if not in the file; CalibrationError if malformed."""
     if not file.has("learnt_lips"):
         return None
     lips = file.at("learnt_lips")
@@ -425,7 +428,7 @@ def parse_learnt_lips(file: Place) -> LearntLips | None:
 
 
 def parse_grade(file: Place) -> Grade | None:
-    """Return the grade; None without `grade`. Raises CalibrationError for a malformed one."""
+    """Return the grade; None if the file has none. Raises CalibrationError for a malformed one."""
     if not file.has("grade"):
         return None
     grade = file.at("grade")
@@ -440,7 +443,7 @@ def parse_grade(file: Place) -> Grade | None:
 
 
 def parse_coverage(file: Place) -> dict[str, VisemeReach]:
-    """Return the reach of each viseme class; {} without `coverage`. Raises CalibrationError."""
+    """Return the reach of each viseme class; {} if the file has none. Raises CalibrationError."""
     if not file.has("coverage"):
         return {}
     coverage = file.at("coverage")

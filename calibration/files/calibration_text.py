@@ -1,7 +1,7 @@
 """The text of a calibration file: YAML that a person can read.
 
 Its last line is a checksum of the contents, so that a changed digit is noticed. Comments and spaces
-do not count, and neither do trims, which a person may write by hand.
+do not count, and neither do trims (degrees added for a viseme), which a person may write by hand.
 """
 
 import hashlib
@@ -35,7 +35,8 @@ def with_checksum(text: str) -> str:
 def check_checksum(content: object, source: str) -> None:
     """Raise CalibrationError if a file's contents, trims excepted, differ from its checksum.
 
-    content: the parsed YAML. A file without a checksum, as older ones are, passes.
+    content: the parsed YAML; source: names the file in the error. A file without a checksum, as
+    older ones are, passes.
     """
     if not isinstance(content, dict) or _KEY not in content:
         return
@@ -48,7 +49,7 @@ def check_checksum(content: object, source: str) -> None:
 
 
 def _checksum(content: object) -> str:
-    """Return a hash of parsed YAML as 16 hex digits; trims and the checksum itself do not count."""
+    """Return a hash of parsed YAML, `content`, as 16 hex digits, without trims and checksum."""
     counted = content
     if isinstance(content, dict):
         counted = {key: value for key, value in content.items() if key not in _NOT_COUNTED}
@@ -138,7 +139,7 @@ def _servo_lines(calibration: Calibration, i: int) -> list[str]:
 
 
 def _following_lines(following: Following | None, i: int) -> list[str]:
-    """Return the YAML lines of a servo's response; unknown values are left out."""
+    """Return the YAML lines of how servo number `i` follows goals; unknown values are left out."""
     if following is None:
         return []
     lines = [
@@ -250,7 +251,7 @@ def _four(value: float) -> str:
 
 
 def _yaml_float(text: str) -> str:
-    """Return a number's text so that YAML 1.1 parses it as a number: 1e-05 becomes 1.0e-05."""
+    """Return a number's `text` changed so that YAML 1.1 parses it as a number: 1e-05 to 1.0e-05."""
     return text if "." in text else text.replace("e", ".0e")
 
 

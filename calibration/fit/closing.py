@@ -83,7 +83,11 @@ def plan_ladders(retargeting: Retargeting, from_rest: Array, n_steps: int) -> li
 
 
 def _ladder(retargeting: Retargeting, base_deg: Array, n_steps: int) -> Ladder:
-    """Return the ladder from `base_deg`: steps that close all gaps alike, up to the limits."""
+    """Return the ladder of up to `n_steps` steps from the open pose `base_deg`, (n_servos,).
+
+    Each step closes all gaps of the learnt mouth's lips by an equal amount; the ladder ends where
+    limits of joints prevent that.
+    """
     mouth = retargeting.mouth
     slopes = pair_slopes(mouth.markers_of, base_deg, mouth.names.shape_features.gaps)
     bends = slopes.T @ slopes + _TURN_MM_PER_DEG**2 * np.eye(len(base_deg))
@@ -135,9 +139,9 @@ _PASSED_MM = 0.8
 class Kink:
     """The point of ladders from which lips come no nearer.
 
-    at_mm: (n_ladders,), the predicted closing there; left: the slope beyond as a share of that
-    before; left_sd: its standard error; explained: how much better the kink fits than a straight
-    line, in square standard errors.
+    at_mm: (n_ladders,), the predicted closing there; left: the slope of apertures beyond the kink
+    as a share of that before; left_sd: its standard error; explained: how much better the kink fits
+    than a straight line, in square standard errors.
     """
 
     at_mm: tuple[float, ...]
@@ -181,9 +185,10 @@ def find_kink(closes_mm: Sequence[Array], apertures_mm: Sequence[Array], noise_m
 
 
 def _kink(x: Array, y: Array, noise_mm: float) -> tuple[float, float, float, float]:
-    """Return one ladder's kink: position, what it explains, slope left, and 1 / slope's variance.
+    """Return one ladder's kink: position, what it explains, slope left, and 1 / variance of that.
 
-    x: predicted closing in mm; y: apertures in standard errors.
+    x: predicted closing in mm; y: apertures in standard errors, each of noise_mm. Explained are the
+    squared residuals of a straight line that the kink removes.
     """
     straight = _left(np.column_stack([np.ones_like(x), -x / noise_mm]), y)[0]
     best = (float(x[-1]), 0.0, 1.0, 0.0)
@@ -213,14 +218,17 @@ def bent_line(x: Array, y: Array, at: float, noise_mm: float) -> tuple[float, Ar
     Returns
     -------
     tuple[float, Array, Array]
-        Cost, parameters (3,) (height, both slopes) and their variance.
+        Sum of squared residuals, parameters (3,) (height, both slopes) and their covariance (3, 3).
     """
     before, beyond = np.minimum(x, at), np.maximum(x - at, 0.0)
     return _left(np.column_stack([np.ones_like(x), -before / noise_mm, -beyond / noise_mm]), y)
 
 
 def _left(inputs: Array, y: Array) -> tuple[float, Array, Array]:
-    """Return cost, parameters and variance of least squares with a prior on the first slope."""
+    """Return cost, parameters and covariance of a least-squares fit of `y` by `inputs`.
+
+    Its first slope, of the second column of `inputs`, is drawn towards 1 by a prior.
+    """
     prior = np.zeros((1, inputs.shape[1]))
     prior[0, 1] = 1.0 / _SLOPE_SD
     a = np.vstack([inputs, prior])
@@ -271,9 +279,9 @@ def begins(capture: Capture) -> NDArray[np.bool_]:
 class Apertures:
     """Heights between upper and lower lip in the steps of ladders, less each ladder's median.
 
-    rows: rows of the capture, for each ladder in the order of its steps; mm: (n_steps,) each;
-    pairs: marker numbers of the compared dots; share: noise of the mean over that of one marker;
-    last_mm: middle gap in the last steps.
+    rows: rows of the capture, for each ladder in the order of its steps; mm: these heights, the
+    mean of all pairs, (n_steps,) each; pairs: marker numbers of the compared dots; share: noise of
+    the mean over that of one marker; last_mm: middle gap in the last steps.
     """
 
     rows: tuple[NDArray[np.int64], ...]
@@ -305,7 +313,8 @@ def apertures_of(capture: Capture) -> Apertures | None:
 def see_ladders(capture: Capture, markers_of: _MarkersOf, noise_mm: float) -> SeenLadders | None:
     """Return the evidence of a capture's ladders; None without ladders or dots on both lips.
 
-    markers_of: the face as learnt so far; noise_mm: of a marker in one axis.
+    markers_of: the face learnt so far, from poses (k, n_servos) to markers; noise_mm: of a marker
+    in one axis.
     """
     seen = apertures_of(capture)
     if seen is None:

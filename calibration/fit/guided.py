@@ -1,7 +1,8 @@
 """Calibration without a tracker: a person moves the mouth to a dozen named poses by keys.
 
 Each pose is a shape that the speaker of the model really made; the person moves the servos until
-the robot has that shape. A line through a dozen points: usable, and coarser than a measured map.
+the robot has that shape. A linear map fitted to a dozen poses: usable, and coarser than a measured
+map.
 """
 
 import json
@@ -162,7 +163,11 @@ def fit_guided(
 
 
 def _ridge(x: Array, turned_deg: Array) -> tuple[Array, Array]:
-    """Return weights (n_servos, n_components) and each servo's leave-one-out rms in degrees."""
+    """Return weights (n_servos, n_components) and each servo's leave-one-out rms in degrees.
+
+    x: (n, n_components), speaker's frames less the rest; turned_deg: (n, n_servos), the angles set
+    for them.
+    """
     ridge = RidgeCV(_STRENGTHS, fit_intercept=False).fit(x, turned_deg)
     weights = rounded(np.asarray(ridge.coef_, dtype=np.float64).reshape(turned_deg.shape[1], -1))
     normal = x.T @ x + ridge.alpha_ * np.eye(x.shape[1])
@@ -190,7 +195,8 @@ KEYS: Mapping[str, str] = {
 class GuidedSession:
     """The state of a guided calibration: current pose and servo, angles, and finished poses.
 
-    made_deg: angles (n_servos,) of each finished pose, by its name.
+    made_deg: angles (n_servos,) of each finished pose, by its name; pose, servo: numbers of the
+    current ones; positions_deg: (n_servos,), the current angles.
     """
 
     joints: tuple[JointRange, ...]
@@ -203,11 +209,11 @@ class GuidedSession:
 
     @property
     def done(self) -> bool:
-        """Whether the person stopped the session or no pose is left."""
+        """Whether the person stopped the session or passed its last pose."""
         return self.stopped or self.pose >= len(self.poses)
 
     def press(self, key: str) -> "GuidedSession":
-        """Return the session after a key was pressed; unchanged for an unknown key."""
+        """Return the session after the person pressed a key of `KEYS`; unchanged for others."""
         n_servos = len(self.joints)
         if key in ("w", "s"):
             return replace(self, servo=(self.servo + (1 if key == "s" else -1)) % n_servos)
@@ -248,7 +254,7 @@ def start_session(
     poses : Sequence[LandmarkPose]
         Poses to be made.
     kept : Mapping[str, Array]
-        (n_servos,) degrees, by the pose's name.
+        (n_servos,) degrees of finished poses, by the pose's name.
 
     Returns
     -------

@@ -66,7 +66,7 @@ class JawBlend:
         return np.asarray(np.sum((points_mm - blend) ** 2, axis=(1, 2)))
 
     def alpha(self, points_mm: Array) -> Array:
-        """Return how far the jaw is open, by Newton's method with central differences from 0.
+        """Return alpha, how far the jaw is open, at least cost (Newton's method from 0).
 
         Parameters
         ----------
@@ -206,7 +206,9 @@ def fit_jaw(
 ) -> tuple[Calibration, tuple[str, ...]]:
     """Return the calibration of a single jaw servo, and warnings. Only jaw-line markers count.
 
-    Raises CalibrationError for fewer than three such markers, and for a capture with faults.
+    date: ISO 8601; seed: of the choice of held-out frames; accept: doubts about size and joints
+    become warnings. Raises CalibrationError for fewer than three such markers, and for a capture
+    with faults.
     """
     line = list(jaw_markers(capture.marker_names))
     if len(line) < _LEAST_MARKERS:
@@ -266,7 +268,10 @@ def fit_jaw(
 
 
 def jaw_agreement(model: FaceWithAnimPhos, calibration: Calibration, joint: int) -> float:
-    """Return the correlation of a joint's angle with the speaker's jaw, -1 to 1; 0 if constant."""
+    """Return the correlation over speech of a joint's angle with the speaker's jaw, -1 to 1.
+
+    joint: its number. 0 where angle or jaw never changes.
+    """
     some = model.animphos.samples[:: max(1, len(model.animphos) // 200)]
     frames = some.reshape(-1, model.n_components)
     alpha = speakers_jaw(model).alpha(model.markers_mm(frames)[:, list(JAW_LINE)])

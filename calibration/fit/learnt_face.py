@@ -40,10 +40,11 @@ def fit_calibration(
 ) -> Calibration:
     """Return a calibration of the simulated face: ridge regression to the best imitating angles.
 
-    A fifth of up to `max_animphos` AnimPhos, drawn by `seed`, are held out for the errors. No
-    intercept: the rest of the model is 0 degrees exactly. One ridge strength serves all servos, so
-    that what two servos do together, such as the lip gap, is regressed as well as either.
-    Raises CalibrationError for a servo unknown to the simulated face, or fewer than 2 AnimPhos.
+    face_checksum: of the face's YAML file, stored in the calibration. A fifth of up to
+    `max_animphos` AnimPhos, drawn by `seed`, are held out for the errors. No intercept: the rest of
+    the model is 0 degrees exactly. One ridge strength serves all servos, so that what two servos do
+    together, such as the lip gap, is regressed as well as either. Raises CalibrationError for a
+    servo unknown to the simulated face, or fewer than 2 AnimPhos.
     """
     min_deg = np.array([joint.min_deg for joint in joints])
     max_deg = np.array([joint.max_deg for joint in joints])
@@ -98,7 +99,10 @@ def ridge_weights(from_rest: Array, positions_deg: Array) -> Array:
 
 
 def _split(model: FaceWithAnimPhos, seed: int, max_animphos: int) -> tuple[Array, Array]:
-    """Return frames (n, n_components) to fit and frames to hold out, of different AnimPhos."""
+    """Return frames (n, n_components) to fit and frames to hold out, from different AnimPhos.
+
+    Up to max_animphos AnimPhos (stretches of motion about a phoneme) are drawn by `seed`.
+    """
     order = np.random.default_rng(seed).permutation(len(model.animphos))[:max_animphos]
     if len(order) < 2:
         raise CalibrationError("a calibration needs a model with at least 2 AnimPhos")

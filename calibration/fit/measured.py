@@ -57,7 +57,7 @@ _FRAMES_PER_CLASS = 30
 
 @dataclass(frozen=True, slots=True)
 class ShapeErrors:
-    """Measures of a robot's shapes: the speaker, the learnt mouth, and the wanted shapes.
+    """The speaker, learnt mouth and wanted shapes, by which the shapes of a robot are measured.
 
     stay_apart_mm: how far lips stay apart that are as closed as they can be.
     """
@@ -193,7 +193,10 @@ def _errors(on: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors:
 
 
 def _coverage(on: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
-    """Return the reach of each viseme class in the model's speech, by its first phoneme."""
+    """Return how well the map `run` reaches each viseme class, by the class's first phoneme.
+
+    on: speaker and learnt mouth; frames are those of the speaker's speech.
+    """
     rows = {viseme[0]: _rows_of(on.model, viseme) for viseme in VISEME_CLASSES}
     rows = {viseme: chosen for viseme, chosen in rows.items() if len(chosen)}
     from_rest = on.model.animphos.samples[np.concatenate(list(rows.values())), 2] - on.model.rest
@@ -223,13 +226,16 @@ def _coverage(on: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
 
 
 def _at_limit(poses_deg: Array, mouth: RobotMouth) -> NDArray[np.bool_]:
-    """Return whether a joint is at a limit in each pose, (n,)."""
+    """Return whether any joint of the mouth is at a limit in each pose, (n,)."""
     low, high = mouth.limits_deg
     return np.asarray(((poses_deg <= low) | (poses_deg >= high)).any(axis=1))
 
 
 def _rows_of(model: FaceWithAnimPhos, viseme: tuple[str, ...]) -> NDArray[np.int64]:
-    """Return row numbers of at most 30 AnimPhos of a viseme class, evenly over all of the class."""
+    """Return row numbers of at most 30 AnimPhos, evenly over all of a viseme class.
+
+    An AnimPho is a stretch of face motion about one phoneme; viseme: phonemes of the class.
+    """
     rows = np.concatenate([model.animphos.of_phoneme(phoneme) for phoneme in viseme])
     if not len(rows):
         return rows
@@ -238,7 +244,7 @@ def _rows_of(model: FaceWithAnimPhos, viseme: tuple[str, ...]) -> NDArray[np.int
 
 
 def _opening_mm(on: ShapeErrors, markers_mm: Array) -> Array:
-    """Return the middle opening of the lips beyond the robot's own closed gap, (n,) mm."""
+    """Return the openings of the middle of the lips, (n,) mm, beyond the robot's own closed gap."""
     heights_mm = gap_heights_mm(markers_mm, on.mouth.names.shape_features.gaps[:1])[:, 0]
     return np.asarray(heights_mm - on.retargeting.closed_mm[0])
 
@@ -335,8 +341,9 @@ def fit_measured(
     """Return the calibration fitted to a capture, with the learnt face and warnings.
 
     The capture is checked; face, retargeting and run-time map are fitted; errors are measured on
-    held-out AnimPhos. accept: doubts about size and joints become warnings. Raises CalibrationError
-    for a capture with faults.
+    held-out AnimPhos (stretches of motion about a phoneme), drawn by `seed`. date: ISO 8601.
+    accept: doubts about size and joints become warnings. Raises CalibrationError for a capture with
+    faults.
     """
     # Threads that share small products wait for each other: a minute in place of twenty seconds.
     with threadpool_limits(limits=1):
@@ -401,11 +408,11 @@ def _fit(
 
 
 def _doubt_mm_per_deg(capture: Capture, names: Correspondence) -> Array:
-    """Return what a degree of each joint costs in the fit, (n_servos,) weighted millimetres.
+    """Return the cost of a degree of each joint in the search of poses, (n_servos,) weighted mm.
 
     It is the standard error of the joint's slope, raised for a weak joint: turning it is as likely
     to do harm by that much as to help, so a weak joint turns only as far as its known effect
-    justifies.
+    justifies. names: the markers that correspond with the speaker's.
     """
     lines = straight_lines(capture)
     range_deg = np.maximum(np.ptp(capture.goals_deg, axis=0), 1e-6)
@@ -415,7 +422,7 @@ def _doubt_mm_per_deg(capture: Capture, names: Correspondence) -> Array:
 
 
 def split_frames(model: FaceWithAnimPhos, seed: int) -> tuple[Array, Array]:
-    """Return frames to fit and frames to hold out, of different AnimPhos drawn by `seed`.
+    """Return frames to fit and frames to hold out, from different AnimPhos, drawn by `seed`.
 
     Raises CalibrationError for a model with fewer than 2 AnimPhos.
 
@@ -512,7 +519,10 @@ def nearest_gaps(face: RobotFace, capture: Capture) -> tuple[Array, Array]:
 
 
 def closing_of(face: RobotFace, mouth: RobotMouth, capture: Capture) -> Closing | None:
-    """Return whether lips meet, by the ladders; None without ladders or without clear evidence."""
+    """Return whether lips meet, by the ladders: poses that close the lips step by step.
+
+    None without ladders, or where these show neither lips that meet nor joints at a limit.
+    """
     if face.ladders is None:
         return None
     if face.ladders.kink.is_contact:
@@ -534,6 +544,6 @@ def closing_of(face: RobotFace, mouth: RobotMouth, capture: Capture) -> Closing 
 
 
 def _touch_deg(retargeting: Retargeting) -> Array:
-    """Return the pose, (n_servos,) degrees, of the speaker's rest with mid-lips just meeting."""
+    """Return the pose, (n_servos,) degrees, of the speaker's rest with the lips just meeting."""
     rest = np.zeros((1, retargeting.model.n_components))
     return np.asarray(retargeting.at_gap(rest, float(retargeting.closed_mm[0]))[0])

@@ -76,7 +76,10 @@ class GradedPoses:
 
 
 def graded_poses(fit: MeasuredFit, servos: MouthServos, seed: int = 0) -> GradedPoses:
-    """Return ten poses of held-out speech to grade a fit by; goals include half the backlash."""
+    """Return ten poses of held-out speech to grade a fit by; goals include half the backlash.
+
+    servos: with ranges and rules; seed: of the choice of poses and of the sides of backlash.
+    """
     rows, shares = _chosen(fit, seed)
     frames = fit.held_out[rows]
     positions_deg = np.array([fit.calibration.positions_deg(frame) for frame in frames])
@@ -173,7 +176,10 @@ def graded(
 
 
 def too_bad(calibration: Calibration) -> str | None:
-    """Return why a calibration is too bad to be used, or None; by its grade, else by estimates."""
+    """Return why a calibration is too bad to be used, by its grade or else by its estimated errors.
+
+    None for a usable one, and for one with neither.
+    """
     grade, errors, closing = calibration.grade, calibration.errors, calibration.closing
     if grade is not None:
         lips_mm, slope, closed_mm = grade.lip_rms_mm, grade.gap_slope, grade.closed_gap_mm
@@ -197,7 +203,7 @@ def too_bad(calibration: Calibration) -> str | None:
 def _chosen(fit: MeasuredFit, seed: int) -> tuple[NDArray[np.int64], Array]:
     """Return rows of up to N_GRADED held-out frames, spread over speech, and each one's share.
 
-    A frame is drawn at random from each part of speech: frames in the middle of a part are easier.
+    A frame is drawn by `seed` from each part of speech: frames in the middle of a part are easier.
     """
     rng = np.random.default_rng([seed, 10])
     from_rest = fit.held_out - fit.retargeting.model.rest
@@ -216,7 +222,7 @@ def _chosen(fit: MeasuredFit, seed: int) -> tuple[NDArray[np.int64], Array]:
 
 
 def _parts(frames: Array, rows: NDArray[np.int64], n: int) -> list[NDArray[np.int64]]:
-    """Return `rows` divided into at most `n` parts of alike frames, by k-means."""
+    """Return row numbers `rows` of `frames` in at most `n` parts of alike frames, by k-means."""
     if len(rows) <= n or n == 0:
         return [rows[i : i + 1] for i in range(min(n, len(rows)))]
     labels = KMeans(n, n_init=2, random_state=0).fit(frames[rows]).labels_
@@ -224,7 +230,7 @@ def _parts(frames: Array, rows: NDArray[np.int64], n: int) -> list[NDArray[np.in
 
 
 def _viseme(units: AnimPhoUnits, frame: Array) -> str:
-    """Return the first phoneme of the viseme class that is spoken in a frame."""
+    """Return the first phoneme of the viseme class spoken in a frame, a row of `units.frames`."""
     at = int(np.flatnonzero((units.frames == frame).all(axis=1))[0]) // SAMPLES_PER_ANIMPHO
     phoneme = next(p for i, p in enumerate(PHONEMES) if at in units.phoneme_table[i])
     return VISEME_CLASSES[VISEME_OF[phoneme]][0]
@@ -233,7 +239,10 @@ def _viseme(units: AnimPhoUnits, frame: Array) -> str:
 def _without_far(
     seen_mm: Array, targets_mm: Array, lips: Sequence[int], names: tuple[str, ...]
 ) -> tuple[Array, tuple[str, ...]]:
-    """Return markers with lip outliers as NaN, and a line counting them by marker; () for none."""
+    """Return markers with lip points far from targets_mm as NaN, and a line that counts them.
+
+    lips: numbers of the lip markers; names: of all markers. The line is () without such points.
+    """
     far = np.zeros(seen_mm.shape[:2], dtype=bool)
     off_mm = np.linalg.norm((seen_mm - targets_mm)[:, lips], axis=2)
     for pose, own_mm in enumerate(off_mm):
@@ -251,7 +260,7 @@ def _without_far(
 
 
 def _root(squares: Array, shares: Array) -> float:
-    """Return the root of the mean of finite squares, weighted by shares; 0 for a negative mean."""
+    """Return the root of the mean of finite squares, weighted by shares; 0 if that is negative."""
     known = np.isfinite(squares)
     return float(np.sqrt(max(np.average(squares[known], weights=shares[known]), 0.0)))
 
@@ -264,7 +273,10 @@ _VISEME, _MAP, _FIRST = "viseme", "map", "_x_mm"
 
 
 def write_check_plan(poses: GradedPoses, calibration: Calibration, path: Path) -> None:
-    """Write the poses to grade a calibration by as CSV, whole or not at all. Raises OutputError."""
+    """Write the poses to grade a calibration by, and the wanted markers, as a check plan (CSV).
+
+    The file is written whole or not at all. Raises OutputError.
+    """
     plan = poses.plan
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -303,7 +315,7 @@ def write_check_plan(poses: GradedPoses, calibration: Calibration, path: Path) -
 
 
 def read_check_plan(path: Path, calibration: Calibration) -> GradedPoses:
-    """Return the poses to grade a calibration by from a CSV file.
+    """Return the poses to grade a calibration by from a check plan, a CSV file.
 
     Raises CalibrationError for a plan of another map, or one without wanted markers.
     """
@@ -343,7 +355,7 @@ def read_check_plan(path: Path, calibration: Calibration) -> GradedPoses:
 
 
 def map_checksum(calibration: Calibration) -> str:
-    """Return 16 hex digits that identify a map, by its weights to 6 digits; trims do not count."""
+    """Return 16 hex digits that identify a calibration's map by its weights, trims left out."""
     parts = [",".join(calibration.servo_names)]
     for numbers in (
         calibration.rest,

@@ -84,7 +84,7 @@ class _Take(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class _Learnt:
-    """The face learnt from a first capture. from_rest: (n, n_components), some speaker's frames."""
+    """The face learnt from a first capture. from_rest: (n, n_components), frames to try."""
 
     face: RobotFace
     retargeting: Retargeting
@@ -95,7 +95,8 @@ class _Learnt:
 class Procedure:
     """The settings of a measured capture: the speaker, the joints, number of poses, coupling rules.
 
-    positive: one word per joint, so that reversed joints are found before speech is captured;
+    seed: of poses and frames; positive: one word per joint for its positive angle, so that reversed
+    joints are found before speech is captured;
     accept: doubts about size and joints become warnings.
     """
 
@@ -119,16 +120,20 @@ class Procedure:
         return plan_poses(self.joints, n_poses, rules=self.rules, seed=self.seed)
 
     def whole_range_plan(self) -> PosePlan:
-        """Return a plan of all poses in the joints' ranges, the first ones repeated, for files."""
+        """Return a plan of all `n_poses` poses in the joints' ranges, for a capture by files.
+
+        The first ones are repeated at the end, except where all poses are needed for the range.
+        """
         plan = plan_poses(self.joints, self.n_poses, rules=self.rules, seed=self.seed)
         return joined(plan, first_part(plan)) if self.n_of_speech else plan
 
     def further_plan(
         self, capture: Capture, positive: Sequence[str], *, accept: bool
     ) -> tuple[PosePlan, tuple[str, ...]]:
-        """Return the next plan for a capture by files, and messages about the capture.
+        """Return the plan that follows a capture by files, and messages about the capture.
 
-        Joints that may be dead are captured again alone, before poses of speech. Raises
+        Joints that may be dead, but not those with an empty word in `positive`, are captured again
+        alone, before poses of speech. Raises
         CalibrationError for a capture with faults, as `check_capture` finds them.
         """
         unsure = [j for j in unseen_alone(capture) if not positive or positive[j]]
@@ -144,7 +149,10 @@ class Procedure:
         return self.speech_plan(checked, max(1, self.n_of_speech)), checked.warnings
 
     def speech_plan(self, checked: CheckedCapture, n_poses: int) -> PosePlan:
-        """Return a plan of `n_poses` poses of speech, in whole degrees, by a first capture."""
+        """Return a plan of `n_poses` poses of speech, in whole degrees.
+
+        They are chosen by the face that is learnt from `checked`, a capture of the joints' ranges.
+        """
         with threadpool_limits(limits=1):  # as `fit_measured`
             return self._speech_plan(checked.capture, checked.still, n_poses)
 
@@ -180,7 +188,7 @@ class Procedure:
         return _Learnt(face, retargeting, frames - self.model.rest)
 
     def _n_closed(self, n_poses: int) -> int:
-        """Return how many of `n_poses` poses of speech, the first, close the lips step by step."""
+        """Return how many of `n_poses` poses of speech, the first ones, close the lips in steps."""
         return round(_CLOSED_SHARE * n_poses)
 
     def capture(
@@ -197,11 +205,12 @@ class Procedure:
     ) -> Capture:
         """Capture range, speech and ladders, and repeat the first poses; return the capture.
 
-        keep: file of poses, from which an interrupted capture is resumed. Axes and size are checked
-        by the first pose. Beyond `n_poses`, a joint that may be dead is captured again alone, and
-        the first part of the plan at the end; a pose in which the tracker exchanged two names is
-        captured again. report is called with a line for each. Once a servo is strained, lips are
-        closed no farther. Raises CalibrationError for a capture with faults.
+        move, measure, arrived, progress, strained: as in `Robot`. keep: file of poses, from which
+        an interrupted capture is resumed. Axes and size are checked by the first pose. Beyond
+        `n_poses`, a joint that may be dead is captured again alone, and the first part of the plan
+        at the end; a pose in which the tracker exchanged two names is captured again. report is
+        called with a line for each. Once a servo is strained, lips are closed no farther. Raises
+        CalibrationError for a capture with faults.
         """
         on = Robot(move, measure, arrived, progress, strained)
         poses: list[CapturedPose] = []
@@ -238,7 +247,11 @@ class Procedure:
     def _with_ladders(
         self, plan: PosePlan, captured: Capture, still: Sequence[int], take: "_Take"
     ) -> PosePlan:
-        """Capture ladders until lips are seen to meet or joints are at limits; return the plan."""
+        """Capture ladders by `take` until lips are seen to meet or joints are at limits.
+
+        captured: of `plan` so far; still: numbers of dead joints. Return the plan with the ladders
+        appended; unchanged for a speaker with lips that never close.
+        """
         with threadpool_limits(limits=1):
             learnt = self._learnt(captured, still)
             closed = learnt.retargeting.closing(learnt.from_rest) >= 1.0
@@ -267,7 +280,7 @@ class Procedure:
 def take_grade(
     fit: MeasuredFit, servos: MouthServos, marker_names: tuple[str, ...], on: Robot
 ) -> MeasuredFit:
-    """Move to ten poses of speech, measure them, and return the fit with its grade."""
+    """Move robot `on` to ten poses of speech, measure them, and return the fit with its grade."""
     posed = graded_poses(fit, servos)
     plan = posed.plan
     poses = take_poses(plan, marker_names, on, [], None)
@@ -282,7 +295,10 @@ def take_grade(
 
 
 def _levels_mm(retargeting: Retargeting, known: bool, n: int) -> list[float]:
-    """Return `n` falling heights of the middle gap: about contact if `known`, else from neutral."""
+    """Return `n` falling heights of the middle lip gap for poses that close the lips in steps.
+
+    They lie about contact if that is `known`, else go down from neutral.
+    """
     neutral_mm = retargeting.mouth.neutral_mm()[None]
     gaps = retargeting.mouth.names.shape_features.gaps
     base_mm = float(retargeting.closed_mm[0] if known else gap_heights_mm(neutral_mm, gaps)[0, 0])
@@ -292,7 +308,10 @@ def _levels_mm(retargeting: Retargeting, known: bool, n: int) -> list[float]:
 
 
 def _middles(poses_deg: Array, n: int) -> Array:
-    """Return up to `n` poses, (n, n_servos), so that every pose is near one of them (k-means)."""
+    """Return up to `n` poses, (n, n_servos), so that each of poses_deg is near one of them.
+
+    They are new ones, the centres of k-means, or poses_deg itself if these are `n` or fewer.
+    """
     if n == 0:
         return np.zeros((0, poses_deg.shape[1]))
     if len(poses_deg) <= n:

@@ -5,10 +5,8 @@ times (the speaker's gap less the speaker's closed gap); scale is the ratio of t
 the two, at most 1.3. The rest of the mouth is the speaker's motion at that scale, laid on the
 robot's neutral. A skin drawn by a few horns cannot copy a speaker's point by point, so the target
 shape is that of the robot's own nearest pose, found by bounded least squares, many at once; lip
-gaps weigh most.
-
-Only where the speaker closes do lips go past contact, by as much as the learnt gap may be wrong
-there: more is force, not closure.
+gaps weigh most. Only where the speaker's lips close do the robot's go past contact, by as much as
+the learnt gap may be wrong there: more is force, not closure.
 """
 
 from collections.abc import Callable, Sequence
@@ -70,7 +68,7 @@ class ShapeFeatures:
         return np.concatenate([part.reshape(len(markers_mm), -1) for part in parts], axis=1)
 
     def of_noise(self, n_markers: int) -> float:
-        """Return the rms length of the features of markers with noise of 1 mm in each axis."""
+        """Return the rms length of the features of n_markers with noise of 1 mm in each axis."""
         n_lips, n_gaps = len(self.lips), len(self.gaps)
         skin = (n_markers - n_lips) * _SKIN_WEIGHT**2
         return float(np.sqrt(3 * (n_lips * _LIP_WEIGHT**2 + skin + 2 * n_gaps * _GAP_WEIGHT**2)))
@@ -255,8 +253,8 @@ class Correspondence:
 def correspond(marker_names: Sequence[str]) -> Correspondence:
     """Return the correspondence of the robot's markers with the speaker's, by equal names.
 
-    Raises CalibrationError for names that no model has, or without the middle and the corners of
-    the lips, which define how open and how wide a mouth is.
+    Raises CalibrationError for names that the speaker's model lacks, or without the middle and the
+    corners of the lips, which define how open and how wide a mouth is.
     """
     names = tuple(marker_names)
     unknown = [name for name in names if name not in MARKERS_47.names]
@@ -282,8 +280,9 @@ def correspond(marker_names: Sequence[str]) -> Correspondence:
 class RobotMouth:
     """A learnt mouth: markers by pose, features of its shape, joint limits and coupling rules.
 
-    stopped_of: the markers with lips that stop each other, which overlap in markers_of.
-    doubt_mm_per_deg: (n_servos,), error that a degree of each joint may cause, or None.
+    stopped_of: the markers with lips that stop each other, which overlap in markers_of;
+    None: the same as markers_of. doubt_mm_per_deg: (n_servos,), error that a degree of each joint
+    may cause; None: 0.
     """
 
     markers_of: MarkersOf
@@ -367,7 +366,7 @@ _LEAST_WIDTH_MM, LEAST_OPENING_MM = 10.0, 1.5
 class Retargeting:
     """The targets of a robot's mouth for each face of a speaker.
 
-    closed_mm: (n_gaps,), heights between dots of lips that touch; scale: robot's motion over the
+    closed_mm: (n_gaps,), heights between lip dots when lips touch; scale: robot's motion over the
     speaker's; press_mm: how far past contact lips go where the speaker's close.
     """
 
@@ -544,7 +543,7 @@ def fit_retargeting(
 
 
 def _check_a_mouth(mouth: RobotMouth, closed_mm: Array) -> float:
-    """Return how far the lips part at most, in mm; CalibrationError for what is no mouth."""
+    """Return how many mm the lips part at most; CalibrationError if corners or lips hardly part."""
     names = mouth.names.marker_names
     right, left = mouth.names.corners
     neutral_mm = mouth.neutral_mm()

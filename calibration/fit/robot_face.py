@@ -1,10 +1,9 @@
 """A model of a robot's face: markers as a function of servo angles, learnt from captured poses.
 
-Until lips meet, they follow the joints: the free face. Where it would bring two dots nearer than
+Until lips meet, they follow the joints: the free face. Where that would bring two dots nearer than
 they ever come, the lips stop each other. That least gap is estimated in alternation with the free
 face, which is learnt without the lips of poses in contact. Dots beside the lips' edges, thick lips
-and an open neutral are thereby handled alike.
-Loads scikit-learn; the live path never does.
+and an open neutral are thereby handled alike. Loads scikit-learn; the live path never does.
 """
 
 from collections.abc import Mapping
@@ -403,7 +402,7 @@ def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> Robo
 
 
 def _with_time(capture: Capture, middle_deg: Array, half_range_deg: Array) -> Poses:
-    """Return the poses with time, from -1 to 1, as an additional last joint without backlash."""
+    """Return a capture's poses with time, -1 to 1, as an additional last joint without backlash."""
     time = np.linspace(-1.0, 1.0, len(capture))[:, None]
     return Poses(
         np.hstack([capture.goals_deg, time]),
@@ -416,8 +415,8 @@ def _with_time(capture: Capture, middle_deg: Array, half_range_deg: Array) -> Po
 class _Learning:
     """A Gaussian process fitted in alternation with the filling in of lost points.
 
-    hyperparameters: None before the first `filled`. opened: (n,), poses in which no ladder presses
-    the lips, from which the hyperparameters are found.
+    hyperparameters: None before the first call of `filled`. opened: (n,), poses in which no ladder
+    presses the lips, from which the hyperparameters are found.
     """
 
     def __init__(self, poses: Poses, apart_mm2: Array, opened: NDArray[np.bool_]) -> None:
@@ -428,7 +427,7 @@ class _Learning:
         self.hyperparameters: Hyperparameters | None = None
 
     def filled(self, seen_mm: Array, known: NDArray[np.bool_]) -> Array:
-        """Fit the process; return the markers (n, n_markers, 3) with lost points predicted."""
+        """Fit the Gaussian process; return seen_mm with points that are not `known` predicted."""
         filled = np.where(known, seen_mm, 0.0)
         for _ in range(1 if known.all() else _ROUNDS):
             free_mm = filled[self._opened]
@@ -438,7 +437,7 @@ class _Learning:
         return filled
 
     def by_axis(self, filled: Array) -> tuple[Hyperparameters, ...]:
-        """Return hyperparameters fitted to each axis alone, all with one common backlash."""
+        """Return hyperparameters fitted to each axis of `filled` alone, all with one backlash."""
         return tuple(
             fit_hyperparameters(
                 self._free,
@@ -450,7 +449,7 @@ class _Learning:
         )
 
     def at(self, filled: Array, goals_deg: Array) -> Array:
-        """Return markers (m, n_markers, 3) at goals (m, n_servos), by the process of open poses."""
+        """Return markers (m, n_markers, 3) at goals (m, n_servos), learnt from open lips alone."""
         assert self.hyperparameters is not None
         of = self._poses
         warm = np.hstack([goals_deg, np.ones((len(goals_deg), 1))])
@@ -463,7 +462,7 @@ class _Learning:
         return process.predict((warm - of.middle_deg) / of.half_range_deg)
 
     def expected(self, filled: Array) -> Array:
-        """Return the process's prediction, (n, n_markers, 3), of all captured poses' markers."""
+        """Return the Gaussian process's prediction, (n, n_markers, 3), at all captured poses."""
         assert self.hyperparameters is not None
         inputs = self._poses.inputs(self.hyperparameters.backlash_deg)
         return fit_process(self.hyperparameters, inputs, filled, self._apart_mm2).predict(inputs)
@@ -478,9 +477,10 @@ def _free_of_contact(
     mouth: ShapeFeatures,
     touching: NDArray[np.bool_] | None,
 ) -> tuple[Array, NDArray[np.bool_], Array] | None:
-    """Return markers of the free face, which of them are known, and closed gaps; None: no stop.
+    """Return the free face's markers, which of them are known, and the closed lips' gaps.
 
-    touching: poses in which ladders showed that lips touch; None: there are no ladders.
+    touching: poses in which ladders, which close the lips in steps, showed contact; None: there are
+    no ladders. Returned is None without evidence that lips stop each other.
     """
     gaps = mouth.gaps
     seen_gaps_mm = gap_heights_mm(np.where(known, seen_mm, np.nan) + centre_mm, gaps)
@@ -519,7 +519,7 @@ def _free_of_contact(
 
 @dataclass(frozen=True, slots=True)
 class _Process:
-    """The learner of skin_process.py with given hyperparameters, for each of the three axes.
+    """A learner: the Gaussian process of skin_process.py, with hyperparameters of each axis.
 
     A joint's effects across, up and forward may have little in common: a jaw moves nothing across.
     """
@@ -538,7 +538,7 @@ class _Process:
 
 @dataclass(frozen=True, slots=True)
 class _ThreeProcesses:
-    """Three fitted processes, one for each axis."""
+    """Three fitted Gaussian processes, one for each axis."""
 
     processes: tuple[SkinProcess, ...]
 
@@ -563,7 +563,7 @@ class _Ridge:
 def _learners(
     together: tuple[Hyperparameters, ...], by_axis: tuple[Hyperparameters, ...], apart_mm2: Array
 ) -> Mapping[str, Learner]:
-    """Return the regressions to choose from, by name; inputs run from -1 to 1, outputs are mm."""
+    """Return learners by name: Gaussian processes, axes `together` or `by_axis`, and two ridges."""
     return {
         "gaussian process": _Process(together, apart_mm2),
         "gaussian process, axis by axis": _Process(by_axis, apart_mm2),
@@ -584,9 +584,9 @@ def _left_out_rms_mm(
     seen: NDArray[np.bool_],
     gaps: tuple[tuple[int, int], ...],
 ) -> tuple[float, float]:
-    """Return cross-validated rms errors in mm: in each axis, and of the middle lip gap's height.
+    """Return a learner's cross-validated rms errors in mm: in each axis, and of the middle lip gap.
 
-    Only points that the tracker saw count; the gap's error is 0 without gaps.
+    Only points that the tracker saw, `seen`, count; the gap's error is 0 without gaps.
     """
     predicted = np.empty_like(from_centre_mm)
     folds = KFold(min(_FOLDS, len(inputs)), shuffle=True, random_state=0)

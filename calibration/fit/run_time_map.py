@@ -47,7 +47,7 @@ class RunTimeMap:
     closure: Closure | None = None
 
     def poses_deg(self, from_rest: Array, mouth: RobotMouth) -> Array:
-        """Return the poses that the live map gives, within limits and coupling rules.
+        """Return the poses that this map gives, with closure, within limits and coupling rules.
 
         Parameters
         ----------
@@ -201,7 +201,10 @@ def rounded(values: Array) -> Array:
 
 
 def _metric(poses_deg: Array, markers_of: MarkersOf, shape_features: ShapeFeatures) -> Array:
-    """Return the mean cost of angle errors, (n_servos, n_servos) weighted mm^2 per deg^2."""
+    """Return the mean cost of angle errors, (n_servos, n_servos) weighted mm^2 per deg^2.
+
+    It is the effect of angles on the shape features, averaged over poses_deg.
+    """
     n_servos = poses_deg.shape[1]
     at = shape_features.of(markers_of(poses_deg))
     slopes = np.stack(
@@ -330,7 +333,10 @@ def _fitted(
 
 
 def _missed(retargeting: Retargeting, run: RunTimeMap, from_rest: Array, poses_deg: Array) -> float:
-    """Return the mean squared difference of shape features between the map's poses and the best."""
+    """Return the mean squared difference of shape features between two sets of poses.
+
+    One are poses_deg, the best poses for from_rest, the other those that the map `run` gives.
+    """
     mouth = retargeting.mouth
     of = mouth.names.shape_features
     shown = of.of(mouth.seen_mm(run.poses_deg(from_rest, mouth)))

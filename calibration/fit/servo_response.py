@@ -68,7 +68,7 @@ def identify(
     Parameters
     ----------
     drive : Drive
-        Function that sends goals and returns the encoders' angles.
+        Sends goals (n, n_servos) at a rate in Hz; returns the encoders' angles, (n, n_servos).
     joints : Sequence[JointRange]
         Ranges of the joints.
     backlash_deg : Array
@@ -157,14 +157,17 @@ def lag_between_s(goal: Array, seen: Array, rate_hz: float, *, until: int | None
 
 
 def _chirp_index(frequency_hz: float, rate_hz: float) -> int:
-    """Return the index of the sample at which `chirp_deg` reaches a frequency."""
+    """Return the index of the sample of `chirp_deg` at which its sine reaches frequency_hz."""
     low, high = _CHIRP_HZ
     share = (frequency_hz - low) / (high - low)
     return round((_REST_S + share * _CHIRP_S) * rate_hz)
 
 
 def _bandwidth_hz(chirp: Array, seen: Array, rate_hz: float) -> float:
-    """Return the first frequency with half the chirp's power; the chirp's end if there is none."""
+    """Return the lowest frequency at which the angle `seen` has half the power of the goal `chirp`.
+
+    The chirp's highest frequency if there is none. rate_hz: samples per second.
+    """
     high = _CHIRP_HZ[1]
     for frequency_hz in np.arange(1.0, high, 0.25):
         middle = _chirp_index(frequency_hz, rate_hz)

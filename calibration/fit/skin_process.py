@@ -88,7 +88,11 @@ class Poses:
 
 @dataclass(frozen=True, slots=True)
 class Hyperparameters:
-    """Hyperparameters of a skin process. backlash_deg, reach_mm2: (n_servos,)."""
+    """Hyperparameters of a skin process, as in this module's formulae.
+
+    backlash_deg, reach_mm2: (n_servos,); width_mm: of the covariance along the skin; own: the part
+    of each marker alone.
+    """
 
     backlash_deg: Array
     reach_mm2: Array
@@ -192,7 +196,7 @@ def squared_distances_mm2(marker_names: Sequence[str], rest_mm: Array) -> Array:
 
 
 def _side(name: str) -> float:
-    """Return 1 for a marker on the upper lip, -1 on the lower, 0 elsewhere and in the corners."""
+    """Return 1 for an upper lip's marker, -1 for a lower lip's, 0 for others and the corners."""
     if name not in MARKERS_47.names:
         return 0.0
     landmark = MARKERS_47.landmarks[MARKERS_47.names.index(name)]
@@ -252,7 +256,11 @@ def fit_hyperparameters(
 
 
 def _believed_deg(parameters: Array, likelihood: "_NegativeLogLikelihood", n_servos: int) -> Array:
-    """Return the evident backlash, (n_servos,) degrees; 0 for a joint without evidence of any."""
+    """Return the backlash that the capture makes evident, (n_servos,) degrees; else 0.
+
+    parameters: those of greatest likelihood, backlash first. A joint's backlash is kept where that
+    of all joints together is beyond doubt, or its own.
+    """
     sharpness = np.empty(n_servos)
     for joint in range(n_servos):
         ends = [parameters.copy(), parameters.copy()]
@@ -308,9 +316,9 @@ def _unpacked(parameters: Array, n_servos: int) -> Hyperparameters:
 
 
 class _Solution:
-    """Eigendecompositions of both covariances, and the variance of each pair of eigenvectors.
+    """Eigendecompositions of the covariances of poses and of skin, for solving with both at once.
 
-    spread: (n, n_markers), noise included.
+    spread: (n, n_markers), variance of each pair of eigenvectors, noise included.
     """
 
     def __init__(self, joints: Array, skin: Array, noise_mm2: float) -> None:
@@ -327,7 +335,10 @@ class _Solution:
 
 
 class _NegativeLogLikelihood:
-    """A function from parameters to the negative log likelihood of a capture and its gradient."""
+    """A function from parameters to the negative log likelihood of a capture and its gradient.
+
+    Parameters: backlash in degrees, then the logarithms of the other hyperparameters.
+    """
 
     def __init__(self, poses: Poses, from_centre_mm: Array, apart_mm2: Array) -> None:
         self._poses = poses

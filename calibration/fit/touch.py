@@ -58,9 +58,10 @@ def touch_plan(calibration: Calibration, model: FaceWithAnimPhos, servos: MouthS
 
 
 def touched_by_markers(calibration: Calibration, seen: Capture) -> tuple[Calibration, float]:
-    """Return the calibration with contact moved to where the dots show it, and by how many mm.
+    """Return the calibration with contact moved to where dots, `seen`, show it, and by how many mm.
 
-    Positive: lips meet later than before. Raises CalibrationError where no contact is found.
+    Positive: lips have to close farther than before until they meet. Raises CalibrationError where
+    no contact is found.
     """
     closure, lips = _closure_of(calibration), calibration.learnt_lips
     apertures = apertures_of(seen)
@@ -103,7 +104,7 @@ def touched_by_current(
     Returns
     -------
     tuple[Calibration, float]
-        The calibration, and by how many mm its lips meet later.
+        The calibration, and by how many mm lips close farther than before until they meet.
 
     Raises
     ------
@@ -134,7 +135,7 @@ def touched_by_current(
 
 
 def _closes_mm(calibration: Calibration, seen: Capture, rows: Indices) -> Array:
-    """Return each step's predicted closing past contact, in mm, less the map's backlash."""
+    """Return the closing past contact, (n,) mm, that the map predicts for `rows` of the capture."""
     following = calibration.following
     half_deg: Array | float = 0.0 if following is None else following.backlash_deg / 2
     horns_deg = seen.goals_deg[rows] - seen.from_below[rows] * half_deg

@@ -1,4 +1,4 @@
-"""Corrections of a map's angles on their path to the servos: viseme trims, lags, backlash.
+"""Corrections of a map's angles on their path to the servos: viseme trims, servo lags, backlash.
 
 Streaming; NumPy only, a few microseconds a frame.
 """
@@ -20,7 +20,7 @@ _TURN_DEG = 0.35
 class BacklashCompensation:
     """A filter that shifts every goal by half the backlash, towards the joint's motion.
 
-    feed: one pose after another; the horn then reaches the pose, not half a backlash behind it.
+    Without it a horn stays half the backlash behind its pose. `feed` is called once a tick.
     """
 
     def __init__(self, backlash_deg: Array) -> None:
@@ -33,7 +33,7 @@ class BacklashCompensation:
     def feed(self, poses_deg: Array) -> Array:
         """Return the goals that bring the horns to poses, despite the backlash.
 
-        Only the first pose changes the stored state: later ones may be revised.
+        Only the first pose, that of now, changes the stored state: later ones may be revised.
 
         Parameters
         ----------
@@ -62,14 +62,17 @@ class BacklashCompensation:
 
 
 class LagCompensation:
-    """A filter that sends every joint its goal ahead of time by the joint's lag.
+    """A filter that sends each joint its goal earlier by that servo's lag behind its goals.
 
-    Poses go in `advance_s` before they are shown; slow joints get theirs at once, quicker ones are
-    delayed here by the difference. `feed` is called once each `period_s`.
+    Poses go in `advance_s`, the largest lag, before they are shown; the slowest joint gets its goal
+    at once, the others are delayed here by the difference. `feed` is called each `period_s`.
     """
 
     def __init__(self, lag_s: Array, period_s: float, *, look_ahead_s: float) -> None:
-        """Set how long ahead each joint gets its goal: lag_s, (n_servos,), at most look_ahead_s."""
+        """Set how long ahead each joint gets its goal: by lag_s, (n_servos,), at most look_ahead_s.
+
+        period_s: time between calls of `feed`; look_ahead_s: how far ahead poses are known.
+        """
         early_s = np.minimum(np.maximum(lag_s, 0.0), look_ahead_s)
         self.advance_s = float(early_s.max(initial=0.0))
         wait = (self.advance_s - early_s) / period_s
@@ -81,7 +84,7 @@ class LagCompensation:
         self._newest = 0
 
     def feed(self, positions_deg: Array) -> Array:
-        """Return the goals to send now, each joint's delayed by the difference of the lags.
+        """Return the goals to send now, each joint's delayed by `advance_s` less its lag.
 
         Parameters
         ----------
@@ -132,7 +135,10 @@ class VisemeTrim:
     """A filter with the trim, in degrees, of the viseme class being spoken, blended over 30 ms."""
 
     def __init__(self, trim: Mapping[str, Array], n_servos: int, period_s: float) -> None:
-        """Store the trims: degrees (n_servos,) by the first phoneme of a viseme class."""
+        """Store the trims: degrees (n_servos,) by the first phoneme of a viseme class.
+
+        period_s: time between calls of `feed`.
+        """
         self._nothing = np.zeros(n_servos)
         self._wanted = [trim.get(viseme[0], self._nothing) for viseme in VISEME_CLASSES]
         self._share = 1.0 - np.exp(-period_s / _BLEND_S)

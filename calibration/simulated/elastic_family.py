@@ -26,7 +26,10 @@ from lipsync.markers import MARKERS_47
 
 @dataclass(frozen=True, slots=True)
 class PullKind:
-    """A kind of joint: its word, the landmarks and directions of its pulls, its lip and limits."""
+    """A kind of joint, by what it pulls at. word: for its positive angle; lip: that it moves.
+
+    pulls: landmark and direction of each rod; limits_deg: usual limits.
+    """
 
     word: str
     pulls: tuple[tuple[int, tuple[float, float, float]], ...]
@@ -82,9 +85,10 @@ _ANY = ("upper", "lower", "corners", "pucker", "smile")
 
 @dataclass(frozen=True, slots=True)
 class Pull:
-    """The kind of pull of one joint of a face. sign: -1 where a positive angle pulls oppositely.
+    """The kind of pull of one joint of a face, a key of `KINDS`.
 
-    is_guess: whether name and word leave open what the joint moves.
+    sign: -1 where a positive angle pulls oppositely; is_guess: whether name and word leave open
+    what the joint moves.
     """
 
     kind: str
@@ -112,7 +116,7 @@ def pulls_of(names: Sequence[str], positive: Sequence[str]) -> tuple[Pull, ...]:
 
 
 def _by_word(word: str) -> JointMotion | None:
-    """Return the lip that a word of direction suggests: upper for up, lower for down; else None."""
+    """Return the lip motion for a word of direction: upper for up, lower for down; else None."""
     word_parts = words(word)
     if bool(word_parts & UP) == bool(word_parts & (DOWN | CLOSE)):
         return None
@@ -232,7 +236,10 @@ def robot_of_kinds(
 def _rods(
     joint: int, kind: str, rest_mm: Array, skin: ElasticSkin, rng: np.random.Generator
 ) -> list[Rod]:
-    """Return a rod for each landmark that the joint pulls at; rods on the left are weak."""
+    """Return a rod for each landmark that the joint pulls at; rods on the left are weak.
+
+    joint: its number; kind: a key of `KINDS`; stiffness and directions are drawn from `rng`.
+    """
     of = KINDS[kind]
     arm_mm = rng.uniform(*_ARM_MM) * (0.6 if kind == "pucker" else 1.0)
     stiff, bend = rng.uniform(*_ROD_N_PER_MM), np.tan(np.deg2rad(8.0)) * rng.normal(size=3)
@@ -260,7 +267,10 @@ def _rods(
 
 
 def _four_bar(rng: np.random.Generator) -> FourBar:
-    """Return a random linkage: jaw over servo about 1 in the middle, 0.2 to several at the ends."""
+    """Return a linkage of random lengths from servo to jaw.
+
+    Degrees of the jaw per degree of the servo: about 1 in the middle, 0.2 to several at the ends.
+    """
     crank_mm = rng.uniform(16.0, 22.0)
     return FourBar(
         crank_mm=crank_mm,

@@ -3,7 +3,7 @@
 The second family of simulated robots, made from physics: horns that turn pull the skin by rods that
 yield, the jaw hangs on a four-bar linkage and sags, lips meet without friction (complementarity of
 gap and force, Cottle, Pang and Stone, 1992, solved by active sets), the left side is
-weak, dots lie beside the lips' edges, zeros drift as the servos warm up, gears have play.
+weak, dots lie beside the lips' edges, zeros drift as the servos warm up, gears have backlash.
 
 The skin is a small finite-element model, solved once for each robot: in the plane of the face
 constant-strain triangles in plane stress, out of it a membrane under tension (Zienkiewicz and
@@ -205,7 +205,7 @@ def elastic_skin(rest_mm: Array, gaps_mm: Array, off_edge_mm: Array) -> ElasticS
 
 
 def _background(flat: Array) -> Array:
-    """Return grid points, (m, 2), over the extent of the points `flat` and not near any of them."""
+    """Return points of a grid, (m, 2), over the extent of the points `flat` but not near any."""
     low, high = flat.min(axis=0) - _GRID_MM, flat.max(axis=0) + _GRID_MM
     x, y = (np.arange(low[k], high[k] + _GRID_MM, _GRID_MM) for k in (0, 1))
     grid = np.stack(np.meshgrid(x, y), axis=2).reshape(-1, 2)
@@ -214,7 +214,7 @@ def _background(flat: Array) -> Array:
 
 
 def _raised(flat: Array, known_mm: Array) -> Array:
-    """Return the points (m, 2) with a depth interpolated between known ones, (m, 3)."""
+    """Return the points `flat` (m, 2) with a depth interpolated between points known_mm (k, 3)."""
     inside = LinearNDInterpolator(known_mm[:, :2], known_mm[:, 2])(flat)
     beyond = NearestNDInterpolator(known_mm[:, :2], known_mm[:, 2])(flat)
     return np.column_stack([flat, np.where(np.isnan(inside), beyond, inside)])
@@ -227,7 +227,10 @@ def _across_slit(simplices: NDArray[np.int_]) -> NDArray[np.bool_]:
 
 
 def _assembled(flat: Array, triangles: NDArray[np.int_], thick: Array) -> tuple[Array, Array]:
-    """Return the area of each node, (n,), and the stiffness (3 n, 3 n) of sheet and membrane."""
+    """Return the area of each node, (n,), and the stiffness (3 n, 3 n) of sheet and membrane.
+
+    flat: (n, 2) mm, the nodes; triangles: (m, 3), their numbers; thick: (n,), relative thickness.
+    """
     n = len(flat)
     area, stiffness = np.zeros(n), np.zeros((3 * n, 3 * n))
     plane = np.array([[1, POISSON, 0], [POISSON, 1, 0], [0, 0, (1 - POISSON) / 2]])
@@ -254,7 +257,11 @@ def _assembled(flat: Array, triangles: NDArray[np.int_], thick: Array) -> tuple[
 
 
 def _jaw_share(flat: Array, edge_mm: Array) -> Array:
-    """Return each node's share of the jaw, (n,), 0 to 1; sharp at the lips, broad at the ears."""
+    """Return each node's share of the jaw's motion, (n,), 0 to 1.
+
+    It changes sharply at the lips and broadly at the ears. flat: (n, 2) mm, the nodes; edge_mm:
+    (N_PAIRS, 3), where the lips meet.
+    """
     middle = edge_mm[:, :2].mean(axis=0)
     width_mm = np.maximum(0.45 * np.abs(flat[:, 0] - middle[0]), 1.0)
     height_mm = flat[:, 1] - np.interp(flat[:, 0], edge_mm[:, 0], edge_mm[:, 1])
@@ -266,7 +273,11 @@ def _jaw_share(flat: Array, edge_mm: Array) -> Array:
 def _dots(
     rest_mm: Array, edge_mm: Array, along: Array, steps: Array, gaps_mm: Array, off_mm: Array
 ) -> tuple[Array, Array]:
-    """Return the 47 dots in the mesh's plane, (47, 2), and in space, (47, 3), in mm."""
+    """Return the 47 dots in the mesh's plane, (47, 2), and in space, (47, 3), in mm.
+
+    Inner-lip dots lie off_mm, (6,), beside the lips' edges. along: place of each point of edge_mm
+    from corner to corner, 0 to 1; steps: that of the inner-lip landmarks.
+    """
     flat, places_mm = rest_mm[:, :2].copy(), rest_mm.copy()
     for side, landmarks in ((1.0, _UPPER_INNER), (-1.0, _LOWER_INNER)):
         for k, landmark in enumerate(landmarks):
@@ -280,7 +291,11 @@ def _dots(
 
 
 def _interpolation(mesh: Delaunay, across: NDArray[np.bool_], flat: Array, points: Array) -> Array:
-    """Return each point's barycentric node weights, (n_points, n); in the slit the nearest's."""
+    """Return each point's barycentric node weights, (n_points, n).
+
+    flat: (n, 2), nodes of the mesh; across: which triangles lie in the slit of the mouth; there, as
+    outside the mesh, a point has the nearest node's motion.
+    """
     weights = np.zeros((len(points), len(flat)))
     for row, (point, triangle) in enumerate(zip(points, mesh.find_simplex(points), strict=True)):
         if triangle < 0 or across[triangle]:
@@ -322,8 +337,10 @@ class Rod:
 class ElasticDraw:
     """A drawn elastic robot. signs, zero_deg, play_deg, drift_deg: (n_servos,).
 
-    jaw: number of the jaw's joint, or -1. signs: -1 for a servo that turns its horn oppositely;
-    zero and drift are the horn's own. jaw_rad_per_nmm: compliance of the jaw; sag_deg: its sag.
+    jaw: number of the jaw's joint, or -1 without one; axis_mm: (3,), on the jaw's hinge. signs: -1
+    for a servo that turns its horn oppositely; zero_deg: the horn's angle at 0; play_deg: backlash;
+    drift_deg: shift of the zero once warm. jaw_rad_per_nmm: compliance of the jaw; sag_deg: its sag
+    under its own weight.
     """
 
     servo_names: tuple[str, ...]
@@ -342,7 +359,10 @@ class ElasticDraw:
 
 @dataclass(frozen=True, slots=True)
 class LipState:
-    """The true state of poses. gaps_mm: (n, N_PAIRS), of the lips' edges; force_n: (n,)."""
+    """The true state of n poses. markers_mm: (n, 47, 3).
+
+    gaps_mm: (n, N_PAIRS), between the lips' edges; force_n: (n,), between the lips in all.
+    """
 
     markers_mm: Array
     gaps_mm: Array
@@ -454,7 +474,10 @@ class ElasticFace:
         return np.deg2rad(turned_deg + draw.sag_deg * np.cos(np.deg2rad(turned_deg)))
 
     def _free(self, horns_deg: Array, jaw_rad: Array) -> Array:
-        """Return displacements of dots and gaps, (n, n_seen), with lips not stopping each other."""
+        """Return displacements of dots and gaps, (n, n_seen) mm, with lips not stopping each other.
+
+        horns_deg: (n, n_servos); jaw_rad: (n,), the jaw's angle.
+        """
         rotations = np.stack([np.cos(jaw_rad) - 1.0, np.sin(jaw_rad)], axis=1)
         values = rotations @ self._jaw_answers
         for rod, answer in zip(self.draw.rods, self._rod_answers, strict=True):
@@ -476,8 +499,8 @@ class ElasticFace:
     def _lip_forces_n(self, free_gaps_mm: Array) -> Array:
         """Return forces (n, N_PAIRS) >= 0 such that no gap is below 0 and only lips that meet push.
 
-        By active sets: pairs that pull are released, pairs that overlap are pushed, until neither
-        is.
+        free_gaps_mm: (n, N_PAIRS), gaps of lips that do not stop each other. By active sets: pairs
+        that pull are released, pairs that overlap are pushed, until neither is.
         """
         force_n = np.zeros_like(free_gaps_mm)
         rows = np.flatnonzero((free_gaps_mm < 0.0).any(axis=1))
@@ -501,7 +524,10 @@ def _rows(n: int, at: NDArray[np.int_]) -> Array:
 
 
 def _turned(from_axis_mm: Array, angle_rad: Array) -> Array:
-    """Return the displacement, (n, m, 3), of points (m, 3) or (n, m, 3) by n turns about x."""
+    """Return the displacement, (n, m, 3), of points by n turns of angle_rad about x.
+
+    from_axis_mm: (m, 3) or (n, m, 3), the points less a point of the axis.
+    """
     cos, sin = np.cos(angle_rad)[:, None], np.sin(angle_rad)[:, None]
     y, z = from_axis_mm[..., 1], from_axis_mm[..., 2]
     moved = np.stack(

@@ -69,7 +69,10 @@ _CORNERS = (61, 291, 78, 308)
 
 @dataclass(frozen=True, slots=True)
 class _Horn:
-    """A servo horn attached to a landmark; direction: unit length; spares: landmarks not moved."""
+    """A servo horn attached to a landmark of the skin.
+
+    direction: of its pull, unit length; spares: landmarks that do not move with it.
+    """
 
     landmark: int
     direction: tuple[float, float, float]
@@ -176,7 +179,7 @@ def marker_positions_mm(face: SimulatedFace, positions_deg: Array) -> Array:
 
 
 def _pull(name: str, neutral_mm: Array) -> Array:
-    """Return the motion of the markers, (47, 3), for one millimetre of travel of a servo's horn."""
+    """Return the motion of markers, (47, 3), for 1 mm of travel of the horn of the servo `name`."""
     if name == JAW:
         return np.zeros_like(neutral_mm)
     if name == PROTRUSION:
@@ -203,6 +206,8 @@ def _protrusion(neutral_mm: Array) -> Array:
 def _jaw_share(neutral_mm: Array, seam_mm: Array) -> Array:
     """Return each marker's share of the jaw's turn, (47,): 0 = head, 1 = jaw.
 
+    neutral_mm: (47, 3); seam_mm: (3,), the middle between the closed lips.
+
     Lips: parabolas that meet at one half in the corners. Skin: a logistic step in height at the
     lips, sharp in the middle of the face and broad towards the ears.
     """
@@ -220,7 +225,7 @@ def _jaw_share(neutral_mm: Array, seam_mm: Array) -> Array:
 
 
 def _sideways(neutral_mm: Array) -> Array:
-    """Return each marker's x, (47,), scaled: -1 at the mouth's right corner, 1 at its left."""
+    """Return each marker's x, (47,), so scaled that the mouth's right corner is -1, the left 1."""
     right, left = (neutral_mm[MARKERS_47.landmarks.index(n), 0] for n in (61, 291))
     return np.asarray((neutral_mm[:, 0] - (left + right) / 2) / _half_width_mm(neutral_mm))
 

@@ -16,7 +16,7 @@ USUAL_SEED = 1
 
 
 def family_of(servos: MouthServos) -> RobotFamily:
-    """Return OWN if the simulated face has all these joints, by name; else ELASTIC."""
+    """Return family OWN if the simulated face has joints of all these names; else ELASTIC."""
     known = all(name in POSITIVE_DIRECTIONS for name in servos.names)
     return RobotFamily.OWN if known else RobotFamily.ELASTIC
 
@@ -84,7 +84,7 @@ def markers_of_face(rest_mm: Array, servos: MouthServos) -> Callable[[Array], Ar
 
 
 def guessed_joints(servos: MouthServos, family: RobotFamily | None = None) -> Sequence[str]:
-    """Return the joints whose motion neither name nor word defines, so that the robot guesses it.
+    """Return the joints whose motion neither name nor word defines, so that it is guessed.
 
     Empty for the family OWN, which knows its joints by name.
     """

@@ -33,7 +33,10 @@ _ZERO_DEG, _JAW_ZERO_DEG = 1.5, 0.4
 
 @dataclass(frozen=True, slots=True)
 class RobotDraw:
-    """A robot drawn from a seed. zero_deg, backlash_deg: (n_servos,)."""
+    """A simulated robot drawn from a seed: its skin, and the faults that calibration must find.
+
+    zero_deg: (n_servos,), the horns' angles with servos at 0; backlash_deg: (n_servos,).
+    """
 
     face: SimulatedFace
     zero_deg: Array
@@ -100,7 +103,7 @@ def draw_robot(rest_mm: Array, servo_names: Sequence[str], seed: int) -> RobotDr
 
 
 def _other_pull(pull: Array, rng: np.random.Generator) -> Array:
-    """Return a horn's pull, (47, 3), with a drawn strength, skin width and direction."""
+    """Return a horn's pull, (47, 3), with strength, skin width and direction altered by `rng`."""
     weight = np.linalg.norm(pull, axis=1, keepdims=True)
     direction = pull / np.maximum(weight, 1e-12)
     bend = np.tan(np.deg2rad(_DIRECTION_DEG)) * rng.normal(size=3)
@@ -153,7 +156,11 @@ class SimulatedRobot:
         noise_seed: int = 0,
         noise_mm: float = SENSOR_NOISE_MM,
     ) -> None:
-        """Make a cold robot, all servos at 0, in the middle of their backlash."""
+        """Make a cold robot, all servos at 0, in the middle of their backlash.
+
+        skin: of the drawn robot; noise_seed, noise_mm: of the tracker, standard deviation in each
+        axis.
+        """
         self._skin = skin
         self._noise = np.random.default_rng([noise_seed, *skin.noise_stream])
         self._noise_mm = noise_mm
@@ -161,7 +168,7 @@ class SimulatedRobot:
         self._n_moves = 0
 
     def move(self, positions_deg: Array) -> Array:
-        """Move to a pose and settle; the horns lag behind by the backlash.
+        """Move to a pose at once; the horns stay behind by up to half the backlash.
 
         Parameters
         ----------
@@ -192,7 +199,7 @@ class SimulatedRobot:
         return self._output_deg.copy()
 
     def measure(self) -> Array:
-        """Return one noisy measurement of the tracker.
+        """Return one noisy measurement of the markers, as a tracker would make it.
 
         Returns
         -------

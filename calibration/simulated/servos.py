@@ -21,7 +21,10 @@ _SUBSTEPS = 10
 
 @dataclass(frozen=True, slots=True)
 class SimulatedServos:
-    """Simulated servos that lag; all arrays are (n_servos,). lag_s: dead time included."""
+    """Simulated servos that follow their goals late; all arrays are (n_servos,).
+
+    lag_s: whole delay behind the goal, dead_time_s included.
+    """
 
     lag_s: Array
     dead_time_s: Array
@@ -29,7 +32,7 @@ class SimulatedServos:
 
     @classmethod
     def drawn(cls, n_servos: int, seed: int) -> "SimulatedServos":
-        """Return servos with lags, dead times and top speeds drawn from a seed."""
+        """Return n_servos servos with lags, dead times and top speeds drawn from a seed."""
         rng = np.random.default_rng([seed, 1])
         return cls(
             *(rng.uniform(*limits, n_servos) for limits in (LAG_S, DEAD_TIME_S, TOP_SPEED_DEG_S))

@@ -16,8 +16,9 @@ _URL = "ws://127.0.0.1:8765"
 def connect(url: str = _URL, token: str | None = None) -> "Face":
     """Return a blocking client of a face: `with lipservo.connect() as face:`; docs/agents.md.
 
-    Entering it connects, or raises `lipservo_client.protocol.FaceError` if no face answers or
-    accepts the client.
+    Entering the client connects, or raises `lipservo_client.protocol.FaceError` if no face answers
+    at `url` or accepts the client. token: that the face requires; None: that in its runtime folder,
+    for a face of this computer, else none.
     """
     from lipservo_client.blocking_face import Face
 
@@ -25,7 +26,10 @@ def connect(url: str = _URL, token: str | None = None) -> "Face":
 
 
 def connect_async(url: str = _URL, token: str | None = None) -> "AsyncFace":
-    """Return an asyncio client of a face: `async with lipservo.connect_async() as face:`."""
+    """Return an asyncio client of a face: `async with lipservo.connect_async() as face:`.
+
+    Arguments and errors: as of `connect`.
+    """
     from lipservo_client.async_face import AsyncFace
 
     return AsyncFace(url, token)

@@ -44,9 +44,9 @@ _MOST_EVENTS: Final = 1024
 class AsyncSpeech:
     """One stream of speech, from `async with face.stream() as speech`.
 
-    delay_ms: how long after its sound is sent the lips move with it; a client that plays the sound
-    itself plays it that much later. rate_hz: sample rate. n_sent, n_played: samples that were sent,
-    and that were played of them by the face's last report.
+    delay_ms: from the sending of sound to the lips' motion with it; a client that plays the sound
+    itself plays it that much later. rate_hz: sample rate. stream: its id. n_sent, n_played: samples
+    sent so far, and played by the face's last report.
     """
 
     def __init__(self, face: "AsyncFace", stream: str, start: dict[str, object]) -> None:
@@ -83,7 +83,7 @@ class AsyncSpeech:
         return has_result and self._heard.result().finished
 
     async def write(self, samples: Pcm) -> bool:
-        """Send samples at any pace; return False once the stream was cut off and needs no more.
+        """Send samples at any pace; return False once the stream is over and accepts no more.
 
         Waits while more than half a minute is sent and not played. Raises FaceError for an error of
         the stream that the face reported, ValueError for arrays that are no mono sound.
@@ -110,20 +110,19 @@ class AsyncSpeech:
     ) -> None:
         """Send the text or units of this stream: before its sound, with it or later.
 
-        Further calls add to them or correct them.
-
         units: a text; or (kind, units), kind `words`, `phonemes` or `visemes`, a unit being a
-        label, or (label, start, end) in samples of the stream, either None where it is not known.
-        From the first unit's start on they replace earlier ones. alphabet: of the labels, as
-        docs/text.md names it; None: ARPAbet. A face that cannot use the units sends an `error`
-        event `bad_text`, and recognises phonemes in the sound.
+        label, or (label, start, end) in samples of the stream; start and end are None if unknown.
+        They are added to earlier units; if the first has a start, they replace those from there on.
+        alphabet: of the labels, as docs/text.md names it; None: ARPAbet. language: as `en-us`, the
+        default. A face that cannot use the units sends an `error` event `bad_text`, and recognises
+        phonemes in the sound.
         """
         for message in unit_messages(units):
             about = {"alphabet": alphabet, "language": language}
             await self._wire.send(message.pop("type"), stream=self.stream, **message, **about)
 
     async def report_played(self, played_s: float) -> None:
-        """With `playback="client"`: report the seconds that the client's loudspeaker has played."""
+        """Report how many s of the stream this client has played; for `playback="client"`."""
         await self._wire.send("position", stream=self.stream, played_s=played_s)
 
     async def end(self) -> None:
@@ -144,7 +143,7 @@ class AsyncSpeech:
         return played
 
     async def heard(self) -> Played:
-        """Wait until played or cut off, without ending the stream; return how much was played.
+        """Wait until the stream is played or cut off, without ending it; return how much was.
 
         Raises FaceError if the connection is lost, or nothing was played for `STILL_S` seconds.
         """
@@ -172,7 +171,7 @@ class AsyncSpeech:
                 await self._wire.send("interrupt")
 
     def hear(self, event: Event) -> None:
-        """Update the stream by an event of the face: ready, samples played, end or error."""
+        """Update the stream by the face's event about it: ready, samples played, end or error."""
         if event.get("n_played", 0) > self.n_played:
             self.n_played = int(event["n_played"])
             self._moved_s = asyncio.get_running_loop().time()
@@ -263,7 +262,7 @@ class Events:
         self._filled.set()
 
     def end(self) -> None:
-        """End the iteration after the events that still wait."""
+        """Let the iterator end after the events that it has not yielded yet."""
         self._is_over = True
         self._filled.set()
 
@@ -285,8 +284,7 @@ class AsyncFace:
     A lost connection is opened again, with pauses that grow up to five seconds, until the client
     disconnects. `events()` yields `disconnected` and `reconnected`, with `code` and `message`;
     `disconnected` again if the face is back and refuses this client (bad_protocol, unauthorized).
-    Speech that was being played is over then: its stream raises FaceError, and nothing of it is
-    sent again.
+    A lost connection ends all streams: they raise FaceError, and nothing of them is sent again.
     """
 
     def __init__(self, url: str, token: str | None) -> None:
@@ -305,14 +303,14 @@ class AsyncFace:
 
     @property
     def wire(self) -> Wire:
-        """The connection for speech. Raises FaceError while there is no connection."""
+        """The open WebSocket to `/stream`. Raises FaceError while there is none."""
         if self._connection is None:
             raise FaceError("disconnected", f"{self._url}: not connected; it is tried again")
         return self._connection
 
     @property
     def is_connected(self) -> bool:
-        """Whether the connection is open, so that speech can be sent."""
+        """Whether the connection to `/stream` is open, so that speech can be sent."""
         return self._connection is not None
 
     async def __aenter__(self) -> Self:
@@ -380,7 +378,7 @@ class AsyncFace:
         await self.wire.send("resume")
 
     def keep_trying(self) -> None:
-        """Connect in the background as soon as a face answers, instead of entering this client."""
+        """Connect in the background, trying until a face answers; instead of `async with`."""
         self._reconnecting = asyncio.get_running_loop().create_task(self._reconnect())
 
     def events(self) -> Events:
@@ -418,16 +416,16 @@ class AsyncFace:
         """Speak a text with the face's own voice. Raises FaceError.
 
         Returns `stream`, its id in the field `speaking` of the status, and `duration_s` of what is
-        synthesised; `is_whole`: whether that is all of it. wait: until it was played or dropped;
-        then also `finished` (it was played whole) and `played_s`.
+        synthesised; `is_whole`: whether that is all of it. wait: return after it was played or
+        dropped, and also `finished` (it was played whole) and `played_s`.
         """
         return await self._let_speak("say", wait=wait, text=text)
 
     async def play(self, file: str, *, wait: bool = False) -> dict[str, Any]:
         """Play a sound file or a performance (.perf) of the face's folder. Raises FaceError.
 
-        Returns `stream`, `duration_s` and `is_whole`. wait: until it was played or dropped; then
-        also `finished` (it was played whole) and `played_s`.
+        Returns `stream`, `duration_s` and `is_whole` as `say`. wait: return after it was played or
+        dropped, and also `finished` (it was played whole) and `played_s`.
         """
         return await self._let_speak("play", wait=wait, file=file)
 
@@ -545,7 +543,7 @@ class AsyncFace:
 
 
 def _settle(waiting: asyncio.Future[Any] | None, answer: object) -> None:
-    """Set a future's result, or its exception for a FaceError, unless it is None or done."""
+    """Set `answer` as a future's result, or exception if a FaceError; not if None or done."""
     if waiting is None or waiting.done():
         return
     if isinstance(answer, FaceError):
@@ -557,7 +555,7 @@ def _settle(waiting: asyncio.Future[Any] | None, answer: object) -> None:
 
 @contextlib.asynccontextmanager
 async def _patience(what: str, limit_s: float) -> AsyncGenerator[None, None]:
-    """Raise FaceError if the block takes longer than `limit_s`; `what` names it in the message."""
+    """Raise FaceError if the block runs longer than `limit_s`; `what` names it in the message."""
     try:
         async with asyncio.timeout(limit_s):
             yield

@@ -47,9 +47,10 @@ _SHORTEST_S: Final = 0.035
 def mouth_rows(
     frames: Sequence[object], rate_hz: float, first: int = 0
 ) -> list[tuple[str, float, float]]:
-    """Return (phone, start_s, end_s) of frames, each 52 or 55 weights, or weights by name.
+    """Return rows (phone, start_s, end_s) of `frames`: 52 or 55 weights each, or weights by name.
 
-    first: the number of the first frame in its stream. Raises ValueError for a malformed frame.
+    first: the number of the first frame in its stream, whose frames number rate_hz a second. Raises
+    ValueError for a malformed frame.
     """
     rows: list[tuple[str, float, float]] = []
     number = first

@@ -24,7 +24,7 @@ class Speech:
 
     @property
     def delay_ms(self) -> float:
-        """How many ms after its sound is sent the lips move with it."""
+        """The delay in ms from the sending of sound to the lips' motion with it."""
         return self._speech.delay_ms
 
     @property
@@ -33,7 +33,7 @@ class Speech:
         return self._speech.is_over
 
     def write(self, samples: Pcm) -> bool:
-        """Send samples; return False once the stream is cut off. Raises FaceError, ValueError."""
+        """Send samples; return False once the stream is over. Raises FaceError, ValueError."""
         return self._face.wait_for(self._speech.write(samples))
 
     def mark(self, name: str) -> None:
@@ -43,11 +43,11 @@ class Speech:
     def tell(
         self, units: SpeechUnits, *, alphabet: str | None = None, language: str | None = None
     ) -> None:
-        """Send the text, or the words, phonemes or visemes, that this stream's sound contains."""
+        """Send the text, words, phonemes or visemes of this stream; as `AsyncSpeech.tell`."""
         self._face.wait_for(self._speech.tell(units, alphabet=alphabet, language=language))
 
     def report_played(self, played_s: float) -> None:
-        """With `playback="client"`: report the seconds that the client's loudspeaker has played."""
+        """Report how many s of the stream this client has played; for `playback="client"`."""
         self._face.wait_for(self._speech.report_played(played_s))
 
     def end(self) -> None:
@@ -55,7 +55,10 @@ class Speech:
         self._face.wait_for(self._speech.end())
 
     def wait(self) -> Played:
-        """End the stream and wait; return how much of it was played. Raises FaceError."""
+        """End the stream, wait until it is played or cut off, and return how much was played.
+
+        Raises FaceError.
+        """
         return self._face.wait_for(self._speech.wait())
 
     def __enter__(self) -> Self:
@@ -97,7 +100,7 @@ class Face:
         playback: Literal["server", "client"] = "server",
         stream: str | None = None,
     ) -> Speech:
-        """Return a new stream of speech, which starts when entered. Raises FaceError."""
+        """Return a new stream of speech, which starts when entered; as `AsyncFace.stream`."""
 
         async def made() -> AsyncSpeech:
             return self._face.stream(sample_rate, playback, stream)
@@ -105,7 +108,10 @@ class Face:
         return Speech(self, self.wait_for(made()))
 
     def interrupt(self) -> Played | None:
-        """Silence the face now; return how much of unfinished speech was played, or None."""
+        """Silence the face now; return how much of all unfinished streams was played (barge-in).
+
+        None: no stream was unfinished. Raises FaceError.
+        """
         return self.wait_for(self._face.interrupt())
 
     def pause(self) -> None:
@@ -152,21 +158,25 @@ class Face:
     def say(self, text: str, *, wait: bool = False) -> dict[str, Any]:
         """Speak a text with the face's own voice. Raises FaceError.
 
-        Returns `stream`, `duration_s` and `is_whole`. wait: until it was played or dropped; then
-        also `finished` (it was played whole) and `played_s`.
+        Returns `stream`, `duration_s` of what is synthesised, and `is_whole`: that is all of it.
+        wait: return after it was played or dropped, and also `finished` (it was played whole) and
+        `played_s`.
         """
         return self.wait_for(self._face.say(text, wait=wait))
 
     def play(self, file: str, *, wait: bool = False) -> dict[str, Any]:
         """Play a sound file or a performance (.perf) of the face's folder. Raises FaceError.
 
-        Returns `stream`, `duration_s` and `is_whole`. wait: until it was played or dropped; then
-        also `finished` (it was played whole) and `played_s`.
+        Returns `stream`, `duration_s` and `is_whole` as `say`. wait: return after it was played or
+        dropped, and also `finished` (it was played whole) and `played_s`.
         """
         return self.wait_for(self._face.play(file, wait=wait))
 
     def wait_for(self, call: Coroutine[Any, Any, _Answer]) -> _Answer:
-        """Run a coroutine in the connection's thread; return its result, EOFError if that ended."""
+        """Run a coroutine in the connection's thread and return its result.
+
+        Raises EOFError if the connection has ended.
+        """
         answer = asyncio.run_coroutine_threadsafe(call, self._loop)
         try:
             while True:

@@ -24,9 +24,10 @@ _LOG: Final = logging.getLogger(__name__)
 class LiveKitFace(AudioOutput):
     """An audio output that plays an `AgentSession`'s speech on a face; it can pause.
 
-    It reports how much was played. Enter it before the session starts. While no face answers, or
-    another client speaks through it, segments end at once as interrupted, with nothing played, and
-    a warning is logged; a face that comes back is used from the next segment on.
+    It reports to the session how much was played. Enter the face before the session starts. While
+    no face answers, or another client speaks through it, segments end at once as interrupted, with
+    nothing played, and a warning is logged; a face that comes back is used from the next segment
+    on.
     """
 
     def __init__(self, url: str = "ws://127.0.0.1:8765", token: str | None = None) -> None:
@@ -40,7 +41,7 @@ class LiveKitFace(AudioOutput):
         self._last: asyncio.Task[None] | None = None
 
     async def __aenter__(self) -> Self:
-        """Connect, or go on trying in the background if no face answers."""
+        """Connect to the face; go on trying in the background if no face answers."""
         try:
             await self._face.__aenter__()
         except FaceError:
@@ -129,7 +130,7 @@ class LiveKitFace(AudioOutput):
         return task
 
     def _then(self, work: Coroutine[Any, Any, object]) -> None:
-        """Run `work` once the work begun before is done: an end, then an interruption."""
+        """Run `work` after that of the call before, so that an end precedes an interruption."""
         before = self._last
 
         async def done() -> None:
@@ -142,7 +143,7 @@ class LiveKitFace(AudioOutput):
 
 
 def _frame_units(frame: rtc.AudioFrame) -> list[SpeechUnits]:
-    """Return the frame's words with times, or text, which the synthesiser sent with the sound."""
+    """Return the words, with times, or the texts that the synthesiser sent with a frame's sound."""
     units: list[SpeechUnits] = []
     for word in frame.userdata.get(USERDATA_TIMED_TRANSCRIPT, ()):
         if not word.strip():

@@ -1,9 +1,9 @@
-"""Tokens of the faces of this computer: their files, and the programs that may be sent one.
+"""Tokens of the faces of this computer: their files, and the programs that may be sent a token.
 
 A face keeps its token beside its control socket, in a folder that only its owner fills; the folders
 are those of `firmware_bridge/process/runtime_folder.py`, which a client does not need. The kernel's
-list of TCP sockets, readable by every user, contains the user whose program listens on a port,
-before a token is sent there, and the user whose program has connected.
+list of TCP sockets, readable by every user, contains the users whose programs listen on a port,
+before a token is sent there, and those whose programs have connected.
 """
 
 import ipaddress
@@ -25,10 +25,10 @@ _LISTEN: Final = "0A"  # TCP_LISTEN of the kernel's include/net/tcp_states.h
 
 
 def found_tokens(url: str) -> list[str]:
-    """Return the tokens that a face at `url` may require; empty for another computer's.
+    """Return the tokens that a face at `url` may require; empty for another computer's face.
 
-    They are read in the runtime folders where running faces are searched. A token is sent only to a
-    program of the user who owns its file: another user's, that listens on the port, gets none.
+    They are read in the runtime folders where running faces are searched. A token is left out if
+    its file's owner has no program that listens on the port: another user's program gets none.
     """
     try:
         split = urlsplit(url)
@@ -108,7 +108,7 @@ def listening_users(port: int) -> set[int]:
 
 
 def connected_users(port: int, server_port: int) -> set[int]:
-    """Return the ids of users with a socket from `port` to this computer's `server_port`."""
+    """Return the ids of users with a socket from `port` to `server_port` of this computer."""
     return {
         each.uid
         for each in tcp_sockets()
@@ -133,7 +133,7 @@ def is_loopback(host: str) -> bool:
 
 
 def _token_of(path: Path, users: set[int]) -> str | None:
-    """Return the token in a file owned by one of these users; None if unreadable or empty."""
+    """Return the token in a file that one of `users` owns; None for others, unreadable or empty."""
     try:
         fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError:

@@ -70,10 +70,10 @@ class _FaceProcessor(FrameProcessor):
 
 @dataclass(slots=True)
 class _Unheard:
-    """A frame that waits until sample n of a stream was played; sound is then dropped.
+    """A frame in the order of speech; it waits until sample `n` of its stream was played.
 
-    speech: None: the frame follows no speech. is_timed: n lies within the sound, as for a word;
-    otherwise behind all sound that came before the frame.
+    Frames of sound are dropped then, others pushed on. speech: None: the frame follows no speech.
+    is_timed: n lies within the sound, as for a word; otherwise behind all sound before the frame.
     """
 
     speech: AsyncSpeech | None
@@ -92,13 +92,13 @@ class _Unheard:
 
     @property
     def may_go_on(self) -> bool:
-        """Whether its sound was played and, if that ended the stream, the stream is over."""
+        """Whether the frame's sound was played and, if it was the last, the stream is over."""
         is_last = self.speech is not None and self.speech.is_complete and not self.speech.is_over
         return self.is_heard and (self.is_sound or not is_last)
 
     @property
     def is_lost(self) -> bool:
-        """Whether its sound will never be played, because the stream was cut off."""
+        """Whether the frame's sound will never be played, because the stream was cut off."""
         return self.speech is not None and self.speech.is_over and not self.is_heard
 
 
@@ -107,8 +107,8 @@ class PipecatFace(_FaceProcessor):
 
     Frames behind sound go on when the sound was played, so that the context contains what a person
     heard. While no face answers, an error is pushed and the sound goes on to the transport, until
-    the face is back and the transport has played it. last_played: how much was played of the speech
-    that was last interrupted; None: there was none.
+    the face is back and the transport has played it. last_played: how much of its speech was played
+    at the last interruption; None: no speech was cut off, or it is not known.
     """
 
     def __init__(self, url: str = "ws://127.0.0.1:8765", token: str | None = None) -> None:
@@ -134,7 +134,7 @@ class PipecatFace(_FaceProcessor):
         self.last_played: Played | None = None
 
     async def process_frame(self, frame: frames.Frame, direction: FrameDirection) -> None:
-        """Send sound to the face; push every other frame once the sound before it was played."""
+        """Send sound to the face; push every other frame once the sound before that was played."""
         await super().process_frame(frame, direction)
         if isinstance(frame, frames.StartFrame):
             await self._connect(self._follow(), self._ask_positions())
@@ -189,7 +189,7 @@ class PipecatFace(_FaceProcessor):
             await asyncio.shield(self._release())
 
     async def _stream(self, rate_hz: int) -> AsyncSpeech:
-        """Return the open stream of this turn, or a new one. Raises FaceError."""
+        """Return this turn's open stream; a new one for a new turn or rate. Raises FaceError."""
         speech = self._speech
         if speech is not None and speech.rate_hz != rate_hz:
             await speech.end()
@@ -203,7 +203,7 @@ class PipecatFace(_FaceProcessor):
         return speech
 
     async def _tell(self, frame: frames.AggregatedTextFrame) -> None:
-        """Send words with their times to the face, or sentences before their sound."""
+        """Send a frame's text to the face: words with times, or sentences before their sound."""
         is_spoken = isinstance(frame, frames.TTSTextFrame)
         n = self._sample_of(frame)
         text = frame.text.strip()
@@ -219,9 +219,9 @@ class PipecatFace(_FaceProcessor):
             await self._speech.tell(text if n is None else ("words", [(text, n)]))
 
     def _sample_of(self, frame: frames.Frame) -> int | None:
-        """Return the sample of the stream at which a word is spoken; None without a time.
+        """Return the sample of the stream at which a word, `frame`, is spoken.
 
-        None also for a frame that is no text, or while no stream is open.
+        None for a word without a time, a frame that is no text, or while no stream is open.
         """
         speech = self._speech
         context = self._contexts.get(getattr(frame, "context_id", None))
@@ -233,7 +233,7 @@ class PipecatFace(_FaceProcessor):
         return max(0, int(context[0] + round(since_s * speech.rate_hz)))
 
     def _wait_in_line(self, frame: frames.Frame) -> None:
-        """Insert a frame behind the sound that came before it, or at its time within the sound."""
+        """Insert a frame in the line: at its time within the sound, or behind all sound so far."""
         speech = self._speech or (self._line[-1].speech if self._line else None)
         n = self._sample_of(frame)
         if n is not None:
@@ -283,7 +283,7 @@ class PipecatFace(_FaceProcessor):
                 await speech.end()
 
     async def _tell_speaking(self, is_speaking: bool) -> None:
-        """Broadcast a start or stop of the bot's speech, unless that was the last broadcast."""
+        """Broadcast that the bot starts or stops speaking, unless that was broadcast last."""
         if is_speaking != self._is_speaking:
             self._is_speaking = is_speaking
             kind = frames.BotStartedSpeakingFrame if is_speaking else frames.BotStoppedSpeakingFrame
@@ -359,7 +359,7 @@ class PipecatFollower(_FaceProcessor):
         self._began_s: float | None = None
 
     async def process_frame(self, frame: frames.Frame, direction: FrameDirection) -> None:
-        """Send sound to the face; push all but system frames later, by the face's delay."""
+        """Send sound to the face; push all frames but system ones later, by its delay."""
         await super().process_frame(frame, direction)
         now_s = asyncio.get_running_loop().time()
         if isinstance(frame, frames.StartFrame):
@@ -423,7 +423,7 @@ class PipecatFollower(_FaceProcessor):
 
 
 def _rest_of(sound: _Unheard) -> frames.TTSAudioRawFrame:
-    """Return the part of a frame of sound that was not played."""
+    """Return a waiting frame of sound without the part that was played."""
     width = 2 * sound.frame.num_channels
     n_played = 0 if sound.speech is None else sound.speech.n_played
     n_rest = min(sound.n - n_played, len(sound.frame.audio) // width)

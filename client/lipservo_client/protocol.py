@@ -15,7 +15,7 @@ _FULL_SCALE = 32_767
 
 
 class FaceError(Exception):
-    """An error that a face reported, or no answer. code: one of docs/agents.md, for programs."""
+    """An error that a face reported, or its missing answer. code: one of docs/agents.md."""
 
     def __init__(self, code: str, message: str) -> None:
         super().__init__(message)
@@ -35,7 +35,7 @@ class Played:
 
 
 def played_of(event: Event) -> Played:
-    """Return how much of a stream was played, from its last event."""
+    """Return how much of a stream was played, from its event `finished` or `interrupted`."""
     finished = event["type"] == "finished"
     return Played(finished, float(event["played_s"]), float(event.get("dropped_s", 0.0)))
 

@@ -34,11 +34,11 @@ _MS, _TICK_S = 1e-3, 1e-7
 
 
 class VendorError(ValueError):
-    """A vendor's message cannot be used; the text contains, in one line, where, what, remedy."""
+    """An error: a vendor's message cannot be used; the text has, in one line, place and remedy."""
 
 
 class TimedUnit(NamedTuple):
-    """A word, phoneme or viseme as its vendor writes it, with times in seconds; None: not known."""
+    """A word, phoneme or viseme as its vendor writes it, with times in s; end_s None: not known."""
 
     label: str
     start_s: float
@@ -59,7 +59,7 @@ class VendorUnits:
     alphabet: str | None = None
 
     def stream_units(self, rate_hz: int) -> SpeechUnits:
-        """Return the units in samples, for a stream's `tell` with `alphabet=units.alphabet`."""
+        """Return the units with times in samples, for a stream's `tell`, beside `alphabet`."""
         return _PLURAL[self.kind], [
             (each.label, round(each.start_s * rate_hz), _sample(each.end_s, rate_hz))
             for each in self.units
@@ -68,10 +68,11 @@ class VendorUnits:
 
 @dataclass(frozen=True, slots=True)
 class _Shape:
-    """The keys of units in a message: lower case without underscores, the first present one counts.
+    """The keys under which a vendor writes units: lower case, without underscores.
 
-    The values are one unit's, or lists of equal length. lasts: key of a duration. type: required
-    value of the message's `type`. unit_s: seconds per unit of its times.
+    Of several in one text the first present one counts; the values are one unit's, or lists of
+    equal length. lasts: key of a duration. type: required value of the message's `type`. unit_s:
+    seconds per unit of its times.
     """
 
     kind: Literal["word", "phoneme", "viseme", "character"]
@@ -131,7 +132,7 @@ _UNSAID: Final = ("punctuation", "sentence")
 def vendor_units(message: object, from_s: float = 0.0) -> tuple[VendorUnits, ...]:
     """Return all timed units in a message, the most precise kind first: phonemes, visemes, words.
 
-    message: parsed JSON of a vendor, or a list of several. from_s: added to its times, where they
+    message: parsed JSON of a vendor, or a list of several. from_s: added to its times, where these
     are counted from the beginning of a piece of sound and not of the stream. Raises VendorError for
     a message without times, or a malformed one.
     """
@@ -154,7 +155,7 @@ _Node = Mapping[str, object]
 
 @dataclass(frozen=True, slots=True)
 class _Here:
-    """The path of an object in a message, with the sample rate and alphabet given around it."""
+    """The path of an object in a message, with sample rate and alphabet of those around it."""
 
     place: str = ""
     rate_hz: object = None
@@ -162,7 +163,7 @@ class _Here:
     depth: int = 0
 
     def inside(self, node: _Node, step: str) -> "_Here":
-        """Return the path of a value in `node` at `step`. VendorError if nested too deep."""
+        """Return the path of the value at `step` in `node`. VendorError if nested too deep."""
         place = f"{self.place}{step}".lstrip(".")[:200]
         if self.depth >= _DEEPEST:
             raise VendorError(f"{place}: nested deeper than any vendor's message")
@@ -172,7 +173,7 @@ class _Here:
 
 
 def _nodes(value: object, here: _Here) -> Iterator[tuple[_Node, _Here]]:
-    """Yield every object in the message with its path, keys in lower case without underscores."""
+    """Yield every object in `value` with its path, keys in lower case without underscores."""
     if isinstance(value, list):
         for number, each in enumerate(value):
             yield from _nodes(each, here.inside({}, f"[{number}]"))
@@ -198,7 +199,10 @@ def _key(key: object) -> str:
 
 
 def _mouths(frames: list[object], node: _Node, here: _Here) -> _Node:
-    """Return frames of blendshapes as visemes, which are the phones that look most like them."""
+    """Return frames of blendshapes as visemes, which are the phones that look most like them.
+
+    node: the object that contains the frames, with their rate.
+    """
     rate_hz, first = node.get("fps", DEFAULT_RATE_HZ), node.get("frameindex", 0)
     if not isinstance(rate_hz, int | float) or not 10 <= rate_hz <= 1000:
         raise VendorError(f"{here.place or 'message'}: fps must be 10 to 1000")
@@ -213,7 +217,10 @@ def _mouths(frames: list[object], node: _Node, here: _Here) -> _Node:
 
 
 def _tier(key: str, rows: list[list[object]], place: str) -> _Node:
-    """Return rows of [label, start, end] as one object of three lists."""
+    """Return rows of [label, start, end] as one object: labels under `key`, starts and ends.
+
+    place: names the rows in a VendorError.
+    """
     if any(len(row) != 3 for row in rows):
         raise VendorError(f"{place}: each row must be [label, start, end]")
     labels, starts, ends = (list(column) for column in zip(*rows, strict=True))
@@ -222,13 +229,16 @@ def _tier(key: str, rows: list[list[object]], place: str) -> _Node:
 
 @dataclass(slots=True)
 class _Found:
-    """A collection of the units found so far in a message, by kind and alphabet."""
+    """A collection of the units found so far in a message, by kind and alphabet.
+
+    from_s: seconds added to the message's times.
+    """
 
     from_s: float
     _of: dict[tuple[Kind, str], list[TimedUnit]] = field(default_factory=dict)
 
     def take(self, shape: _Shape, node: _Node, here: _Here) -> None:
-        """Add the units of an object, if it has the shape's keys. Raises VendorError."""
+        """Add the units of the object `node`, if it has the shape's keys. Raises VendorError."""
         label, *times = (_first(node, each) for each in (shape.label, shape.start, shape.end))
         lasts, unit_s = _first(node, shape.lasts), shape.unit_s
         if lasts is None and shape.kind == "phoneme" and _SAMPLES in node:
@@ -263,7 +273,11 @@ class _Found:
     def _times(
         self, values: list[object], unit_s: float, reached_s: float, place: str
     ) -> tuple[float, float | None]:
-        """Return start and end in s of [start, end, duration]; without a start, `reached_s`."""
+        """Return start and end in s of a unit's values [start, end, duration]; end None if unknown.
+
+        reached_s: where the unit before ends, the start of one without; unit_s: seconds per unit of
+        the values; place: names the unit in a VendorError.
+        """
         start, end, lasts = values
         start_s, end_s = reached_s, None
         if start is not None:
@@ -281,7 +295,7 @@ class _Found:
         return round(start_s, _DIGITS), round(end_s, _DIGITS)
 
     def units(self) -> tuple[VendorUnits, ...]:
-        """Return the units by kind, phonemes first; each ends by the start of the next."""
+        """Return the units by kind, phonemes first; each is cut off at the start of the next."""
         order: tuple[Kind, ...] = ("phoneme", "viseme", "word")
         found = sorted(self._of.items(), key=lambda item: order.index(item[0][0]))
         return tuple(
@@ -292,9 +306,10 @@ class _Found:
 
 
 def _without_overlap(rows: list[TimedUnit], kind: Kind) -> tuple[TimedUnit, ...]:
-    """Return units that end where the next begins at the latest; a word may lack its end.
+    """Return units that end where the next one starts at the latest.
 
-    A phoneme or viseme without an end ends there. Raises VendorError for starts that decrease.
+    Where the end is None, a phoneme or viseme ends at the next start, and a word keeps None. Raises
+    VendorError for starts that decrease.
     """
     cut = []
     for number, (unit, following) in enumerate(pairwise(rows)):
@@ -312,7 +327,7 @@ def _without_overlap(rows: list[TimedUnit], kind: Kind) -> tuple[TimedUnit, ...]
 
 
 def _words(characters: Iterable[TimedUnit]) -> Iterator[TimedUnit]:
-    """Yield the words that characters form between white space."""
+    """Yield the words that characters form between white space, with the times of both ends."""
     word: TimedUnit | None = None
     for each in characters:
         if each.label.isspace():
@@ -341,7 +356,10 @@ def _is_spoken(node: _Node) -> bool:
 
 
 def _label(value: object, kind: Kind, place: str) -> str | None:
-    """Return a unit's label; None for a boundary that is no word's. Raises VendorError."""
+    """Return a unit's label, from text or an object with text; None for one that is not spoken.
+
+    Raises VendorError, which names `place`, for a value of another type.
+    """
     if isinstance(value, dict):  # Azure's, on its WebSocket
         node = {_key(key): each for key, each in value.items()}
         return _label(node.get("text"), kind, place) if _is_spoken(node) else None

@@ -34,7 +34,7 @@ class Wire:
         self._reading = asyncio.get_running_loop().create_task(self._read())
 
     async def send(self, kind: str, **fields: object) -> None:
-        """Send a message of type `kind` as JSON, without None fields. FaceError if disconnected."""
+        """Send a message of type `kind` with `fields` but those that are None. Raises FaceError."""
         given = {name: value for name, value in fields.items() if value is not None}
         await self.send_message(json.dumps({"type": kind, **given}))
 
@@ -44,7 +44,7 @@ class Wire:
         await self._reading
 
     async def send_message(self, message: str | bytes) -> None:
-        """Send a text, or bytes, which are samples. FaceError if disconnected or after 10 s."""
+        """Send text or samples, as bytes. FaceError if disconnected, or not taken within 10 s."""
         try:
             async with asyncio.timeout(PATIENCE_S):
                 await self._socket.send(message)
@@ -71,12 +71,11 @@ async def connected(
     on_close: Callable[[FaceError], None],
     patience_s: float,
 ) -> Wire:
-    """Connect to a face's WebSocket with a token; return the connection.
+    """Connect to the WebSocket of the face at `url`; return the connection.
 
-    Parameters
-    ----------
-    token : that the face requires; None: a face of this computer has it in the runtime folders,
-        one of another computer is sent none.
+    token: that the face requires; None: tokens found in this computer's runtime folders are tried,
+    for a face of another computer none. on_event: called with each event; on_close: called once
+    with the error when the connection ends; patience_s: for the connection to open.
 
     Raises
     ------
@@ -92,11 +91,14 @@ async def connected(
 
 
 class _UnauthorizedError(FaceError):
-    """The face refused the token, or required one and got none."""
+    """An error: the face refused the token, or required one and got none."""
 
 
 async def _opened(url: str, token: str | None, patience_s: float) -> ClientConnection:
-    """Open a WebSocket. Raises FaceError: unauthorized, refused, not_answering."""
+    """Open a WebSocket within patience_s, with a token or, for None, without.
+
+    Raises FaceError: unauthorized, refused, not_answering.
+    """
     headers = None if token is None else {"Authorization": f"Bearer {token}"}
     try:
         return await connect(

@@ -82,7 +82,7 @@ class _Handler(AsyncEventHandler):
 
 
 async def serve_wyoming(host: str, port: int, url: str, token: str | None) -> None:
-    """Serve Wyoming's `snd` at an address until cancelled, or SIGTERM.
+    """Serve Wyoming's `snd` at `host` and `port` until cancelled, or SIGTERM.
 
     url, token: of the face, as for `lipservo.connect`. Raises OSError if the address is in use.
     """

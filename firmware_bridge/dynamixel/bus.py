@@ -36,7 +36,8 @@ def cycle_s(
 ) -> float:
     """Return the seconds of one cycle: goals out, positions of all and health of one servo back.
 
-    latency_s: how long the adapter holds an answer back; a USB frame at least.
+    return_delay_s: how long a servo waits before it answers. latency_s: how long the adapter holds
+    an answer back; a USB frame at least.
     """
     n_bytes = _WRITE + _ASK + _HEALTH + n_servos * (_WRITE_EACH + _ASK_EACH + _ANSWER_EACH)
     waits_s = 2 * max(_TURNAROUND_S, latency_s) + (n_servos + 1) * return_delay_s
@@ -46,10 +47,11 @@ def cycle_s(
 def slow_adapter(
     n_servos: int, baud_rate: int, rate_hz: float, latency_timer_ms: float | None
 ) -> str | None:
-    """Return why this adapter cannot do `rate_hz`, and the remedy; None if it can, or is unknown.
+    """Return why an adapter is too slow for `rate_hz`, and the remedy; None: it is not, or unknown.
 
-    latency_timer_ms: from `serial_transport.latency_timer_ms`, None = unknown; FTDI chips come with
-    16: https://github.com/ROBOTIS-GIT/DynamixelSDK/issues/302
+    latency_timer_ms: how long the adapter holds answers back, from
+    `serial_transport.latency_timer_ms`, None = unknown; FTDI chips come with 16:
+    https://github.com/ROBOTIS-GIT/DynamixelSDK/issues/302
     """
     tick_s = cycle_s(n_servos, baud_rate, latency_s=(latency_timer_ms or 0.0) * 1e-3)
     if latency_timer_ms is None or latency_timer_ms <= 1.0 or tick_s * rate_hz <= 1.0:
@@ -63,7 +65,10 @@ def slow_adapter(
 def budget(
     n_servos: int, baud_rate: int, rate_hz: float, return_delay_s: float = 0.0
 ) -> str | None:
-    """Return why this bus cannot do `rate_hz` with feedback, and the remedy; None if it can."""
+    """Return why `n_servos` at `baud_rate` cannot do `rate_hz` with feedback, and the remedy.
+
+    None if they can. return_delay_s: how long each servo waits before it answers.
+    """
     if cycle_s(n_servos, baud_rate, return_delay_s) * rate_hz <= 1.0:
         return None
     better = [r for r in USUAL_RATES if cycle_s(n_servos, r) * rate_hz <= 1.0]
@@ -118,8 +123,9 @@ class DynamixelBus:
 
         watchdog_s: how long servos go on without receiving a packet; 0 = for ever. strict: every
         servo must answer before the first goal; otherwise servos may be missing, but neither a
-        critical one nor all. make_line: `SdkLine` leaves the packets to dynamixel-sdk.
-        adapter_remark: a remark on the adapter, read once its port is open.
+        critical one nor all. make_line: makes the line at an open transport; `SdkLine` leaves the
+        packets to dynamixel-sdk. adapter_remark: called once the port is open; returns a remark on
+        the adapter for `remarks`, None if it has none.
         """
         self._make_line = make_line
         self._adapter_remark = adapter_remark
@@ -201,7 +207,10 @@ class DynamixelBus:
         """
 
     def read(self) -> Readings:
-        """Read goals and positions of all servos, then whether their torque is on."""
+        """Read goals and positions of all servos, then whether their torque is on.
+
+        For a servo that does not answer: its last position, with its age, and NaN as its goal.
+        """
         line = self.line
         found = self._note(self._whole.ask(line))
         for status in found:
@@ -225,7 +234,7 @@ class DynamixelBus:
         )
 
     def feedback(self) -> Feedback:
-        """Read positions and load of all servos; for a silent one its last values and their age."""
+        """Read position and load of every servo; of silent ones the last values, with their age."""
         line = self._line or self.line
         found = self._motion.ask(line)
         now_s = line.transport.clock.now()
@@ -242,7 +251,7 @@ class DynamixelBus:
     def look_after(self) -> Health:
         """Read torque, errors and watchdog of one servo, or its temperature and voltage, in turns.
 
-        Return what is known of all servos.
+        Also ends soft starts that are due. Return the last readings of all servos.
         """
         line, cache = self._line or self.line, self._cache
         turn, kind = divmod(self._turn, 2)
@@ -271,9 +280,9 @@ class DynamixelBus:
         return cache.health(line.transport.clock.now(), self._present.current_ma)
 
     def obstacle(self, index: int) -> str:
-        """Return why one servo cannot hold its position; empty: it can. To call before torque on.
+        """Return why servo `index` cannot hold its position; empty: it can.
 
-        Read anew each time: the servo may have been replaced, or set up elsewhere.
+        Read anew before torque comes on: the servo may have been replaced, or set up elsewhere.
         """
         return self._torque.obstacle(self.line, index)
 
@@ -286,7 +295,7 @@ class DynamixelBus:
         return self._torque.enable(self.line, index)
 
     def keep_torque(self, index: int) -> bool:
-        """Hold a servo whose torque is on at its present position; return whether that worked."""
+        """Hold a servo whose torque is on at its present position; return whether it confirmed."""
         return self._torque.keep(self.line, index)
 
     def disable_torque(self, index: int) -> bool:
@@ -366,7 +375,7 @@ class DynamixelBus:
         return self._make_line(self._open_transport())
 
     def _begin(self, line: Line) -> None:
-        """Use this line from now on, with the answer deadline that the slowest servo needs."""
+        """Use `line` from now on: set its deadline to the slowest servo, and make all answer."""
         self._line = line
         line.return_delay_s = float(self._cache.return_delay_s.max())
         line.tell(codec.sync_write(_LEVEL, 1, [(each, b"\2") for each in self._ids]))
@@ -379,7 +388,7 @@ class DynamixelBus:
             self._line = None
 
     def _note(self, statuses: Sequence[Status]) -> Sequence[Status]:
-        """Store which servos answered and the errors they reported; return `statuses`."""
+        """Store which servos answered just now and the errors they reported; return `statuses`."""
         now_s = self.line.transport.clock.now()
         self._watchdogs.spoke(now_s)
         self._present.note(statuses, now_s)

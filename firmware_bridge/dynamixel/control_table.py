@@ -73,7 +73,10 @@ class Register:
 
 @dataclass(frozen=True, slots=True)
 class IndirectBlock:
-    """`count` two-byte addresses from `addresses` on, each mapped to one byte from `data` on."""
+    """A block of indirect registers: `count` pointers of two bytes each, from `addresses` on.
+
+    The byte to which the n-th points is read and written at address `data` + n.
+    """
 
     addresses: int
     data: int

@@ -28,9 +28,9 @@ _TRIES: Final = 3
 
 
 def measured_latency_s(line: Line, servo_id: int) -> float | None:
-    """Return the median delay of a servo's ping answers beyond their time on the wire, in s.
+    """Return the median time by which a servo's ping answers exceed their time on the wire, in s.
 
-    Return delay and computer included. None when the servo does not answer.
+    Includes the servo's return delay and the computer's own time. None when it does not answer.
     """
     clock = line.transport.clock
     wire_s = (len(codec.ping(servo_id)) + codec.EMPTY_STATUS_SIZE + 3) * line.byte_s
@@ -43,7 +43,7 @@ def measured_latency_s(line: Line, servo_id: int) -> float | None:
 
 
 def without_fast_read(line: Line, ids: Sequence[int]) -> list[int]:
-    """Return which of these ids do not answer Fast Sync Read, though they answer plain reads."""
+    """Return which of these ids, all of which answer a ping, do not answer Fast Sync Read."""
     spans = [SpanRead((each,), 0, 2, fast=True) for each in ids]
     return [span.ids[0] for span in spans if not any(line.sync_read(span) for _ in range(_TRIES))]
 
@@ -73,8 +73,9 @@ def examine(
 ) -> Iterator[Finding]:
     """Yield findings about adapter, bus and servos in the order of the checks; write to no servo.
 
-    line: one that waits `UNHURRIED_S` for late answers. latency_timer_ms: what the adapter's driver
-    declares; None: it declares nothing, so the latency is measured.
+    line: one that waits `UNHURRIED_S` for late answers. rate_hz: ticks a second that the bus should
+    manage. latency_timer_ms: what the adapter's driver declares; None: it declares nothing, so the
+    latency is measured.
     """
     wanted_rate = line.baud_rate
     ids = [servo.joint.servo_id for servo in servos]
@@ -149,7 +150,11 @@ def _strength(servos: Sequence[MountedServo]) -> Iterator[Finding]:
 
 
 def _adapter(line: Line, servo_id: int | None, latency_timer_ms: int | None) -> Iterator[Finding]:
-    """Yield findings about the adapter: whether it delays answers, or echoes what was sent."""
+    """Yield findings about the adapter: whether it delays answers, or echoes what was sent.
+
+    servo_id: the servo whose answers are timed, None: no servo answers; only where latency_timer_ms
+    is None, since the driver declares nothing.
+    """
     if latency_timer_ms is None:
         latency_s = measured_latency_s(line, servo_id) if servo_id is not None else None
         if latency_s is not None and latency_s > _SLOW_S:

@@ -34,7 +34,10 @@ class DynamixelKind(BusKind):
         return CAPABILITIES
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":  # noqa: ARG002 - real servos have the clock of the computer
-        """Return the bus; by `backend` its packets are made by our codec or dynamixel-sdk."""
+        """Return the bus; `backend` of its settings selects our own codec or dynamixel-sdk.
+
+        strict=False: servos may be missing. The clock is the port's own, not `clock`.
+        """
         from firmware_bridge.dynamixel.bus import DynamixelBus, slow_adapter
         from firmware_bridge.dynamixel.mounting import mounted_servos
         from firmware_bridge.serial_servos.serial_transport import SameAdapter, latency_timer_ms
@@ -73,7 +76,7 @@ class DynamixelKind(BusKind):
     def port_release(self, port: str, wiring: Wiring | None) -> Callable[[], PortRelease]:
         """Return a function that opens the port to switch torque off at the face's baud rate.
 
-        Without a wiring the rate is unknown, and all usual ones are tried.
+        Without a wiring the rate is unknown, and all usual rates are tried.
         """
         from firmware_bridge.dynamixel.provisioning import SCANNED_RATES
         from firmware_bridge.dynamixel.torque import LineRelease

@@ -21,7 +21,7 @@ MountedServo = Mounted[ServoModel]
 
 
 def mounted_servos(wiring: Wiring) -> list[MountedServo]:
-    """Return every servo of a face with its joint, sign and offset, in the order of its joints."""
+    """Return every servo of a face with its joint, sign and offset, in the order of the joints."""
     return [
         MountedServo(joint, each.facts, each.sign, each.zero_offset_deg, each.max_current_ma)
         for joint, each in zip(wiring.joints, wiring.servos, strict=True)
@@ -73,7 +73,10 @@ def identify(line: Line, servo: MountedServo, tries: int = _TRIES) -> ServoIdent
 
 
 def mismatches(servo: MountedServo, identity: ServoIdentity) -> list[str]:
-    """Return how a servo differs from the face's YAML, one line each; empty: it can be driven."""
+    """Return how a servo, by its `identity` read now, differs from the face's YAML, one line each.
+
+    Empty: it can be driven.
+    """
     if identity.model_number != servo.model.model_number:
         known = model_by_number(identity.model_number)
         it_is = f"an {known.name}" if known else f"unknown model {identity.model_number}"
@@ -108,9 +111,10 @@ def mismatches(servo: MountedServo, identity: ServoIdentity) -> list[str]:
 def identify_all(
     line: Line, servos: Sequence[MountedServo], *, strict: bool
 ) -> list[ServoIdentity | None]:
-    """Read model and EEPROM of every servo, None for a silent one; ServoError for a mismatch.
+    """Return model and EEPROM of every servo, in the order given; None for a servo that is silent.
 
-    Silent servos raise ServoError too: any if strict, otherwise a critical one or all of them.
+    Raises ServoError for a servo that differs from the face's YAML; for a silent servo if `strict`,
+    otherwise if it is critical or all are silent.
     """
     found = [identify(line, servo) for servo in servos]
     own = line.transport if isinstance(line.transport, Transport) else None
@@ -120,10 +124,10 @@ def identify_all(
 def read_identities(
     open_transport: Callable[[], Transport], servos: Sequence[MountedServo]
 ) -> list[ServoIdentity | None]:
-    """Open the port, read model and EEPROM of every servo in the order given, and close the port.
+    """Open the port, return model and EEPROM of every servo in the order given, and close the port.
 
-    None: a servo that does not answer, unless it is critical or no servo answers. Raises PortError,
-    and ServoError when a servo differs from the face's YAML.
+    None: a servo that does not answer. Raises PortError; ServoError when a servo differs from the
+    face's YAML, when a critical servo does not answer, or none does.
     """
     transport = open_transport()
     try:

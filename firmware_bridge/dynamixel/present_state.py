@@ -18,7 +18,7 @@ _MOTION_BLOCK = CommonFrame.block_of(_MOTION)
 
 
 class PresentState:
-    """Stores what servos answer in their `cache`."""
+    """The last known state of all servos, in `cache`; the methods store what servos answered."""
 
     def __init__(self, servos: Sequence[MountedServo]) -> None:
         ids = [servo.joint.servo_id for servo in servos]
@@ -53,17 +53,17 @@ class PresentState:
         return current_ma
 
     def take_temperature(self, index: int, temperature_degc: int) -> None:
-        """Store a servo's temperature, and how far it is below the servo's own limit."""
+        """Store the temperature of servo `index`, and how far it is below the servo's own limit."""
         cache = self.cache
         cache.set_one("temperature_degc", index, temperature_degc)
         cache.set_one("room_degc", index, cache.hottest[index] - temperature_degc)
 
     def take_identity(self, index: int, found: ServoIdentity, now_s: float) -> None:
-        """Store a servo's own limits and return delay from its EEPROM."""
+        """Store the limits and return delay of servo `index`, read from its EEPROM at `now_s`."""
         self.cache.take_identity(index, found, found.eeprom["temperature_limit"], now_s)
 
     def note(self, statuses: Sequence[Status], now_s: float) -> None:
-        """Store when servos answered, and the errors in their status packets."""
+        """Store that servos answered at `now_s`, and the errors in their status packets."""
         cache = self.cache
         for status in statuses:
             n = cache.index[status.servo_id]

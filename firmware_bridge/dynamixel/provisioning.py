@@ -65,7 +65,10 @@ def wanted_settings(servo: MountedServo, baud_rate: int) -> dict[str, int]:
 def read_settings(
     line: Line, servo_id: int, model: ServoModel, names: Iterable[str]
 ) -> dict[str, int]:
-    """Read and return these registers by name. Raises ServoError when the servo does not answer."""
+    """Read the registers `names` of a servo of this model; return their values by name.
+
+    Raises ServoError when the servo does not answer.
+    """
     found = {}
     for name in names:
         entry = model.registers[name]
@@ -91,9 +94,10 @@ def duplicates(line: Line, ids: Iterable[int]) -> list[int]:
 
 
 def _write(line: Line, servo_id: int, model: ServoModel, name: str, value: int) -> None:
-    """Write one register of one servo. Raises ServoError when it refuses or does not answer.
+    """Write `value` to register `name` of one servo.
 
-    Silence is accepted for id and baud rate: the servo may no longer answer at the old one.
+    Raises ServoError when the servo refuses or does not answer. Silence is accepted for id and baud
+    rate: the servo may no longer answer at the old one.
     """
     entry = model.registers[name]
     for _ in range(_TRIES):
@@ -172,7 +176,8 @@ CLEARS_MIDDLE: Final = True
 def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
     """Return the first baud rate at which servos answer, and the model name by id.
 
-    Raises ServoError where none answers or a model is unknown, and PortError.
+    first_rate: the rate to try first. Raises ServoError where no servo answers or a model is
+    unknown, and PortError.
     """
     with unhurried_line(port, first_rate) as line:
         scanned = scan(line, [first_rate, *SCANNED_RATES])
@@ -190,9 +195,10 @@ def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
 
 
 def foreign_settings(port: str, rate: int, found: Mapping[int, str]) -> dict[int, list[Difference]]:
-    """Return, by id, the registers of found servos that differ from a plain set-up; {} if none.
+    """Return, by id, the settings of another program that a servo must lose before it is moved.
 
-    found: model name by id. Raises PortError, and ServoError for a servo that falls silent.
+    Drive mode, operating mode, homing offset, startup configuration; {} if all are plain. found:
+    model name by id. Raises PortError, and ServoError for a servo that falls silent.
     """
     with unhurried_line(port, rate) as line:
         held = {
@@ -206,9 +212,10 @@ def foreign_settings(port: str, rate: int, found: Mapping[int, str]) -> dict[int
 def clear_foreign_settings(
     port: str, rate: int, found: Mapping[int, str], foreign: Mapping[int, list[Difference]]
 ) -> None:
-    """Reset the registers listed in `foreign`, torque off. Raises PortError, ServoError.
+    """Reset the registers in `foreign`, as from `foreign_settings`; torque goes off.
 
-    A servo in reverse drive mode raises ServoError: a range recorded of it would be mirrored.
+    found: model name by id. Raises PortError, ServoError. A servo in reverse drive mode raises
+    ServoError: a range recorded of it would be mirrored.
     """
     for servo_id, changes in foreign.items():
         if any(each.name == "drive_mode" and each.found & 1 for each in changes):
@@ -225,7 +232,10 @@ def clear_foreign_settings(
 def lone_servo(
     port: str, rate: int, servo_id: int, model_name: str, reach_deg: float
 ) -> tuple[DynamixelBus, Joint, int]:
-    """Return a bus of one servo, its joint (0 = present position), and that position in ticks."""
+    """Return a bus of one servo, its joint, and its present position in encoder steps.
+
+    The joint is at 0 in this position; reach_deg: how far it may move to each side.
+    """
     model = servo_models()[model_name]
     with unhurried_line(port, rate) as line:
         place = read_settings(line, servo_id, model, ["present_position"])["present_position"]

@@ -42,7 +42,7 @@ ServoModel = Literal[
 class DynamixelSettings(BusSettings):
     """`bus:` of a face whose servos are Dynamixels, at a serial port or simulated in memory.
 
-    backend: which code makes the packets.
+    backend: whether our own code or dynamixel-sdk makes the packets.
     """
 
     baud_rate: BaudRate = 1_000_000
@@ -56,7 +56,7 @@ class DynamixelSettings(BusSettings):
 
 
 class _Keys(Strict):
-    """The first keys of a servo's entry in the YAML."""
+    """The keys that come first in a servo's YAML entry."""
 
     id: ServoId
     model: ServoModel
@@ -83,7 +83,7 @@ class DynamixelServo(BusServo, _Keys):
         }
 
     def strain(self, effort: float) -> float:
-        """Return the current drawn at `effort` as a share of max_current_ma.
+        """Return the current at `effort` (share of the stall torque) as a share of max_current_ma.
 
         0 without max_current_ma, or where the model does not measure current.
         """

@@ -26,9 +26,10 @@ _WRITE_TRIES: Final = 3
 
 
 def write_verified(line: Line, servo_id: int, address: int, data: bytes) -> bool:
-    """Write `data` to one servo until a read shows it, at most three times; return whether it did.
+    """Write `data` to one servo from a register's `address` on, until a read shows it there.
 
-    An acknowledgement is not enough: it carries no data, and may belong to an earlier packet.
+    Return whether it did within three tries. An acknowledgement is not enough: it carries no data,
+    and may belong to an earlier packet.
     """
     for _ in range(_WRITE_TRIES):
         line.write(servo_id, address, data)
@@ -46,7 +47,7 @@ class Watchdogs:
     """The servos' bus watchdogs, and whether a pause of our own packets may have tripped them."""
 
     def __init__(self, ids: Sequence[int], timeout_s: float) -> None:
-        """Set for how long servos go on without receiving a packet; 0 = for ever."""
+        """Set for how long servos go on without receiving a packet: `timeout_s`; 0 = for ever."""
         self._ids = tuple(ids)
         self._setting = min(_LONGEST, int(np.ceil(timeout_s / WATCHDOG_UNIT_S - 1e-9)))
         self._trips_after_s = self._setting * WATCHDOG_UNIT_S if self._setting else float("inf")
@@ -99,7 +100,7 @@ _REPEAT_S: Final = 0.1
 
 
 class SoftStart:
-    """Tracks which servos are limited after torque came on, and lifts their limits when due."""
+    """Tracks which servos are limited in speed and current after torque on, and for how long."""
 
     def __init__(self, servos: Sequence[MountedServo]) -> None:
         self._servos = tuple(servos)
@@ -112,7 +113,7 @@ class SoftStart:
         return bool(self._n_left.any())
 
     def apply_soft_limits(self, line: Line, index: int) -> bool:
-        """Limit speed and, where there is a cap, current; return whether reads confirm it.
+        """Limit a servo's speed and, with max_current_ma, current; return whether reads confirm it.
 
         To be called before torque comes on.
         """
@@ -220,7 +221,7 @@ class TorqueSwitch:
         return ""
 
     def keep(self, line: Line, index: int) -> bool:
-        """Hold a servo with torque on at its present position; return whether that worked.
+        """Hold a servo with torque on at its present position; return whether it confirmed that.
 
         False if its torque is off, which it stays, or if it does not confirm watchdog and goal.
         """
@@ -255,7 +256,10 @@ class TorqueSwitch:
             self._watchdogs.start(line, self._servos[index].joint.servo_id)
 
     def _place_to_hold(self, line: Line, index: int) -> tuple[str, int]:
-        """Return why a servo cannot hold, "" if it can, and its position in pulses (0: unknown)."""
+        """Return why a servo cannot hold, "" if it can, and its present position.
+
+        The position is in encoder steps; 0: unknown.
+        """
         servo, cache = self._servos[index], self._cache
         servo_id = servo.joint.servo_id
         identity = identify(line, servo, tries=_TRIES)
@@ -297,9 +301,10 @@ class LineRelease:
         self._rates = tuple(dict.fromkeys(rates))
 
     def tell_all(self, addresses: Sequence[int]) -> None:
-        """Broadcast torque off several times; a tripped watchdog is cleared in between.
+        """Send torque off to `addresses` and to all others, several times; read no answer.
 
-        Servos that were set not to answer, answer from now on.
+        In between, tripped watchdogs are cleared. Servos that were set not to answer, answer from
+        now on.
         """
         line = self._line
         everybody = codec.write(BROADCAST_ID, _TORQUE_ENABLE, b"\0")
@@ -312,9 +317,9 @@ class LineRelease:
         line.tell(codec.write(BROADCAST_ID, _ANSWERS, b"\2"))
 
     def ask(self, address: int) -> str:
-        """Return "" when the servo confirms torque off.
+        """Read whether the servo at `address` has its torque off; return "" if it confirms that.
 
-        Otherwise return the reason, after torque off was sent once more.
+        Otherwise return the reason, after torque off was sent to it once more.
         """
         status = self._line.read(address, _TORQUE_ENABLE, 1)
         if status is not None and status.data == b"\0":
@@ -325,7 +330,8 @@ class LineRelease:
     def find(self, addresses: Sequence[int]) -> Sequence[int]:
         """Send torque off at every baud rate; return `addresses` and the ids that answer a ping.
 
-        A chain has one rate: once servos answer at one rate, the others are not searched.
+        A chain has one rate: pings end at the first rate at which an id is known, by `addresses` or
+        by an answer.
         """
         line, found = self._line, set(addresses)
         for rate in self._rates:

@@ -45,7 +45,10 @@ _ECHO: Final = "the adapter gives back what is sent to the servos; that is swall
 
 
 def cycle_s(n_servos: int, baud_rate: int, dialect: Dialect) -> float:
-    """Return the seconds of one cycle: goals out, state of all and control of one servo back."""
+    """Return the seconds of one cycle: goals out, state of all and control of one servo back.
+
+    Control and state: the registers from `CONTROL` and from `STATE` on.
+    """
     write = _ASK_ALL + 3 * n_servos
     answer = EMPTY_SIZE + dialect.state_size
     state = n_servos * answer + (_ASK_ALL + n_servos if dialect.sync_read else n_servos * _ASK_ONE)
@@ -55,7 +58,10 @@ def cycle_s(n_servos: int, baud_rate: int, dialect: Dialect) -> float:
 
 
 def budget(servos: Sequence[MountedServo], baud_rate: int, rate_hz: float) -> str | None:
-    """Return why this bus cannot do `rate_hz` with feedback, and the remedy; None if it can."""
+    """Return why `servos` at `baud_rate` cannot do `rate_hz` with feedback, and the remedy.
+
+    None if they can.
+    """
     dialect = servos[0].model.dialect
     can_hz = 1.0 / cycle_s(len(servos), baud_rate, dialect)
     if can_hz >= rate_hz:
@@ -88,9 +94,9 @@ class FeetechBus:
         """Make a bus of these servos, closed until `__enter__`; then opened by `open_transport`.
 
         strict: every servo must answer before the first goal; otherwise servos may be missing, but
-        neither a critical one nor all. period_s: of the ticks. A servo whose goals were withheld
-        moves at most as far as its top speed allows in one period per goal, however late the goal
-        comes.
+        neither a critical one nor all. period_s: from tick to tick. A servo whose goals were
+        withheld moves at most as far as its top speed allows in one period per goal, however late
+        the goal comes.
         """
         self._servos = tuple(servos)
         self._ids = [servo.joint.servo_id for servo in servos]
@@ -135,7 +141,7 @@ class FeetechBus:
         return self._line
 
     def write_positions(self, positions_deg: Array) -> None:
-        """Send every goal inside its servo's range; a limp servo gets none before its torque.
+        """Send every goal inside its servo's range; a limp servo gets none until its torque is on.
 
         Parameters
         ----------
@@ -197,7 +203,11 @@ class FeetechBus:
         """
 
     def read(self) -> Readings:
-        """Read torque, goals and positions of all servos; for a limp one the goal stored here."""
+        """Read torque, goals and positions of all servos; return what was read.
+
+        Of a limp servo the goal that was to be sent last, if any, instead of its register; NaN as
+        the goal of a servo that does not answer.
+        """
         line, cache = self.line, self._cache
         found = self._whole.ask(line)
         statuses = statuses_in(found) if isinstance(found, bytes) else found
@@ -223,7 +233,7 @@ class FeetechBus:
         )
 
     def feedback(self) -> Feedback:
-        """Read positions and load of all servos; for a silent one its last values and their age."""
+        """Read position and load of every servo; of silent ones the last values, with their age."""
         line, cache = self._line or self.line, self._cache
         found = self._state.ask(line)
         now_s = line.transport.clock.now()
@@ -239,7 +249,7 @@ class FeetechBus:
         )
 
     def look_after(self) -> Health:
-        """Read torque and limits of one servo, in turns; return what is known of all servos.
+        """Read torque and limits of one servo, in turns; return the last readings of all servos.
 
         A servo that answers again after a silence comes first: until then it gets no goals.
         """
@@ -261,9 +271,9 @@ class FeetechBus:
         return cache.health(line.transport.clock.now(), self._present.current_ma)
 
     def obstacle(self, index: int) -> str:
-        """Return why one servo cannot hold its position; empty: it can. To call before torque on.
+        """Return why servo `index` cannot hold its position; empty: it can.
 
-        Read anew each time: the servo may have been replaced, or set up elsewhere.
+        Read anew before torque comes on: the servo may have been replaced, or set up elsewhere.
         """
         return self._torque.obstacle(self.line, index)
 
@@ -276,7 +286,7 @@ class FeetechBus:
         return self._torque.enable(self.line, index)
 
     def keep_torque(self, index: int) -> bool:
-        """Hold a servo whose torque is on at its present position; return whether that worked."""
+        """Hold a servo whose torque is on at its present position; return whether it confirmed."""
         self._behind[index] = False
         return self._torque.keep(self.line, index)
 
@@ -358,7 +368,7 @@ class FeetechBus:
             self._close()
 
     def _begin(self, line: Line) -> None:
-        """Use this line from now on, with the answer deadline that the slowest servo needs."""
+        """Use `line` from now on, with the answer deadline that the slowest servo needs."""
         self._line = line
         line.return_delay_s = float(self._cache.return_delay_s.max())
         for group in (self._state, self._whole, self._holding):

@@ -34,7 +34,7 @@ class Instruction(IntEnum):
 
 
 class Status(NamedTuple):
-    """The answer of one servo. error: bits of register `status`."""
+    """The answer of one servo. error: bits of register `status`; data: the bytes that were read."""
 
     servo_id: int
     error: int
@@ -42,9 +42,10 @@ class Status(NamedTuple):
 
 
 def packet(packet_id: int, instruction: int, parameters: bytes = b"") -> bytes:
-    """Return a whole packet; a servo's answer with its status in place of `instruction`.
+    """Return a whole packet to or from servo `packet_id`, with its checksum.
 
-    Raises ValueError when the parameters do not fit: the length field counts to 255.
+    A servo's answer has its status in place of `instruction`. Raises ValueError when the parameters
+    do not fit: the length field counts to 255.
     """
     body = bytes((packet_id, len(parameters) + 2, instruction)) + parameters
     return HEADER + body + bytes((~sum(body) & 0xFF,))
@@ -52,12 +53,15 @@ def packet(packet_id: int, instruction: int, parameters: bytes = b"") -> bytes:
 
 @lru_cache(maxsize=1024)
 def read(servo_id: int, address: int, size: int) -> bytes:
-    """Return the request for `size` bytes of one servo; cached, since a tick sends it often."""
+    """Return the request for `size` bytes of one servo from `address` on.
+
+    Cached, since a tick sends it often.
+    """
     return packet(servo_id, Instruction.READ, bytes((address, size)))
 
 
 def write(servo_id: int, address: int, data: bytes) -> bytes:
-    """Return the packet that sets bytes of one servo.
+    """Return the packet that sets bytes of one servo from `address` on.
 
     Raises ValueError where the bytes reach register `torque_enable`.
     """
@@ -65,7 +69,10 @@ def write(servo_id: int, address: int, data: bytes) -> bytes:
 
 
 def sync_write(address: int, size: int, blocks: Iterable[tuple[int, bytes]]) -> bytes:
-    """Return the packet that sets `size` bytes of each servo in `blocks`; no servo answers it."""
+    """Return the packet that sets `size` bytes of several servos from `address` on.
+
+    blocks: (id, bytes) of each servo. No servo answers the packet.
+    """
     listed = b"".join(bytes((servo_id,)) + each for servo_id, each in blocks)
     parameters = _beside_torque(address, bytes(size)) + bytes((size,)) + listed
     return packet(BROADCAST_ID, Instruction.SYNC_WRITE, parameters)
@@ -90,9 +97,9 @@ def _beside_torque(address: int, data: bytes) -> bytes:
 
 
 def packets_in(stream: bytes) -> Iterator[tuple[Status | None, int]]:
-    """Yield every whole packet in a stream, skipping all other bytes, and where it ends.
+    """Yield every whole packet in a stream with the index of its end, skipping all other bytes.
 
-    None where a packet is damaged or unfinished; the search goes on inside it.
+    (None, index of its begin) for a damaged or unfinished packet; the search goes on inside it.
     """
     at = 0
     while (at := stream.find(HEADER, at)) >= 0 and at + EMPTY_SIZE <= len(stream):
@@ -113,7 +120,7 @@ def statuses_in(stream: bytes) -> list[Status]:
 
 
 class GoalWrite:
-    """A prepared sync write of one two-byte register of several servos."""
+    """A prepared sync write of one two-byte register of several servos; only values are new."""
 
     def __init__(
         self, ids: Sequence[int], address: int, byte_order: Literal["little", "big"]

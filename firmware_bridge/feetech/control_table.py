@@ -70,14 +70,14 @@ class Dialect:
         return self.n_positions / self.reach_deg
 
     def encode(self, name: str, value: int) -> bytes:
-        """Return a register's value as bytes. Raises OverflowError when it does not fit."""
+        """Return `value` as the bytes of register `name`. OverflowError: it does not fit."""
         entry = self.registers[name]
         if value < 0 and entry.sign is not None:
             value = -value | 1 << entry.sign
         return value.to_bytes(entry.size, self.byte_order)
 
     def decode(self, name: str, data: bytes, start: int = 0) -> int:
-        """Return a register's value from `data`, whose first byte is that of address `start`."""
+        """Return the value of register `name` in `data`, which begin at address `start`."""
         entry = self.registers[name]
         at = entry.address - start
         value = int.from_bytes(data[at : at + entry.size], self.byte_order)
@@ -94,7 +94,10 @@ class Dialect:
 
 @dataclass(frozen=True, slots=True)
 class ServoModel:
-    """One servo model, which may come with several gears: fastest_deg_s is that of the quickest."""
+    """One servo model, which may come with several gears.
+
+    fastest_deg_s: top speed without load of the quickest gear.
+    """
 
     name: str
     model_number: int

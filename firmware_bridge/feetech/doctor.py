@@ -29,7 +29,8 @@ _DEAD_COMPUTER: Final = (
 def examine(line: Line, servos: Sequence[MountedServo], rate_hz: float) -> Iterator[Finding]:
     """Yield findings about port and servos in the order of the checks; write to no servo.
 
-    line: one that waits `UNHURRIED_S` for late answers.
+    line: one that waits `UNHURRIED_S` for late answers. rate_hz: ticks a second that the bus should
+    manage.
     """
     wanted_rate = line.baud_rate
     ids = [servo.joint.servo_id for servo in servos]

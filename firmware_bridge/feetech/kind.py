@@ -35,7 +35,10 @@ class FeetechKind(BusKind):
         return CAPABILITIES
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":
-        """Return the bus at its port; without a port, one that is simulated in memory."""
+        """Return the bus at its port; without a port, one that is simulated in memory by `clock`.
+
+        strict=False: servos may be missing.
+        """
         from firmware_bridge.feetech.bus import FeetechBus
         from firmware_bridge.feetech.mounting import mounted_servos
 
@@ -65,7 +68,7 @@ class FeetechKind(BusKind):
     def port_release(self, port: str, wiring: Wiring | None) -> Callable[[], PortRelease]:
         """Return a function that opens the port to switch torque off at the face's baud rate.
 
-        Without a wiring the rate is unknown, and all usual ones are tried.
+        Without a wiring the rate is unknown, and all rates of these servos are tried.
         """
         from firmware_bridge.feetech.control_table import baud_rates
         from firmware_bridge.feetech.torque import LineRelease

@@ -31,10 +31,10 @@ _RETRY_EVERY: Final = 200
 
 
 class Line(HalfDuplex):
-    """Master of the line.
+    """The computer's side of a line of Feetech servos: sends requests and returns the answers.
 
-    An answer that could be the late one to another request does not count: the new request is sent
-    for another number of bytes.
+    An answer that could be the late answer to an earlier request does not count: the new request is
+    sent for another number of bytes.
     """
 
     def __init__(
@@ -49,7 +49,10 @@ class Line(HalfDuplex):
     def read(
         self, servo_id: int, address: int, size: int, extra_wait_s: float = 0.0
     ) -> Status | None:
-        """Read `size` bytes of one servo; None: no answer. extra_wait_s: beyond the deadline."""
+        """Read `size` bytes of one servo from `address` on; None: no answer.
+
+        extra_wait_s: how long to wait beyond the deadline.
+        """
         wide = size
         if self._pending.any and self._pending.expire(self._clock.now()):
             wide = self._pending.free_size((servo_id,), size)
@@ -67,7 +70,10 @@ class Line(HalfDuplex):
         return status if wide == size else status._replace(data=status.data[:size])
 
     def write(self, servo_id: int, address: int, data: bytes, extra_wait_s: float = 0.0) -> None:
-        """Set bytes of one servo. Its acknowledgement proves nothing: read the bytes back."""
+        """Set bytes of one servo from `address` on. Read them back: the answer proves nothing.
+
+        extra_wait_s: how long to wait beyond the deadline.
+        """
 
         def take(stream: bytes, *, last: bool) -> Status | None:  # noqa: ARG001 - whole or nothing
             return next((s for s in statuses_in(stream) if s.servo_id == servo_id), None)
@@ -76,7 +82,7 @@ class Line(HalfDuplex):
         self._transact(request, EMPTY_SIZE, take, extra_wait_s=extra_wait_s)
 
     def sync_read(self, span: SpanRead) -> Answers:
-        """Return all answers as one undisturbed stream, otherwise those that came whole."""
+        """Send request `span`; return all answers as one undisturbed stream, or the whole ones."""
         wide = span
         if self._pending.any and self._pending.expire(self._clock.now()):
             size = self._pending.free_size(span.ids, span.size)
@@ -98,7 +104,7 @@ class Line(HalfDuplex):
         return _cut(taken, span.size)
 
     def scan(self, ids: Sequence[int] = range(MAX_ID + 1)) -> dict[int, list[bytes]]:
-        """Return by id the model number's two bytes, once for each whole answer to that id.
+        """Read the model number of each of `ids`; return by id its two bytes, once for each answer.
 
         One request after another; answers are collected at the end, so that a computer or adapter
         that delays them loses none. Half a second for all ids at 1 Mbaud.
@@ -128,8 +134,8 @@ def _cut(statuses: Sequence[Status], size: int) -> list[Status]:
 class Group:
     """A request for the same bytes of all `ids`, one packet if the dialect has sync read.
 
-    Unreliable ids come last. leaves_out: whether some are silent for so long that they are polled
-    only now and then.
+    Unreliable ids come last. leaves_out: whether servos have been silent for so long that they are
+    polled only now and then.
     """
 
     def __init__(self, ids: Sequence[int], address: int, size: int, *, sync: bool) -> None:
@@ -166,13 +172,13 @@ class Group:
         return found
 
     def trust(self, servo_id: int) -> None:
-        """Include a servo again that was left out, since it has answered another request."""
+        """Include a servo again that was left out, since it has answered another read."""
         if self._silent[servo_id] >= _ABSENT_AFTER:
             self._silent[servo_id] = 0
             self._prepare()
 
     def _judge(self, answered: set[int]) -> None:
-        """Count silent servos, and prepare the next request.
+        """Count the servos that are not in `answered` as silent, and prepare the next request.
 
         Where none answers, line or computer stalled, and no servo counts as silent.
         """

@@ -53,9 +53,10 @@ def mounted_servos(wiring: Wiring) -> list[MountedServo]:
 
 @dataclass(frozen=True, slots=True)
 class ServoIdentity:
-    """Model, settings and position read from one servo. model: two bytes; eeprom: values by name.
+    """Model, settings and position read from one servo. eeprom: register values by name.
 
-    place: its position register. doubled: answers were damaged, as from two servos with one id.
+    model: the two bytes of the model number. place: the value of the position register. doubled:
+    answers were damaged, as from two servos with one id.
     """
 
     model: bytes
@@ -69,7 +70,7 @@ class ServoIdentity:
         return self.eeprom["return_delay_time"] * RETURN_DELAY_UNIT_S
 
     def speed_register(self, deg_s: float, dialect: Dialect) -> int:
-        """Return the goal_speed value for a speed, in the unit set in this servo; never 0.
+        """Return the goal_speed value for the speed `deg_s`, in the servo's own unit; never 0.
 
         0 is "stop" or "as fast as it can", by another bit of `phase`.
         """
@@ -101,7 +102,7 @@ def identify(
 
 
 def mismatches(servo: MountedServo, found: ServoIdentity) -> list[str]:
-    """Return how a servo differs from the face's YAML, one line each; empty: it can be driven."""
+    """Return how a servo, as `found` now, differs from the face's YAML; empty: it can be driven."""
     model = servo.model
     if found.doubled:
         one_alone = f"connect one of them alone and run `lipservo setup-servos {servo.joint.name}`"
@@ -124,9 +125,10 @@ def mismatches(servo: MountedServo, found: ServoIdentity) -> list[str]:
 def identify_all(
     line: Line, servos: Sequence[MountedServo], *, strict: bool
 ) -> list[ServoIdentity | None]:
-    """Read settings and position of every servo, None for a silent one; ServoError for a mismatch.
+    """Return settings and position of every servo, in the order given; None for a silent servo.
 
-    Silent servos raise ServoError too: any if strict, otherwise a critical one or all of them.
+    Raises ServoError for a servo that differs from the face's YAML; for a silent servo if `strict`,
+    otherwise if it is critical or all are silent.
     """
     found = [identify(line, servo) for servo in servos]
     return checked_identities("feetech", line.transport, servos, found, mismatches, strict=strict)

@@ -33,7 +33,10 @@ def hardware_errors(status: int) -> int:
 
 
 class PresentState:
-    """Stores what servos answer in their `cache`. Errors are kept until the servo is restarted."""
+    """The last known state of all servos, in `cache`; the methods store what servos answered.
+
+    Errors are kept until the servo is restarted.
+    """
 
     def __init__(self, servos: Sequence[MountedServo]) -> None:
         n, dialect = len(servos), servos[0].model.dialect
@@ -81,12 +84,12 @@ class PresentState:
         return np.asarray((self._currents & 0x7FFF) * self._current_unit_ma, np.float64)
 
     def take_identity(self, index: int, found: ServoIdentity, now_s: float) -> None:
-        """Store a servo's own limits and return delay from its EEPROM."""
+        """Store the limits and return delay of servo `index`, read from its EEPROM at `now_s`."""
         self.cache.take_identity(index, found, found.eeprom["max_temperature"], now_s)
         self._seen = b""
 
     def take_state(self, found: bytes | list[Status], now_s: float) -> Array:
-        """Store one read of all servos' registers from `STATE` on; return how old each one's is.
+        """Store one read of all servos' registers from `STATE` on; return how old each servo's are.
 
         Parameters
         ----------
@@ -135,7 +138,7 @@ class PresentState:
         return places
 
     def _take_conditions(self) -> None:
-        """Store voltage, temperature and errors if they changed, which hardly ever happens."""
+        """Store voltage, temperature and errors of the newest answers, if any has changed."""
         of, cache = self._conditions, self.cache
         seen = b"".join([values.tobytes() for values in of.values()])
         if seen == self._seen and self._all_heard:

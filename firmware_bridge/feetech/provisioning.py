@@ -38,7 +38,10 @@ _REQUESTED, _HEARD, _SPOILT = 6, 5, 4
 def wanted_settings(
     servo: MountedServo, baud_rate: int, found: Mapping[str, int]
 ) -> dict[str, int]:
-    """Return a mounted servo's EEPROM values by register name. found: the present values."""
+    """Return the EEPROM values, by register name, that a mounted servo should have.
+
+    found: its present values, of which some bits are kept.
+    """
     low, high = servo.pulse_range()
     dialect = servo.model.dialect
     margin = round(SERVO_LIMIT_MARGIN_DEG * dialect.positions_per_deg)
@@ -129,8 +132,9 @@ CLEARS_MIDDLE: Final = False
 def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
     """Return the first baud rate at which servos answer, and the model name by id.
 
-    Each rate is tried twice, since a computer that stalled misses answers. Raises ServoError where
-    none answers, two have one id or a model is unknown, and PortError.
+    first_rate: the rate to try first. Each rate is tried twice, since a computer that stalled
+    misses answers. Raises ServoError where no servo answers, two have one id or a model is unknown,
+    and PortError.
     """
     rates = list(dict.fromkeys([first_rate, *baud_rates().values()]))
     with unhurried_line(port, first_rate) as line:
@@ -155,9 +159,10 @@ def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
 
 
 def foreign_settings(port: str, rate: int, found: Mapping[int, str]) -> dict[int, list[Difference]]:
-    """Return, by id, the registers of found servos that differ from a plain set-up; {} if none.
+    """Return, by id, the settings of another program that a servo must lose before it is moved.
 
-    found: model name by id. Raises PortError, and ServoError for a servo that falls silent.
+    Operating mode and position counts over many turns; {} if all are plain. found: model name by
+    id. Raises PortError, and ServoError for a servo that falls silent.
     """
     differing = {}
     with unhurried_line(port, rate) as line:
@@ -172,7 +177,10 @@ def foreign_settings(port: str, rate: int, found: Mapping[int, str]) -> dict[int
 def clear_foreign_settings(
     port: str, rate: int, found: Mapping[int, str], foreign: Mapping[int, Sequence[Difference]]
 ) -> None:
-    """Reset the registers listed in `foreign`, torque off. Raises PortError, ServoError."""
+    """Reset the registers in `foreign`, as from `foreign_settings`; torque goes off.
+
+    found: model name by id. Raises PortError, ServoError.
+    """
     with unhurried_line(port, rate) as line:
         for servo_id, changes in foreign.items():
             for _ in set_up(line, servo_id, servo_models()[found[servo_id]], changes):
@@ -182,7 +190,11 @@ def clear_foreign_settings(
 def lone_servo(
     port: str, rate: int, servo_id: int, name: str, reach_deg: float
 ) -> tuple[FeetechBus, Joint, int]:
-    """Return a bus of one servo, its joint (0 = present position), and that position in ticks."""
+    """Return a bus of one servo, its joint, and its present position in encoder steps.
+
+    The joint is at 0 in this position; reach_deg: how far it may move to each side. name: the
+    servo's model.
+    """
     model = servo_models()[name]
     joint = Joint(f"id_{servo_id}", servo_id, -reach_deg, reach_deg, _CAREFUL_DEG_S)
     with unhurried_line(port, rate) as line:

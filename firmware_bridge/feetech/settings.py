@@ -17,14 +17,14 @@ class FeetechSettings(BusSettings):
 
 
 class _Keys(Strict):
-    """The first keys of a servo's entry in the YAML."""
+    """The keys that come first in a servo's YAML entry."""
 
     id: Annotated[int, within(0, 253)]
     model: Literal["STS3215", "STS3250", "SCS0009"]
 
 
 class FeetechServo(BusServo, _Keys):
-    """A Feetech servo."""
+    """One Feetech servo in the YAML of a face."""
 
     @property
     def facts(self) -> ServoModel:

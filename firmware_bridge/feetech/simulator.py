@@ -172,13 +172,16 @@ class SimulatedServo:
         self._settle()
 
     def read(self, address: int, size: int) -> bytes:
-        """Return the bytes that a read of the servo's registers gets."""
+        """Return `size` bytes of the registers from `address` on, with up-to-date measurements."""
         if address + size > STATE:
             self._refresh()
         return bytes(self.table[address : address + size])
 
     def write(self, address: int, data: bytes) -> None:
-        """Write registers as a packet would; read-only ones stay, EEPROM lasts only if unlocked."""
+        """Write registers as a packet would: read-only ones stay, EEPROM lasts only if unlocked.
+
+        A write of the goal switches torque on.
+        """
         lock = self.dialect.registers["lock"].address
         for at, byte in enumerate(data, start=address):
             if at in (TORQUE_ENABLE, lock) or not 5 <= at < STATE:
@@ -200,7 +203,10 @@ class SimulatedServo:
         self._settle()
 
     def protect(self) -> None:
-        """Update the bits of `status`; an overload lasts until torque goes off."""
+        """Update the error bits of register `status` after the motor moved; sent in every answer.
+
+        An overload lasts until torque goes off.
+        """
         motors, i = self._motors, self.index
         status = self.table[65] & _OVERLOAD
         if motors.overload_s[i] >= self["protection_time"] * 0.01:
@@ -229,7 +235,7 @@ class SimulatedServo:
             motors.overload_s[i] = 0.0
 
     def _settle(self) -> None:
-        """Set the motor's speed, acceleration and strength from the registers."""
+        """Set the motor's speed, acceleration and strength from the registers, after a change."""
         motors, i, of = self._motors, self.index, self.dialect.registers
         speed = abs(self["goal_speed"])
         fine = "homing_offset" not in of or self["phase"] & SPEED_IN_STEPS
@@ -282,7 +288,10 @@ class SimulatedChain:
         environment: Environment | None = None,
         on_change: Callable[[ServoChange], None] = lambda _change: None,
     ) -> None:
-        """Set all servos to factory settings but for the ids. on_change: called at each change."""
+        """Set servos, one of each of `models`, to factory settings but for the ids.
+
+        wakes_up_stiff: torque is on after power-up. on_change: called at each change.
+        """
         self.motors = Motors(models, environment or Environment())
         self.servos = [
             SimulatedServo(model, n, self.motors, wakes_up_stiff=wakes_up_stiff)
@@ -490,9 +499,11 @@ def serve(
 ) -> PtyHost:
     """Return the host of a pseudo-terminal with a face's servos, or with `n_servos` of one model.
 
-    link: a path that leads to it. faults: the text of a script. others: log, a file to which every
-    change of torque and goal is written as a line of JSON. Raises ServoError for what no chain can
-    have, ValueError for an invalid script, and PortError where no terminal can be made.
+    wiring: the face; None: servos of `model` (None: STS3215) with ids from `first_id` on. link: a
+    path that leads to the terminal. baud_rate: None: the face's, or 1,000,000. faults: the text of
+    a script. others: log, a file to which every change of torque and goal is written as a line of
+    JSON. Raises ServoError for what no chain can have, ValueError for an invalid script, and
+    PortError where no terminal can be made.
     """
     models, last_id, model = servo_models(), first_id + n_servos - 1, model or "STS3215"
     if model not in models:

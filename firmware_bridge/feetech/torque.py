@@ -30,7 +30,10 @@ _RESTART_S: Final = 0.1
 
 
 def write_verified(line: Line, servo_id: int, address: int, data: bytes) -> bool:
-    """Write `data` to a servo until a read shows it, three times at most; return whether it did."""
+    """Write `data` to one servo from a register's `address` on, until a read shows it there.
+
+    Return whether it did within three tries.
+    """
     for _ in range(_WRITE_TRIES):
         line.write(servo_id, address, data)
         status = line.read(servo_id, address, len(data))
@@ -76,7 +79,7 @@ class TorqueSwitch:
         self._goal = self._dialect.registers["goal_position"].address
 
     def note_identity(self, index: int, found: ServoIdentity, now_s: float) -> None:
-        """Store a servo's own settings, which are used from now on."""
+        """Store a servo's own settings, read at `now_s`, which are used from now on."""
         self._identities[index] = found
         self._present.take_identity(index, found, now_s)
 
@@ -112,7 +115,7 @@ class TorqueSwitch:
         return ""
 
     def keep(self, line: Line, index: int) -> bool:
-        """Hold a servo with torque on at its present position; return whether that worked.
+        """Hold a servo with torque on at its present position; return whether it confirmed.
 
         False if its torque is off, which it stays, or if it does not confirm limits and goal.
         """
@@ -139,7 +142,7 @@ class TorqueSwitch:
         return limp
 
     def disable_all(self) -> None:
-        """Mark all servos as not driven: none gets goals or full strength any more."""
+        """Mark all servos as not driven: none gets goals or full strength now; sends nothing."""
         self.driven[:] = self.doubted[:] = False
         self._full_at_s[:] = np.inf
 
@@ -158,7 +161,8 @@ class TorqueSwitch:
     def look_after(self, line: Line, index: int, control: bytes) -> None:
         """Set full strength when due; switch off a servo that lost its speed limit in a restart.
 
-        control: the bytes from `CONTROL` on. Some come back from a brown-out with torque on.
+        control: its registers from `CONTROL` on, read just now. After a brown-out a servo may come
+        back with torque on.
         """
         self._cache.set_one("torque", index, control[0] != 0)
         if self.doubted[index] and not control[0]:
@@ -176,7 +180,8 @@ class TorqueSwitch:
     def _bound(self, line: Line, index: int, *, soft: bool) -> bool:
         """Limit a servo's speed and, if possible, its torque; return whether it keeps the limits.
 
-        A servo that cannot go as fast as its setting keeps the most that it can.
+        soft: to the low limits of a start, otherwise to the joint's. A servo that cannot go as fast
+        as its setting keeps the most that it can.
         """
         servo, found, dialect = self._servos[index], self._identities[index], self._dialect
         if found is None:
@@ -211,7 +216,10 @@ class TorqueSwitch:
         return taken
 
     def _place_to_hold(self, line: Line, index: int) -> tuple[str, int]:
-        """Return why a servo cannot hold, "" if it can, and its position in pulses (0: unknown)."""
+        """Return why a servo cannot hold, "" if it can, and its present position.
+
+        The position is in encoder steps; 0: unknown.
+        """
         servo, cache = self._servos[index], self._cache
         found = identify(line, servo, tries=_TRIES)
         if found is None:
@@ -241,9 +249,9 @@ class LineRelease:
             self._line.tell(codec.torque(ids, on=False))
 
     def ask(self, address: int) -> str:
-        """Return "" when the servo confirms torque off.
+        """Read whether the servo at `address` has its torque off; return "" if it confirms that.
 
-        Otherwise return the reason, after torque off was sent once more.
+        Otherwise return the reason, after torque off was sent to it once more.
         """
         status = self._line.read(address, TORQUE_ENABLE, 1)
         if status is not None and status.data == b"\0":
@@ -254,7 +262,7 @@ class LineRelease:
     def find(self, addresses: Sequence[int]) -> Sequence[int]:
         """Send torque off at every baud rate; return `addresses` and the ids that a scan finds.
 
-        A chain has one rate: once servos answer at one rate, the others are not searched.
+        A chain has one rate: once servos answer at a rate, no further rates are scanned.
         """
         line, found = self._line, set(addresses)
         for rate in self._rates:

@@ -45,13 +45,14 @@ class TargetWindow:
 
 
 class JointPlan:
-    """A streaming planner: `step` takes a window each `period_s` and returns the next goals.
+    """A streaming planner: `step` plans the next goals, every `period_s`, from a window of targets.
 
-    A rate limit that only looks back lags behind. Where two poses of a window are too far apart
-    both are moved by half, so that the motion between them keeps its timing. A pose that is
-    mandatory in t seconds bounds where the joint may be now: no farther from it than it moves in t.
-    A pose that may become urgent bounds it always: a mouth opens no farther than it can close in
-    time, which lowers the scale of a motion on a robot that is too slow for it, and on no other.
+    A rate limit that knows no future lags behind its targets. Where two poses of a window are too
+    far apart both are moved by half, so that the motion between them keeps its timing. A pose that
+    is mandatory in t seconds bounds where the joint may be now: no farther from that pose than it
+    moves in t. A pose that may become urgent bounds it always: a mouth opens no farther than it can
+    close in time, which lowers the scale of a motion on a robot that is too slow for the motion,
+    and on no other.
     """
 
     def __init__(
@@ -118,7 +119,10 @@ class JointPlan:
         return np.asarray(self._n_held_back / max(self._n_steps, 1))
 
     def _closable(self, window: TargetWindow) -> Array:
-        """Return the poses (k, n_joints), all but mandatory ones kept near the urgent pose."""
+        """Return the window's poses, (k, n_joints) degrees, kept near enough to the urgent pose.
+
+        From each the urgent pose can be reached in time; mandatory poses stay as they are.
+        """
         poses_deg, urgent_deg = window.positions_deg, window.urgent_deg
         if urgent_deg is None:
             return poses_deg
@@ -127,10 +131,11 @@ class JointPlan:
         return np.where(window.must_meet[:, None], poses_deg, near_deg)
 
     def _feasible(self, times_s: Array, poses_deg: Array) -> Array:
-        """Return the first of the poses nearest to the given ones that keep top speed, (n_joints,).
+        """Return the pose at the first of `times_s`, from which top speed can be kept, (n_joints,).
 
-        The least squares by Dykstra's projections (Boyle and Dykstra 1986), from the last pair of
-        poses to the first: each pair's earlier correction is undone, and computed anew.
+        The first of those poses, degrees, that keep top speed and are nearest to `poses_deg`: least
+        squares by Dykstra's projections (Boyle and Dykstra 1986), from the last pair of poses to
+        the first: each pair's earlier correction is undone, and computed anew.
         """
         reach_deg = (times_s[1:] - times_s[:-1])[:, None] * self._speed_deg_s
         if not (np.abs(poses_deg[1:] - poses_deg[:-1]) > reach_deg).any():

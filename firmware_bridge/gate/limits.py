@@ -105,7 +105,9 @@ class AccelerationLimit:
         return np.asarray(np.where(self._limited, sent + velocity * step_s, wanted))
 
     def sent(self, before: Array, after: Array, step_s: float) -> None:
-        """Store the step that was sent after all limits, for the speed of the next step.
+        """Store the speed of the step that was sent, from which the next step starts.
+
+        To be called after `step`, when all further limits have been applied.
 
         Parameters
         ----------
@@ -123,7 +125,10 @@ _SAME_SUM = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class PreventRule:
-    """The sum of factors x joint degrees is at most `above`. factors: one a joint, 0 = not used."""
+    """What joints must not do together: the sum of factors x joint degrees is at most `above`.
+
+    factors: one a joint, 0 = not used. because: the reason, for messages.
+    """
 
     factors: tuple[float, ...]
     above: float
@@ -134,7 +139,7 @@ class Prevention:
     """Cuts a step short where it would break a rule; a step out of a broken rule is not cut."""
 
     def __init__(self, rules: Sequence[PreventRule], n_joints: int) -> None:
-        """Store the rules. Raises ValueError if one lacks a joint's factor or forbids neutral."""
+        """Store the rules. Raises ValueError if any lacks a joint's factor or forbids neutral."""
         for rule in rules:
             if len(rule.factors) != n_joints or rule.above < 0.0:
                 raise ValueError(f"rule {rule.because!r} does not fit {n_joints} joints at rest")
@@ -188,7 +193,12 @@ _STALL_PERIODS = 2.0 + 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Limited:
-    """The goals that passed the gate, and where limits changed them; every array is (n_joints,)."""
+    """The goals that passed the gate, and where limits changed them; every array is (n_joints,).
+
+    positions_deg: the goals. range_hits: clamped to the range. rate_hits: slowed to speed or
+    acceleration. rejected: not finite, or of another shape. prevented: cut short by a rule between
+    joints.
+    """
 
     positions_deg: Array
     range_hits: NDArray[np.bool_]
@@ -199,7 +209,7 @@ class Limited:
 
 @dataclass(frozen=True, slots=True)
 class GateCounts:
-    """How often the gate changed a goal since it was made, by kind of limit, (n_joints,) each."""
+    """How often the gate has changed a goal, (n_joints,) each; kinds of limits as in `Limited`."""
 
     range_hits: NDArray[np.int64]
     rate_hits: NDArray[np.int64]
@@ -323,7 +333,10 @@ class Limiter:
             self._acceleration.rest_one(index, float(positions_deg[index]))
 
     def start_one(self, index: int, position_deg: float) -> None:
-        """Store one joint's position as its goal sent last. Raises ValueError if not finite."""
+        """Store one joint's position in degrees as its goal sent last, at standstill.
+
+        Raises ValueError if it is not finite.
+        """
         if not np.isfinite(position_deg):
             raise ValueError(f"cannot start from {position_deg}")
         self._sent_deg = self._sent_deg.copy()
@@ -333,7 +346,7 @@ class Limiter:
     def hold_back(self, ready: NDArray[np.bool_] | None) -> None:
         """Keep joints that are not ready at their last goal; once ready, each catches up slowly.
 
-        So the rules between joints count with where each is sent, not with its target.
+        So the rules between joints count with the position to which each is sent, not its target.
 
         Parameters
         ----------
@@ -416,7 +429,10 @@ class Limiter:
     def _hits(
         self, limited_deg: Array, wanted_deg: Array, total: NDArray[np.int64]
     ) -> NDArray[np.bool_]:
-        """Return where a limit changed a goal, and count it in `total`; nearly always none did."""
+        """Return where limits changed `wanted_deg`, (n_joints,), and count it in `total`.
+
+        Nearly always none did.
+        """
         if limited_deg is wanted_deg or limited_deg.tobytes() == wanted_deg.tobytes():
             return self._no_joint
         hits = np.abs(limited_deg - wanted_deg) > _SAME_DEG

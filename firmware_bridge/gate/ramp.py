@@ -1,7 +1,7 @@
 """Joints moved slowly from one pose to another, and a target that fades as it grows old.
 
 Every slow move of a face is a `Ramp`; a `StaleRule` decides what replaces missing targets. Pure:
-time comes in as an argument. Their poses still pass the limits of the gate.
+time comes in as an argument. The poses of a ramp still pass the limits of the gate.
 """
 
 from dataclasses import dataclass
@@ -24,8 +24,8 @@ def ease(progress: float) -> float:
 class Ramp:
     """A move from start_deg to goal_deg, (n_joints,) each, from start_s on for duration_s.
 
-    eased: with rest at both ends (`ease`), whose greatest speed is `EASE_PEAK_SLOPE` times that of
-    the steady ramp. All joints arrive together.
+    eased: with rest at both ends (`ease`); the greatest speed is then `EASE_PEAK_SLOPE` times that
+    of a steady ramp. All joints arrive together.
     """
 
     start_deg: NDArray[np.float64]
@@ -121,7 +121,7 @@ class StaleRule:
             )
 
     def level(self, age_s: float) -> StaleLevel:
-        """Return what to do when the newest target is `age_s` old."""
+        """Return what the bridge does when the newest target is `age_s` old."""
         if age_s <= self.hold_s:
             return StaleLevel.FRESH
         if age_s < self.neutral_s:
@@ -129,5 +129,5 @@ class StaleRule:
         return StaleLevel.NEUTRAL if age_s < self.limp_s else StaleLevel.LIMP
 
     def weight(self, age_s: float) -> float:
-        """Return the share of the held position at `age_s`: 1 while fresh, later down to 0."""
+        """Return the share of the last target kept at `age_s`: 1 while fresh, then down to 0."""
         return 1.0 - ease((age_s - self.hold_s) / (self.neutral_s - self.hold_s))

@@ -40,10 +40,10 @@ _SAMPLE_S: Final = 0.049
 class TrackingRule:
     """A servo farther than `error_deg` from its goal for `after_s` without a break does not follow.
 
-    error_deg: None = a third of each joint's range, between 3 and 15 degrees. after_s applies to
-    servos that do not move, too. The defaults are our choice: at 400 deg/s a servo that lags by 30
-    ms is 12 deg behind, and no motion of speech keeps one direction for half a second. Raises
-    ValueError unless both are positive.
+    error_deg: None = a third of each joint's range, between 3 and 15 degrees. after_s applies, too,
+    to servos that do not move while their goals do. The defaults are our choice: at 400 deg/s a
+    servo that lags 30 ms behind its goal is 12 deg off, and no motion of speech keeps one direction
+    for half a second. Raises ValueError unless both are positive.
     """
 
     error_deg: float | None = None
@@ -87,7 +87,7 @@ class TrackingMonitor:
         self._travel.suspend_until(index, until_s)
 
     def reason(self, index: int) -> str:
-        """Return why a servo counts as not following, in words for a log."""
+        """Return why servo `index`, reported by `behind`, does not follow, in words for a log."""
         off_deg = self.error_deg[index]
         if off_deg > self._allowed_deg[index]:
             after_s = self._rule.after_s
@@ -99,7 +99,7 @@ class TrackingMonitor:
         )
 
     def behind(self, sent_deg: Array, feedback: Feedback) -> NDArray[np.bool_]:
-        """Compare goals with positions; return which servos have not followed for too long.
+        """Compare goals with positions in every tick; return which servos have not followed.
 
         Parameters
         ----------
@@ -131,10 +131,10 @@ class TrackingMonitor:
 
 
 class _Travel:
-    """How far goals and encoders have moved lately.
+    """How far goals and encoders have moved within the last seconds, in degrees.
 
-    travelled_deg: (2, n_servos), goals and encoders. still: whose goals move but encoders do not,
-    (n_servos,).
+    travelled_deg: (2, n_servos), goals and encoders; older travel counts less. still: servos whose
+    goals move but whose encoders do not, (n_servos,).
     """
 
     def __init__(self, n: int) -> None:
@@ -157,9 +157,10 @@ class _Travel:
         self.still[index] = False
 
     def observe(self, sent_deg: Array, feedback: Feedback, heard: NDArray[np.bool_] | None) -> None:
-        """Update `travelled_deg` and `still` from one tick. heard: who answered; None: every servo.
+        """Update `travelled_deg` and `still` from one tick.
 
-        Arrays are changed in place, and only every 50 ms or so, to save time in every tick.
+        heard: (n_servos,), True for servos that answered; None: all did. Arrays are changed in
+        place, and only every 50 ms or so, to save time in every tick.
         """
         elapsed_s = feedback.time_s - self._time_s
         if elapsed_s < _SAMPLE_S:

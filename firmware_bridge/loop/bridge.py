@@ -48,7 +48,7 @@ class PortRetry:
         self.due_s = time_s + self._wait_s
 
     def note_open(self) -> None:
-        """Note that the port is open again."""
+        """Note that the port is open again: no further try is due."""
         self.is_open = True
 
 
@@ -85,7 +85,9 @@ class EaseToNeutral:
         return self._ramp.at(time_s)
 
     def over(self, sent_deg: Array, time_s: float) -> bool:
-        """Return whether the joints were sent to neutral, or the move has taken 2 s.
+        """Return whether the move is over: the joints were sent to neutral, or 2 s have passed.
+
+        Stores in `arrived` whether they were sent to neutral.
 
         Parameters
         ----------
@@ -111,9 +113,9 @@ class Bridge:
     """Turns targets into goals on a bus that its caller has opened.
 
     Limp until `start`. A servo in trouble is left out and supervised while the others go on; a lost
-    port is opened again; torque comes on through the `TorqueGate` alone. `stop` is what a person
-    ordered: it lasts whatever happens to port, servos and speech, until `start`. `tick` never
-    raises for them; it goes on after a stop until the state is ENDED.
+    port is opened again; torque comes on through the `TorqueGate` alone. `stop` is a person's
+    order: it lasts whatever happens to port, servos and speech, until `start`. `tick` never raises
+    for port or servos; it is to be called after a stop, too, until the state is ENDED.
     """
 
     def __init__(
@@ -164,7 +166,7 @@ class Bridge:
 
     @property
     def tick_counts(self) -> tuple[int, int, int]:
-        """Ticks so far, missed ticks, and ticks with torque on but no fresh target."""
+        """Ticks so far, missed ticks, and ticks of a driven face without a fresh target."""
         return self._n_ticks, self._n_late, self._n_stale
 
     @property
@@ -186,7 +188,7 @@ class Bridge:
 
     @property
     def feedback(self) -> Feedback | None:
-        """The positions read in the last tick; None before it, and while the port is lost."""
+        """The positions read in the last tick; None before the first tick, and without a port."""
         return self._servos.feedback if self._port.is_open else None
 
     @property
@@ -201,7 +203,7 @@ class Bridge:
 
     @property
     def settled(self) -> bool:
-        """Whether every servo is driven or has a reason in `troubles`."""
+        """Whether the start is complete: every servo is driven or has a reason in `troubles`."""
         return self._servos.supervision.settled
 
     @property
@@ -238,10 +240,10 @@ class Bridge:
     def start(self, may_continue: Callable[[], bool] = lambda: True) -> None:
         """Start the face: switch all torque off, then on at the present positions; nothing moves.
 
-        If tolerant, the ticks bring up one servo after another, and only critical ones must be able
-        to hold now. Otherwise all hold when this returns, or none: raises ServoError that names
-        those that cannot. may_continue: called in between; False: all are limp, and it returns.
-        Raises PortError when the port fails.
+        If `tolerant` in the settings, the ticks bring up one servo after another, and only critical
+        servos must be able to hold now. Otherwise all hold when this returns, or none: raises
+        ServoError that names those that cannot. may_continue: called in between; False, a stop: all
+        torque goes off, and this returns. Raises PortError when the port fails.
         """
         self._servos.gate.open()
         self._servos.disable_all()
@@ -322,9 +324,10 @@ class Bridge:
         )
 
     def stop(self, level: StopLevel) -> None:
-        """Stop the face for a person. LIMP and FREEZE act at once, SOFT from the next tick on.
+        """Stop the face for a person: SOFT to neutral, then limp; LIMP; or FREEZE, held as it is.
 
-        A stop that goes further may follow: SOFT, then LIMP; FREEZE, then either. Never raises.
+        LIMP and FREEZE act at once, SOFT from the next tick on. A stop that goes further may
+        follow: SOFT, then LIMP; FREEZE, then either. Never raises.
         """
         if self._state in (FaceState.LETTING_GO, FaceState.ENDED):
             return
@@ -359,7 +362,7 @@ class Bridge:
         return why_not
 
     def stop_report(self) -> StopReport:
-        """Return which servos confirmed torque off, and whether the face was at rest before."""
+        """Return which servos confirmed torque off, and whether the face was at neutral before."""
         at_rest = self._easing is not None and self._easing.arrived
         return self._servos.torque_off.report(at_rest=at_rest, plugged=self._port.is_open)
 
@@ -382,7 +385,10 @@ class Bridge:
         self._easing = None
 
     def _act(self, time_s: float) -> tuple[Array, Limited]:
-        """Do the tick of a face that is not driven; return (wanted, sent) goals."""
+        """Do the tick of a face that is not driven; return (wanted, sent) goals.
+
+        Eases it, holds it frozen, or switches torque off until all servos have confirmed.
+        """
         if self._state is FaceState.EASING:
             return self._ease(time_s)
         if self._state is FaceState.FROZEN:
@@ -396,7 +402,10 @@ class Bridge:
         return self._targets.held_deg, self._servos.limiter.unchanged()
 
     def _drive(self, time_s: float, wanted_deg: Array, level: StaleLevel) -> tuple[Array, Limited]:
-        """Do the tick of a driven face; return (wanted, sent) goals."""
+        """Do the tick of a driven face; return (wanted, sent) goals.
+
+        level: what the age of the targets requires; LIMP switches all torque off.
+        """
         limiter, scale = self._servos.limiter, self._servos.scale
         if level is StaleLevel.LIMP:
             self._jog.clear()
@@ -450,7 +459,7 @@ class Bridge:
         self._act_now(self._servos.hold_position)
 
     def _act_now(self, act: Callable[[float], None]) -> None:
-        """Call `act` with the last tick's time, if the port is open; note a port that fails."""
+        """Call `act` with the last tick's time if the port is open; note a port that fails."""
         if self._port.is_open:
             try:
                 act(self._tick_s)

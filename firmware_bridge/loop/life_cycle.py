@@ -29,13 +29,19 @@ from firmware_bridge.stopping import (
 
 
 class Control(Protocol):
-    """The source of stop requests: `ControlSocket`."""
+    """The source of a person's stops and other orders: `ControlSocket`."""
 
     def poll(self) -> StopRequest | None:
-        """Return the stop that was requested, None if none was; answers no client, never waits."""
+        """Return the stop requested since the last call, None if none was; never waits.
+
+        Sends no client an answer: `answer` does.
+        """
 
     def answer(self, status: Callable[[], Mapping[str, object]]) -> None:
-        """Answer the requests received, once a stop was acted on; never waits."""
+        """Answer the requests received, once a stop was acted on; never waits.
+
+        status: makes the status, for clients that request it.
+        """
 
     def attend(self, refusal: Callable[[Order], str]) -> None:
         """Accept orders to servos and face from now on, unless `refusal` returns a reason."""
@@ -44,7 +50,7 @@ class Control(Protocol):
         """Return the orders accepted since the last call, oldest first; never waits."""
 
     def report_end(self, report: Mapping[str, object]) -> None:
-        """Send the clients that requested a stop the report of its end."""
+        """Send the clients that requested a stop the report of how it ended."""
 
 
 class Heartbeat(Protocol):
@@ -54,7 +60,10 @@ class Heartbeat(Protocol):
         """Report that the loop is alive."""
 
     def stopped(self, level: StopLevel, *, ends: bool = False, requested_by: str = "") -> None:
-        """Report that a person stopped the face; ends: the process ends with the stop."""
+        """Report that a person stopped the face; ends: the operating-system process ends with it.
+
+        requested_by: a description of the client that requested the stop.
+        """
 
     def started(self) -> None:
         """Report that a person started the face again."""
@@ -72,11 +81,12 @@ def _no_record(_stop: StopRequest | None) -> None:
 
 @dataclass(frozen=True, slots=True)
 class LifeCycleLinks:
-    """Optional connections of a `LifeCycle` to the outside.
+    """Optional connections of a `LifeCycle` to the outside; None: there is none.
 
-    status: what the control socket answers. on_health: called every 10 s; on_stopped: called with a
-    person's stop, for what must outlive this process, or with None once a person has started the
-    face again. Both must return at once.
+    control: a person's stops and orders. lifeline: reports to a supervisor. status: makes what the
+    control socket answers. on_health: called every 10 s with all servos' condition. on_stopped:
+    called with a person's stop, for what must outlive this process, or with None once a person has
+    started the face again. Both must return at once.
     """
 
     control: Control | None = None
@@ -113,9 +123,9 @@ class LifeCycle:
 
     However the block is left, the face is brought to rest and torque is off, and `report` has what
     each servo confirmed. A first signal (INT, TERM, HUP, QUIT) stops softly, a second one switches
-    torque off at once; after an error nothing is eased. While the port is lost, a stop by a signal
-    waits for it for half a minute, or until a third signal; one through the control socket without
-    limit.
+    torque off at once; after an error of servos or port nothing is eased. While the port is lost, a
+    stop by a signal waits for the port for half a minute, or until a third signal; a stop through
+    the control socket waits without limit.
     """
 
     def __init__(
@@ -131,8 +141,9 @@ class LifeCycle:
 
         Parameters
         ----------
-        stopped : a person's stop that an earlier process of this face got. FREEZE: servos with
-            torque keep it, no other gets it. With `waits` any other: torque off, the face waits.
+        stopped : a person's stop of this face in an earlier process of the operating system; None:
+            the face is to start. FREEZE: servos with torque keep it, no other gets it. Any other
+            stop: torque off; the face waits for a start if `waits`.
         waits : whether a soft or limp stop by the control socket leaves a face that waits, limp,
             for a start; otherwise every stop but FREEZE ends the ticks.
         """
@@ -177,7 +188,7 @@ class LifeCycle:
         return self._requested_level is not None
 
     def start(self) -> None:
-        """Start the face, or take over a stopped one. Raises what `Bridge.start` raises."""
+        """Start the face, or keep it as an earlier process stopped it. Raises as `Bridge.start`."""
         if self._stopped is None:
             self._bridge.start(self._may_continue)
             _LOG.debug("torque is on")
@@ -231,10 +242,10 @@ class LifeCycle:
         return kind is ImmediateStop
 
     def _end(self, kind: type[BaseException] | None) -> None:
-        """Run ticks until the face is limp, eased to neutral; hold a frozen one until a stop.
+        """Run ticks until the face is limp, eased to neutral; hold a frozen face until a stop.
 
         Does nothing for a face that never started, after `ImmediateStop`, or an error of servos or
-        port.
+        port. kind: the type of the exception that ends the block; None: there is none.
         """
         if kind is not None and issubclass(kind, (ImmediateStop, BusError)):
             return
@@ -268,7 +279,10 @@ class LifeCycle:
             self._bridge.tick(time_s, late)
 
     def _on_signal(self, number: int, _frame: FrameType | None) -> None:
-        """Note a signal, which cannot leave a tick half done; raise ImmediateStop at the second."""
+        """Count a signal, which the next tick obeys, so that no tick is left half done.
+
+        Raises ImmediateStop at the second signal.
+        """
         self._n_signals += 1
         self.stopped_by_person = True
         if self.signal_number is None:
@@ -319,7 +333,7 @@ class LifeCycle:
         """Carry out a stop: first report it to the supervisor, in microseconds; then stop servos.
 
         The report lets the stop outlive this process. A face that is limp and waits has nothing to
-        freeze.
+        freeze: that is reported, but changes nothing.
         """
         if self._lifeline is not None:
             self._lifeline.stopped(
@@ -335,7 +349,7 @@ class LifeCycle:
 
     @property
     def _may_wait(self) -> bool:
-        """Whether the ticks go on after the end of this stop."""
+        """Whether the limp face waits for a start after this stop; otherwise the ticks end."""
         by_person = self._stopped is not None and not (self._n_signals or self._bounded)
         return self.waits and by_person and not (self._ends or self._bridge.failure)
 
@@ -355,7 +369,7 @@ class LifeCycle:
         self._bridge.await_start()
 
     def _described(self) -> dict[str, object]:
-        """Return the status, with the stop that a person ordered and the servos' report of it."""
+        """Return the face's status for clients, with a person's stop and the report of it."""
         stopped, report = self._stopped, self._stop_report
         return {
             **self._status(),
@@ -366,7 +380,7 @@ class LifeCycle:
         }
 
     def _obey_start(self) -> str:
-        """Drive the face again; return why not, in one line, "" if it is driven or starting."""
+        """Drive the face again for a person; return why not, "" if it is driven or starting."""
         if why_not := self._bridge.refusal(StartFace()):
             return why_not
         was_stopped, self._stopped = self._stopped, None
@@ -388,7 +402,10 @@ class LifeCycle:
         return ""
 
     def _obey_orders(self, time_s: float, *, is_stopped_now: bool) -> None:
-        """Carry out a person's orders; a stop of this tick comes before a start, and voids it."""
+        """Carry out a person's orders; log each.
+
+        is_stopped_now: a stop came in this tick; it comes before a start, and voids it.
+        """
         for order in () if self._control is None else self._control.take_orders():
             if isinstance(order, StartFace):
                 why_not = "a stop came with it" if is_stopped_now else self._obey_start()
@@ -407,7 +424,7 @@ class LifeCycle:
         self._bridge.stop(level)
 
     def _port_is_lost(self, time_s: float) -> bool:
-        """Return whether a stop has waited long enough for a port that does not come back.
+        """Return whether a stop has waited long enough for a lost port, so that the ticks end.
 
         A stop that a person requested through the control socket waits without limit.
         """
@@ -425,7 +442,10 @@ class LifeCycle:
         return time_s >= self._give_up_s
 
     def _log_changes(self, time_s: float) -> None:
-        """Log what changed of port, silence and servos; texts are made only then."""
+        """Log what changed of port, silence and servos; report servos given up to the supervisor.
+
+        Texts are made only when something changed.
+        """
         bridge = self._bridge
         if bridge.plugged is not self._was_plugged:
             self._was_plugged = bridge.plugged

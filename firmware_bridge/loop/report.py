@@ -21,8 +21,8 @@ class BridgeSettings:
     servo counts as not following. prevent: what joints must not do together. tolerant:
     `Bridge.start` leaves it to the ticks to enable the servos that can hold; otherwise all or none.
     dry_run: servos are read and supervised, but get neither torque nor goals. given_up: reason by
-    index, of servos that an earlier process of this face gave up. switched_off: indices of those
-    that a person switched off there.
+    index, of servos that an earlier process of this face gave up. switched_off: indices of servos
+    that a person switched off in an earlier process.
     """
 
     rate_hz: float
@@ -41,7 +41,7 @@ class BridgeSettings:
 
 
 class FaceState(StrEnum):
-    """The state of a face."""
+    """The state of a face: whether it is driven, on its way to limp, limp or frozen."""
 
     STOPPED = "stopped"  # limp until it is started
     DRIVEN = "driven"  # follows its targets, as many servos as are well
@@ -56,10 +56,10 @@ class FaceState(StrEnum):
 class TickReport:
     """What one tick wanted, sent and measured. Every array is (n_servos,).
 
-    wanted_deg are the goals before the last gate; sent_deg those that the bus got. While
-    `torque_on` is False no servo gets goals, sent_deg is the joints' positions, and no limit counts
-    as hit. target_age_s counts from the newest target due, or from arming when that is later. late
-    is how many ticks were missed before this one.
+    wanted_deg are the goals before the last gate; sent_deg those after it. Only servos that are
+    driven get them: while `torque_on` is False none is. target_age_s counts from the newest target
+    due, or from the start of the face when that is later. late is how many ticks were missed before
+    this tick.
     """
 
     time_s: float
@@ -78,9 +78,9 @@ class TickReport:
 class BridgeStatus:
     """Counts since the bridge was made, for a status line or a dashboard.
 
-    n_stale: ticks with torque on whose target was no longer fresh; waiting for the first one after
-    a start does not count. n_armed: how often the face was brought up: started, sent targets again
-    after a silence, plugged in again.
+    n_stale: ticks of a driven face whose target was no longer fresh; the wait for the first target
+    after a start does not count. n_armed: how often the face was brought up: started, sent targets
+    again after a silence, plugged in again.
     """
 
     state: FaceState

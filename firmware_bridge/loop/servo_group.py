@@ -93,7 +93,10 @@ _HEALTH = tuple(each.name for each in fields(ServoHealth))
 
 
 class ServoGroup:
-    """The servos of a `Bridge`. Every method that sends packets may raise PortError."""
+    """The servos of a `Bridge`: limiter, torque gate and supervision in front of the bus.
+
+    Every method that sends packets may raise PortError.
+    """
 
     def __init__(
         self,
@@ -140,13 +143,16 @@ class ServoGroup:
         self._bus.reopen()
 
     def disable_all(self, time_s: float = 0.0, why: str = "") -> None:
-        """Switch all servos off, and mark them as waiting for torque. why: the reason shown."""
+        """Switch all servos off, to wait for torque again. why: the reason in `troubles`."""
         self.torque_off.begin()
         self._note_ready()
         self.supervision.mark_all_waiting(time_s, why)
 
     def lose_port(self, time_s: float, *, lets_go: bool) -> None:
-        """Mark all servos as waiting for a lost port. lets_go: torque off where a port remains."""
+        """Mark all servos as waiting for a lost port.
+
+        lets_go: also switch torque off, on those buses of the face whose port remains.
+        """
         self.torque_off.forget()
         self.supervision.mark_all_waiting(time_s, PORT_GONE)
         if not lets_go:
@@ -167,7 +173,7 @@ class ServoGroup:
         return readings
 
     def check(self, indices: Sequence[int], may_continue: Callable[[], bool]) -> None:
-        """Raise ServoError naming the servos that could not hold now, with the reasons.
+        """Raise ServoError naming those of `indices` that could not hold now, with the reasons.
 
         Servos that a person switched off are not checked; may_continue: False ends the checks.
         """
@@ -179,9 +185,9 @@ class ServoGroup:
     def enable(
         self, indices: Sequence[int], time_s: float, may_continue: Callable[[], bool]
     ) -> None:
-        """Switch these servos' torque on at their positions; all off on an error or a stop.
+        """Switch torque of servos `indices` on at their positions; all off on an error or a stop.
 
-        Those that a person switched off stay off. Raises ServoError naming the servos that refuse.
+        Servos that a person switched off stay off. Raises ServoError naming the servos that refuse.
         may_continue: called before each servo; False: a stop.
         """
         found = []
@@ -213,9 +219,9 @@ class ServoGroup:
     def hold_position(self, time_s: float) -> None:
         """Set the goals to the servos' present positions, or as near as they can stop.
 
-        A moving shaft is behind its goal: it may go on to it, but no farther than it moves while it
-        brakes. A servo that did not answer just now keeps its goal until it answers (`stay_on`),
-        since its position is unknown.
+        A moving shaft is behind its goal: it may go on to the goal, but no farther than it moves
+        while it brakes. A servo that did not answer just now keeps its goal until it answers
+        (`stay_on`), since its position is unknown.
         """
         heard, near_deg = self._stopping_places()
         here_deg = np.where(heard, near_deg, self.limiter.sent_deg)
@@ -247,7 +253,10 @@ class ServoGroup:
         return limited
 
     def drop_waiting(self, time_s: float) -> None:
-        """Switch off servos that still wait for their torque, since a person stopped the face."""
+        """Switch off servos whose bus has not yet started them, since a person stopped the face.
+
+        Only a bus that knows no positions starts its servos one after another, after torque on.
+        """
         ready = self._bus.feedback().ready if self._any_blind else None
         if ready is not None:
             for index in np.flatnonzero(self.supervision.driven & ~ready).tolist():
@@ -255,9 +264,10 @@ class ServoGroup:
                 self.supervision.note_attempt(index, "was stopped before its turn", time_s)
 
     def _start_here(self, index: int) -> None:
-        """Set a holding servo's last goal to its position, or where unknown to the goal sent last.
+        """Set the limiter's last goal of servo `index`, which holds, to its position.
 
-        If the bus reports neither, the limiter's last goal is kept.
+        Where that is unknown, to the goal the bus sent last; if the bus reports neither, the
+        limiter's last goal is kept.
         """
         feedback = self._bus.feedback()
         has_place = self._has_place[index]
@@ -268,12 +278,15 @@ class ServoGroup:
         self._note_ready()
 
     def _note_ready(self) -> None:
-        """Keep the goals of servos that do not report positions until the bus has started them."""
+        """Hold back the goals of servos without known position that the bus has not started."""
         if self._any_blind:
             self.limiter.hold_back(self._bus.feedback().ready)
 
     def _stopping_places(self) -> tuple[NDArray[np.bool_], Array]:
-        """Return which servos answered just now, and where each can stop, degrees; (n_servos,)."""
+        """Return which servos answered just now, and where each can stop, degrees; (n_servos,).
+
+        That is the last goal, but no farther from the position than the servo moves in braking.
+        """
         feedback = self._bus.feedback()
         sent_deg, places_deg = self.limiter.sent_deg, feedback.positions_deg
         near_deg = np.clip(sent_deg, places_deg - self._brakes_deg, places_deg + self._brakes_deg)
@@ -293,7 +306,7 @@ class ServoGroup:
             self._bus.widen(wide)
 
     def send(self, limited: Limited, time_s: float) -> None:
-        """Send goals to driven servos, read all, and let supervision act on one of them."""
+        """Send goals to driven servos, read all servos, and supervise one of all, in a tick."""
         goals_deg = limited.positions_deg
         limp = None if self.supervision.all_driven else ~self.supervision.driven
         if limp is None:
@@ -326,7 +339,7 @@ class ServoGroup:
         self.supervision.switch_off(index, time_s)
 
     def switch_on(self, index: int, time_s: float) -> bool:
-        """Allow one servo torque again for a person; return False if it was not off or given up."""
+        """Allow one servo torque again for a person; False: it was neither off nor given up."""
         self.gate.switch_on(index)
         return self.supervision.switch_on(index, time_s)
 
@@ -354,7 +367,7 @@ class ServoGroup:
     def _health_columns(self) -> tuple[list[Any], ...]:
         """Return the columns of `ServoHealth`, in the order of its fields, one value a servo.
 
-        () before the first reading.
+        () before the first reading: there are no servos to report.
         """
         known = self._health
         if known is None:
@@ -384,7 +397,10 @@ class ServoGroup:
 
 
 def _stop_is_repeated(ask: Callable[[int], str], index: int) -> str:
-    """Call `ask` up to 60 times until the servo agrees; return "" or its last refusal."""
+    """Call `ask(index)` up to 60 times until it returns ""; return "", or its last refusal.
+
+    Repeated since lost packets are no reason to fail.
+    """
     refusal = ""
     for _ in range(_REQUESTED):
         refusal = ask(index)

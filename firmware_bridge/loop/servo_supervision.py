@@ -52,7 +52,7 @@ _SWITCHING_OFF: Final = int(ServoState.SWITCHING_OFF)
 
 
 class TorquePort(Protocol):
-    """The methods of `TorqueGate` that supervision needs."""
+    """What supervision does to servos: the methods of `TorqueGate` that it needs."""
 
     def refusal(self, index: int) -> str:
         """Return why this servo must not have torque; empty: it may."""
@@ -71,7 +71,7 @@ class TorquePort(Protocol):
 
 
 class ServoSupervision:
-    """One decision a tick, about the servo that needs it most; arrays are (n_servos,).
+    """One decision a tick, about the next servo in turn that needs any; arrays are (n_servos,).
 
     reasons: why each servo is not driven, in words; empty while it is, or before it was tried.
     n_changes: how often a reason has changed, so that a loop need not compare texts.
@@ -121,7 +121,7 @@ class ServoSupervision:
 
     @property
     def all_driven(self) -> bool:
-        """Whether all servos get goals."""
+        """Whether every servo gets goals."""
         return self.states.tobytes() == self._all_driven
 
     @property
@@ -131,7 +131,7 @@ class ServoSupervision:
 
     @property
     def lost_critical(self) -> int | None:
-        """The index of a critical servo that has failed for good; None if none has."""
+        """The index of a critical servo that stays limp for good; None: there is no such servo."""
         if not self._any_critical:
             return None
         lost = np.flatnonzero(self._critical & (self.states == ServoState.FAILED))
@@ -143,7 +143,7 @@ class ServoSupervision:
         return all(self.reasons[i] for i in np.flatnonzero(self.states != ServoState.DRIVEN))
 
     def note_attempt(self, index: int, why_not: str, time_s: float) -> None:
-        """Store the result of an attempt to enable a servo. why_not: empty = its torque is on."""
+        """Store the result of enabling a servo: driven if `why_not` is empty, else waiting."""
         self.states[index] = ServoState.WAITING if why_not else ServoState.DRIVEN
         self._until_s[index] = time_s + _RETRY_S
         self._behind[index] = False
@@ -153,7 +153,8 @@ class ServoSupervision:
     def mark_all_waiting(self, time_s: float, why: str = "") -> None:
         """Mark all as not driven, when the port is lost or all torque was switched off.
 
-        Servos that a person switched off have to confirm again; failed ones stay failed.
+        why: the reason, for people. Servos that a person switched off have to confirm again; failed
+        servos stay failed.
         """
         for index in np.flatnonzero(self.states != ServoState.FAILED).tolist():
             if self.states[index] in _SWITCHED_OFF:
@@ -169,7 +170,7 @@ class ServoSupervision:
         self._set_reason(index, f"{SWITCHED_OFF}, has not confirmed yet")
 
     def switch_on(self, index: int, time_s: float) -> bool:
-        """Let `act` enable a servo as if it had never failed; return False if it was not off."""
+        """Let `act` enable a servo as if it had never failed; False: it was not off or failed."""
         if self.states[index] not in (*_SWITCHED_OFF, ServoState.FAILED):
             return False
         self._reboots[index].clear()
@@ -177,7 +178,11 @@ class ServoSupervision:
         return True
 
     def reboot(self, index: int, time_s: float, port: TorquePort) -> None:
-        """Restart a servo that is not driven; afterwards it is off, or tried again, as before."""
+        """Restart a servo that is not driven, at a person's order.
+
+        Afterwards a servo that was switched off is switched off again, one that failed stays limp,
+        and any other is enabled again by `act`.
+        """
         port.reboot(index)
         self.n_reboots[index] += 1
         if self.states[index] in _SWITCHED_OFF:
@@ -187,7 +192,7 @@ class ServoSupervision:
         self._until_s[index] = time_s + _REBOOT_S
 
     def keep_off(self, time_s: float, port: TorquePort) -> None:
-        """Disable switched-off servos until they confirm, in ticks without `act`."""
+        """Disable switched-off servos until they confirm, in ticks of a limp face (no `act`)."""
         for index in np.flatnonzero(self.states == _SWITCHING_OFF).tolist():
             if time_s >= self._until_s[index]:
                 self._let_go(index, time_s, port)
@@ -205,7 +210,10 @@ class ServoSupervision:
         self._behind = self._tracking.behind(sent_deg, feedback)
 
     def act(self, health: Health, time_s: float, port: TorquePort) -> int | None:
-        """Act on one servo at most; return its index if it was enabled just now, else None."""
+        """Act on the next servo in turn that needs it; return its index if it was enabled just now.
+
+        None: no servo was enabled.
+        """
         if self._all_normal(health):
             return None
         n = len(self.states)
@@ -218,7 +226,7 @@ class ServoSupervision:
         return None
 
     def _all_normal(self, health: Health) -> bool:
-        """Return whether every servo is driven and in order, which is nearly always so."""
+        """Return whether every servo is driven and in order, so that `act` has nothing to do."""
         return (
             self.all_driven
             and all_set(health.torque_on)
@@ -230,7 +238,7 @@ class ServoSupervision:
         )
 
     def _act_on(self, i: int, health: Health, time_s: float, port: TorquePort) -> tuple[bool, bool]:
-        """Handle one servo; return whether anything was done, and whether torque is on now."""
+        """Handle servo `i`; return whether anything was done, and whether torque came on."""
         state = self.states[i]
         if state == ServoState.DRIVEN:
             return self._check_driven(i, health, time_s, port), False
@@ -310,7 +318,7 @@ class ServoSupervision:
         self._until_s[i] = time_s + _COOL_DOWN_S
 
     def _count_failure(self, i: int, time_s: float, port: TorquePort) -> None:
-        """Count a failure; at the fourth within ten minutes the servo is failed, limp for good."""
+        """Count a failure of servo `i`; at the fourth in ten minutes it fails, limp for good."""
         past = self._reboots[i]
         if len(past) == _REBOOTS and time_s - past[0] < _REBOOT_WINDOW_S:
             self.states[i] = ServoState.FAILED

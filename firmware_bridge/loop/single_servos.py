@@ -36,10 +36,10 @@ _NOT_ARMED: Final = "jogging is not armed: say `jog arm` first"
 
 
 class Jog:
-    """Replaces the targets of jogged joints; its goals still pass limiter and rules.
+    """Jogging: moves the joints that a person jogs, in place of their targets.
 
-    is_armed: whether jogging is allowed now. is_active: whether `guide` has to be called. Arrays
-    are (n_joints,).
+    Its goals still pass limiter and rules. is_armed: whether jogging is allowed now. is_active:
+    whether `guide` has to be called. Arrays are (n_joints,).
     """
 
     def __init__(self, joints: Sequence[Joint], period_s: float) -> None:
@@ -68,12 +68,12 @@ class Jog:
         return [int(index) for index in np.flatnonzero(np.isfinite(self._goals_deg))]
 
     def arm(self, time_s: float) -> None:
-        """Allow jogging for 3 s from now on; joints that are jogged already go on."""
+        """Allow jogging until 3 s after `time_s`; joints that are jogged already go on."""
         self.is_armed = self.is_active = True
         self._until_s = time_s + JOG_LASTS_S
 
     def move(self, index: int, position_deg: float, time_s: float) -> None:
-        """Jog one joint to a position in degrees; only to be called while armed."""
+        """Jog one joint to a position in degrees until 3 s after `time_s`; only while armed."""
         self._goals_deg[index] = position_deg
         self._returns[index] = False
         self._until_s = time_s + JOG_LASTS_S
@@ -169,7 +169,10 @@ class SingleServos:
         self._jog = jog
 
     def refusal(self, order: Order, state: FaceState, *, plugged: bool) -> str:
-        """Return why this order is refused now, in one line; empty: it is accepted."""
+        """Return why an order is refused now, in one line; empty: it is accepted.
+
+        state: of the face; plugged: whether the port is open.
+        """
         if isinstance(order, (ServoOrder, JogTo, JogPulse)) and order.name not in self._index:
             return f"{order.name[:40]!r}: no such servo; there are: {', '.join(self._index)}"
         if self._servos.gate.dry_run:
@@ -189,7 +192,7 @@ class SingleServos:
                 return ""
 
     def note(self, order: Order, time_s: float) -> None:
-        """Store an accepted order for the ticks. Only a restart sends packets: PortError."""
+        """Store an accepted order for the ticks. A restart is sent at once, or raises PortError."""
         match order:
             case ServoOrder():
                 self._switch(self._index[order.name], order.switch, time_s)

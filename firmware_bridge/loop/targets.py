@@ -34,7 +34,7 @@ class TargetChannel(Protocol):
         """Send one target record to the reader."""
 
     def drain(self) -> list[ServoTargets]:
-        """Return the records published since the last call that still matter, oldest first."""
+        """Return the records published since the last call and not dropped, oldest first."""
 
 
 #: Longest step beyond the newest target along its slope. At the mouth's usual 5 Hz and below it is
@@ -82,7 +82,7 @@ class TargetTrack:
     """
 
     def __init__(self, n_servos: int, n_kept: int = 256) -> None:
-        """Set the number of records kept: 256 are 2.5 s at 100 Hz, more than targets come ahead."""
+        """Set the number of records kept: 256 are 2.5 s at 100 Hz, more than come ahead."""
         self._shape = (n_servos,)
         self._n_kept = n_kept
         self._times_s: list[float] = []
@@ -224,9 +224,10 @@ _FRESH = StaleLevel.FRESH
 
 
 class FollowedTargets:
-    """Targets in, one wanted angle a joint out; arrays are (n_joints,).
+    """The targets that a face follows: what was published, until it is too old.
 
-    held_deg: the newest targets followed. was_spoken_to: whether any was followed since the start.
+    Arrays are (n_joints,). held_deg: the newest targets followed. was_spoken_to: whether any was
+    followed since the start.
     """
 
     def __init__(self, channel: TargetChannel, n_joints: int, stale: StaleRule) -> None:
@@ -259,7 +260,7 @@ class FollowedTargets:
         self.was_spoken_to = False
 
     def take(self, time_s: float) -> bool:
-        """Read the channel; return whether there is a fresh target that may be followed."""
+        """Read the channel; return whether there is a fresh target for `time_s`, for `follow`."""
         self._track.push(self._channel.drain())
         target_deg, age_s = self._track.at(time_s)
         if target_deg is None or self._stale.level(age_s) is not _FRESH:
@@ -268,14 +269,14 @@ class FollowedTargets:
         return True
 
     def follow(self) -> None:
-        """Make the fresh target found by `take` the one that is held."""
+        """Hold, from now on, the fresh target that was found when the channel was read."""
         assert self._fresh_deg is not None
         self._heard_s = max(self._heard_s, self._fresh_s)
         self.held_deg = self._fresh_deg
         self.was_spoken_to = True
 
     def silence_s(self, time_s: float) -> float:
-        """Return the age in s of the newest target followed; before the first, time since start."""
+        """Return the age in s of the newest target followed; before the first, since `begin`."""
         return max(0.0, time_s - self._heard_s)
 
     def wanted(self, silence_s: float, level: StaleLevel) -> Array:

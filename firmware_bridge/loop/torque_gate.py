@@ -67,13 +67,19 @@ class TorqueGate:
         return "dry run: servos are only read" if self.dry_run else self.closed_because
 
     def refusal(self, index: int) -> str:
-        """Return why this servo must not have torque, without reading it; empty: it may."""
+        """Return why servo `index` must not have torque, by orders alone; empty: it may.
+
+        The servo itself is not read.
+        """
         if why := self.forbidden:
             return why
         return SWITCHED_OFF if index in self._switched_off else self._given_up.get(index, "")
 
     def obstacle(self, index: int) -> str:
-        """Return why this servo would get no torque now, read from it too; empty: it would."""
+        """Return why this servo would get no torque now; empty: it would.
+
+        By orders, as from `refusal`, or by its own state, read now.
+        """
         return self.refusal(index) or self._bus.obstacle(index)
 
     def enable(self, index: int) -> str:
@@ -81,9 +87,9 @@ class TorqueGate:
         return self.refusal(index) or self._bus.enable_torque(index)
 
     def keep(self, index: int) -> bool:
-        """Hold a servo whose torque is on, even after a stop; return whether its torque is on.
+        """Hold a servo whose torque is on, even after a stop; return whether it confirmed.
 
-        False in a dry run, and for a servo that a person switched off.
+        False, too, in a dry run, for a limp servo, and for one that a person switched off.
         """
         may_keep = not self.dry_run and index not in self._switched_off
         return may_keep and self._bus.keep_torque(index)
@@ -94,7 +100,10 @@ class TorqueGate:
         return self._bus.capabilities
 
     def disable(self, index: int) -> bool:
-        """Switch one servo's torque off; return whether it confirmed, or cannot confirm."""
+        """Switch one servo's torque off; return whether it confirmed.
+
+        True, too, for a servo that was sent the packet and cannot confirm.
+        """
         return self._bus.disable_torque(index)
 
     def disable_all(self) -> NDArray[np.bool_]:
@@ -113,11 +122,11 @@ class TorqueGate:
             self._bus.reboot(index)
 
     def close(self, because: str) -> None:
-        """Refuse all torque from now on, since a person stopped the face. because: the reason."""
+        """Refuse all torque from now on, since a person stopped the face; `because`: the reason."""
         self.closed_because = because
 
     def open(self) -> None:
-        """Allow torque again, since a person starts the face; not to servos that were given up."""
+        """Allow torque again, since a person starts the face; not to servos off or given up."""
         self.closed_because = ""
 
     def switch_off(self, index: int) -> None:
@@ -140,7 +149,7 @@ _LONGEST_S: Final = 2.0
 
 
 class TorqueOff:
-    """Which servos have confirmed torque off, or were sent it and cannot confirm.
+    """The switching off of all servos: which have confirmed, or were sent it and cannot confirm.
 
     Methods that send packets may raise PortError.
     """
@@ -163,7 +172,7 @@ class TorqueOff:
         self._since_s = None
 
     def begin(self) -> None:
-        """Send torque off to all servos now."""
+        """Send torque off to all servos now, and store which confirmed."""
         self.forget()
         self._confirmed = self._gate.disable_all()
 
@@ -185,7 +194,10 @@ class TorqueOff:
         return self._since_s is not None and time_s - self._since_s > _LONGEST_S
 
     def report(self, *, at_rest: bool, plugged: bool) -> StopReport:
-        """Return the report of the servos that confirmed torque off, and of those that did not."""
+        """Return the report of the servos that confirmed torque off, and of those that did not.
+
+        at_rest: whether the face had come to neutral before. plugged: whether the port is open.
+        """
         names = [joint.name for joint in self._joints]
         why = "does not answer" if plugged else PORT_GONE
         can = {name: self._gate.capabilities.of(n) for n, name in enumerate(names)}

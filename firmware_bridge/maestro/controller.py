@@ -49,15 +49,15 @@ class Maestro:
         self.errors = 0
 
     def tell(self, *commands: tuple[int, Sequence[int]]) -> None:
-        """Send several commands in one write; read no answer."""
+        """Send commands, each (code, data bytes), in one write; read no answer."""
         self.transport.write(b"".join(self.packet(*each) for each in commands))
 
     def packet(self, code: int, data: Sequence[int] = ()) -> bytes:
-        """Return one command as bytes, with this Maestro's number and CRC."""
+        """Return one command as bytes, with this Maestro's device number and CRC if set."""
         return command(code, data, device=self._device, crc=self.has_crc)
 
     def position_us(self, channel: int) -> float:
-        """Read the pulse that a channel sends, us; 0: none; NaN: no answer. Stores its errors."""
+        """Read the pulse of a channel, us; 0: none; NaN: no answer. Stores the Maestro's errors."""
         answer = self._ask(4, (GET_POSITION, (channel,)), (GET_ERRORS, ()))
         if answer is None:
             return float("nan")
@@ -70,7 +70,10 @@ class Maestro:
         return None if answer is None else int.from_bytes(answer, "little")
 
     def check(self, port: str) -> None:
-        """Raise PortError with the remedy unless a Maestro answers, with the CRC as set."""
+        """Raise PortError with the remedy unless a Maestro answers, with the CRC as set.
+
+        port: its path, for the message.
+        """
         if all(self.read_errors() is None for _ in range(_TRIES)):
             raise PortError(no_answer(port, crc=self.has_crc))
         # Where only we use a CRC, it was one byte too many in what was just asked.
@@ -88,7 +91,7 @@ class Maestro:
 
 
 def no_answer(port: str, *, crc: bool) -> str:
-    """Return why the Maestro at a port may be silent, and the remedy."""
+    """Return why the Maestro at a port may be silent, and the remedy. crc: as in the YAML."""
     setting_advice = (
         "true, and the Maestro may have it off" if crc else "false, and the Maestro may use it"
     )
@@ -100,7 +103,7 @@ def no_answer(port: str, *, crc: bool) -> str:
 
 
 class PulseCommands:
-    """The targets of a face's servos as one block of bytes, overwritten in place in every tick."""
+    """The commands that set a face's pulses, as one block of bytes overwritten in every tick."""
 
     def __init__(self, maestro: Maestro, channels: Sequence[int], *, together: bool) -> None:
         """Lay out the block of commands for these channels.
@@ -215,7 +218,7 @@ class MaestroController:
         return True  # one that starts anew is another device on USB: its port is lost
 
     def sending(self, index: int) -> float:
-        """Read the pulse that the Maestro sends to a servo, us; 0: none; NaN: no answer."""
+        """Read the pulse that the Maestro sends to servo `index`, us; 0: none; NaN: no answer."""
         return self._reached().position_us(self._channels[index])
 
     def remarks(self) -> Sequence[str]:

@@ -72,7 +72,7 @@ class MaestroKind(BusKind):
         return PulseBus(wiring.servos, controller, clock, can, kept, may_jump=may_jump)
 
     def allow_first_start(self, wiring: Wiring) -> None:
-        """Write the neutral pulses to the file of kept pulses, for servos without one."""
+        """Write the neutral pulses to the file of kept pulses, for servos without a kept pulse."""
         from firmware_bridge.pulse_bus import KeptPulses
 
         KeptPulses(wiring.kept).allow_neutral(wiring.servos)
@@ -82,7 +82,10 @@ class MaestroKind(BusKind):
         return usb_product(port) in _USB_PRODUCTS
 
     def port_release(self, port: str, wiring: Wiring | None) -> Callable[[], PortRelease]:
-        """Return a function that opens the port to switch the pulses of all channels off."""
+        """Return a function that opens the port to switch the pulses of all channels off.
+
+        Without a wiring the model is unknown, and commands have neither device number nor CRC.
+        """
         from firmware_bridge.maestro.release import MaestroRelease
 
         opener = _opener(port)

@@ -72,14 +72,17 @@ def crc7(message: bytes | bytearray) -> int:
 
 
 def command(code: int, data: Sequence[int] = (), *, device: int | None = None, crc: bool) -> bytes:
-    """Return the bytes of one command. device: the number of a Maestro; None: all on the line."""
+    """Return the bytes of one command. device: the number of a Maestro; None: all on the line.
+
+    crc: whether a CRC follows.
+    """
     head = (code,) if device is None else (POLOLU, device, code & 0x7F)
     message = bytes((*head, *data))
     return message + bytes((crc7(message),)) if crc else message
 
 
 def split(value: int) -> tuple[int, int]:
-    """Return 14 bits as two data bytes, the low one first."""
+    """Return the low 14 bits of `value` as two data bytes, the lower seven bits first."""
     return value & 0x7F, value >> 7 & 0x7F
 
 

@@ -1,4 +1,4 @@
-"""Switch pulses off at a Maestro that another process drove before."""
+"""Switch off the servo pulses of a Pololu Maestro that another process drove before."""
 
 import math
 from collections.abc import Sequence
@@ -21,17 +21,21 @@ class MaestroRelease:
     def __init__(
         self, transport: Transport, port: str, settings: MaestroSettings, *, knows: bool
     ) -> None:
-        """transport: an open port. knows: whether `settings` come from the YAML of a face."""
+        """Prepare to switch pulses off over `transport`, an open port named `port` in messages.
+
+        knows: whether `settings` come from the YAML of a face, so that the number of channels is
+        certain.
+        """
         self._maestro = Maestro(transport, settings)
         self._port, self._knows = port, knows
         self._n_channels = settings.n_channels if knows else min(N_CHANNELS.values())
 
     def tell_all(self, addresses: Sequence[int]) -> None:
-        """Switch the pulses off on all channels, and read back that `addresses` send none.
+        """Switch off all channels' pulses, and read back that the channels `addresses` send none.
 
-        Without addresses channel 0 is read. A Maestro may ignore a command: pulses off is repeated
-        up to three times. Raises PortError when channels still send afterwards, or no Maestro
-        answers.
+        If `addresses` is empty, channel 0 is read. A Maestro may ignore a command: pulses off is
+        repeated up to three times. Raises PortError when channels still send afterwards, or no
+        Maestro answers.
         """
         told: Sequence[int] = range(self._n_channels)
         left: Sequence[int] = addresses or (0,)
@@ -44,15 +48,16 @@ class MaestroRelease:
         raise PortError(f"{self._port}: the Maestro goes on with its pulses on channels {left}")
 
     def ask(self, address: int) -> str:
-        """Return why a channel's servo never counts as limp: a hobby servo reports nothing."""
+        """Return why the servo of channel `address` never counts as limp: it reports nothing."""
         return f"channel {address} cannot say whether its servo holds"
 
     def find(self, addresses: Sequence[int]) -> Sequence[int]:
-        """Switch all pulses off; return `addresses`, else all channels of the Maestro.
+        """Switch all pulses off, and return the channels to report on.
 
-        The number of channels of an unknown model is found by querying ever higher channels. A
-        query for a missing channel sends servos to their home positions: pulses are then switched
-        off again.
+        These are `addresses`, or all channels of the Maestro if `addresses` is empty or the model
+        is unknown. The number of channels of an unknown model is found by querying ever higher
+        channels. A query for a missing channel sends servos to their home positions: pulses are
+        then switched off again.
         """
         self.tell_all(addresses)
         if self._knows:

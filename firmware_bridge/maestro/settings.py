@@ -13,9 +13,9 @@ class MaestroSettings(BusSettings):
 
     Without `port:` the servos are simulated in memory.
     crc: whether the Maestro is set to require a CRC. device: the Maestro's number where several
-    share a port; None: it is alone. serial_timeout_s: after so many seconds without a command the
-    Maestro stops its pulses, as set in the Maestro; 0: never (factory setting), but
-    firmware/pico_maestro has .5 s.
+    share a port; None: it is alone. serial_timeout_s: the time set in the Maestro after which it
+    stops its pulses if no command comes; 0: it never does (factory setting). By default .5 s for
+    model `pico`, the firmware in firmware/pico_maestro.
     """
 
     kind: str = "maestro"
@@ -38,5 +38,5 @@ class MaestroSettings(BusSettings):
 
     @property
     def n_channels(self) -> int:
-        """The number of servo channels that the model has."""
+        """The number of servo channels of the Maestro model."""
         return N_CHANNELS[self.model]

@@ -1,6 +1,7 @@
-"""Simulate a Maestro, to the byte, and its servos' shafts; in memory or behind a pseudo-terminal.
+"""Simulate a Pololu Maestro, to the byte, and the shafts of its servos.
 
-Tests check the pulses that the simulator logs, not what the Maestro reports.
+The Maestro is in memory or behind a pseudo-terminal. Tests check the pulses that the simulator
+logs, not the values that the Maestro reports.
 """
 
 from collections import deque
@@ -52,7 +53,12 @@ _FOREVER: Final = float("inf")
 
 
 class PulseFault(TimedFault):
-    """One fault of a simulated Maestro, of a `kind`; an `unplug` lasts for `lasts_s`."""
+    """One fault of a simulated Maestro, of a `kind`, as a fault script lists it.
+
+    brown-out: its supply fails shortly. deaf: it ignores commands from then on. truncate, corrupt:
+    the next bytes that it receives are cut in half, or one bit of them changes. unplug: its port is
+    gone for lasts_s.
+    """
 
     kind: Literal["brown-out", "deaf", "truncate", "corrupt", "unplug"]
 
@@ -62,15 +68,15 @@ FAULTS: Final = get_args(PulseFault.model_fields["kind"].annotation)
 
 
 def read_faults(text: str | None) -> Sequence[PulseFault]:
-    """Parse the faults in a YAML script; None: no faults. Raises ValueError for a bad script."""
+    """Return the faults in the YAML `text`, none for None. Raises ValueError for bad YAML."""
     return parse_faults(text, PulseFault)
 
 
 class Shaft:
     """The position of a hobby servo's shaft, as the pulse in us that would hold it there.
 
-    It moves towards its pulse at constant speed. Without pulses it sags by `sags_us_s`; 0, as with
-    a digital servo: it holds.
+    The shaft moves towards its pulse at constant speed. Without pulses it sags by `sags_us_s`; 0:
+    it holds its position, as a digital servo does.
     """
 
     def __init__(
@@ -80,7 +86,7 @@ class Shaft:
         self._speed_us_s, self._sags_us_s = speed_us_s, sags_us_s
 
     def move(self, pulse_us: float, seconds: float) -> None:
-        """Move towards a pulse for some seconds; sag instead when the pulse is 0 (none)."""
+        """Move the shaft for `seconds`: towards `pulse_us`, or let it sag if that is 0 (none)."""
         if pulse_us:
             reach_us = self._speed_us_s * seconds
             self.place_us += min(max(pulse_us - self.place_us, -reach_us), reach_us)
@@ -90,7 +96,7 @@ class Shaft:
 
 @dataclass(frozen=True, slots=True)
 class Pulse:
-    """A change of one channel's pulse, in us (0: none), and its shaft's position then, in us."""
+    """A change of one channel to `pulse_us` (0: no pulse), and its shaft's position then, in us."""
 
     time_s: float
     channel: int
@@ -99,7 +105,7 @@ class Pulse:
 
 
 class _Channel:
-    """One output: its target, its speed limit, and the pulse that it sends; in quarters of a us."""
+    """One output: target, speed limit and present pulse in quarters of a us, and the shaft."""
 
     def __init__(self) -> None:
         self.target = self.speed = self.acceleration = 0
@@ -107,7 +113,7 @@ class _Channel:
         self.shaft = Shaft()
 
     def set_target(self, target: int, shortest: float, longest: float) -> None:
-        """Set the target within shortest..longest; 0: off.
+        """Set the pulse to approach to `target`, clipped to shortest..longest; 0: pulses off.
 
         A channel that was off, or has no speed limit, jumps to its target. All values are in
         quarters of a us.
@@ -117,7 +123,7 @@ class _Channel:
             self.position = self.target
 
     def move(self, seconds: float) -> None:
-        """Move the pulse towards its target, and the shaft towards the pulse, by some seconds."""
+        """Move the pulse towards its target, and the shaft towards the pulse, for `seconds`."""
         if self.position != self.target:
             reach = self.speed * seconds / SPEED_UNIT_S if self.speed else float("inf")
             self.position += min(max(self.target - self.position, -reach), reach)
@@ -127,8 +133,8 @@ class _Channel:
 class SimulatedMaestro:
     """A simulated Maestro: a `SimulatedDevice` that obeys commands and logs its pulses.
 
-    deaf: in the factory's serial mode, in which it ignores commands. Tests read `channels`, and the
-    log `pulses`.
+    deaf: whether it ignores all commands, as in the factory's serial mode. Tests read `channels`,
+    and the log `pulses`.
     """
 
     def __init__(
@@ -140,7 +146,12 @@ class SimulatedMaestro:
         range_us: tuple[float, float] = (_SHORTEST_US, _LONGEST_US),
         on_pulse: Callable[[Pulse], None] | None = None,
     ) -> None:
-        """on_pulse: called with every change of a pulse, which `pulses` logs as well."""
+        """Start with all channels off.
+
+        faults: happen at their times. range_us: shortest and longest pulse of a channel; targets
+        outside are clipped. on_pulse: called with every change of a pulse, which `pulses` logs as
+        well.
+        """
         self._crc, self._device = settings.crc, settings.device
         self._is_micro = settings.model == WITHOUT_SET_TARGETS
         self._timeout_s = settings.serial_timeout_s or _FOREVER
@@ -186,7 +197,7 @@ class SimulatedMaestro:
             self._happen(fault)
 
     def receive(self, data: bytes, now_s: float, _baud_rate: int) -> None:
-        """Parse bytes and obey each whole command; ignore all bytes while deaf or unplugged."""
+        """Obey the commands in `data`, received at `now_s`; ignore all while deaf or unplugged."""
         self.advance(now_s)
         if self.deaf or not self.plugged:
             return
@@ -224,7 +235,7 @@ class SimulatedMaestro:
             self._log(number)
 
     def unplug(self, seconds: float) -> None:
-        """Remove the USB port for some seconds; pulses continue: the servo supply stays on."""
+        """Remove the USB port for `seconds`; pulses continue: the servo supply stays on."""
         self._back_s = self._now_s + seconds
         self._answers.clear()
         self._message.clear()
@@ -299,7 +310,7 @@ class SimulatedMaestro:
         self._go_home()
 
     def _go_home(self) -> None:
-        """Switch off every channel that sends pulses, as the factory setting does at an error."""
+        """Switch off every channel that sends pulses: the factory setting for an error."""
         for number, channel in enumerate(self.channels):
             if channel.position:
                 channel.target, channel.position = 0, 0.0
@@ -320,9 +331,10 @@ def maestro_for(
     *,
     deaf: bool = False,
 ) -> SimulatedMaestro:
-    """Return a simulated Maestro for a face's wiring.
+    """Return a simulated Maestro with the settings and pulse limits of the face in `wiring`.
 
-    Raises ServoError for channels that it lacks.
+    faults, on_pulse, deaf: as for `SimulatedMaestro`. Raises ServoError for servos at channels that
+    the model lacks.
     """
     check_channels(wiring)
     shortest = min((each.min_us for each in wiring.servos), default=_SHORTEST_US)
@@ -338,7 +350,10 @@ def watched_servos(
     faults: Sequence[PulseFault] = (),
     on_pulse: Callable[[Pulse], None] | None = None,
 ) -> WatchedServos:
-    """Return a face's servos simulated in memory: bus, clock, Maestro, and the shafts' angles."""
+    """Return a face's servos simulated in memory: bus, clock, Maestro, and shaft angles, for tests.
+
+    faults, on_pulse: as for `SimulatedMaestro`.
+    """
     maestro, clock = maestro_for(wiring, faults, on_pulse), ManualClock()
     controller = MaestroController(wiring, lambda: MemoryTransport(maestro, clock, BAUD_RATE))
     can, scale = MAESTRO.capabilities(wiring.settings), PulseScale(wiring.servos)
@@ -355,7 +370,7 @@ def watched_servos(
 
 
 def simulated_wire(wiring: Wiring) -> tuple[ServoBus, ManualClock]:
-    """Return the bus of a face's servos, simulated in memory, and the clock that moves them."""
+    """Return the bus of a face's servos simulated in memory, and the clock that moves them."""
     watched = watched_servos(wiring)
     return watched.bus, watched.clock
 
@@ -363,12 +378,13 @@ def simulated_wire(wiring: Wiring) -> tuple[ServoBus, ManualClock]:
 def serve(
     wiring: Wiring | None, link: Path | None, *, faults: str | None, log: Path | None, **_of: Any
 ) -> PtyHost:
-    """Return a host that serves a simulated Maestro at a pseudo-terminal: a face's, else a Micro 6.
+    """Return a host that serves a simulated Maestro at a pseudo-terminal.
 
-    link: path of a symbolic link to the terminal. faults: the YAML text of a script. log: a file
-    that gets every change of a pulse as a line of JSON: seconds since the start, channel, pulse and
-    shaft in us. Raises ServoError for channels that the model lacks and for a log that cannot be
-    written, ValueError for an invalid script, and PortError where no terminal or link can be made.
+    wiring: the servos of the face that is simulated; None: a Micro 6 without a face. link: path of
+    a symbolic link to the terminal. faults: the YAML text of a script. log: a file that gets every
+    change of a pulse as a line of JSON: seconds since the start, channel, pulse and shaft in us.
+    Raises ServoError for channels that the model lacks and for a log that cannot be written,
+    ValueError for an invalid script, and PortError where no terminal or link can be made.
     """
     script = read_faults(faults)
     write = pulse_log(log)

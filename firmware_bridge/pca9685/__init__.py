@@ -1,1 +1,1 @@
-"""Hobby servos at a PCA9685 on I2C."""
+"""Hobby servos at a PCA9685, a chip on an I2C bus that makes the pulses of sixteen servos."""

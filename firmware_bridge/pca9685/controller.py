@@ -43,7 +43,11 @@ class Pca9685:
         clock: Clock,
         guard: OeGuard | None = None,
     ) -> None:
-        """channels: the channel of each servo. guard: holds the OE pin; None: nothing holds it."""
+        """Prepare a controller; `open` connects it.
+
+        open_chip: opens the chip's I2C bus. timing: clock and prescaler of the chip. channels: the
+        channel of each servo. guard: holds the OE pin; None: nothing holds it.
+        """
         self._open_chip, self._timing, self._clock = open_chip, timing, clock
         self._channels, self._guard = tuple(channels), guard
         self._messages = PulseMessages(channels)
@@ -87,7 +91,8 @@ class Pca9685:
         Returns
         -------
         bool
-            False: the chip has lost its setup, or the guard has lapsed; no pulse is made.
+            False: no pulse is made, since the chip has lost its setup, or the guard's last
+            heartbeat is so old that the guard may have blocked pulses.
         """
         counts, guard = self._timing.counts(pulses_us), self._guard
         if not any_set(counts):
@@ -107,9 +112,9 @@ class Pca9685:
         return True
 
     def sending(self, index: int) -> float:
-        """Return the pulse in us that a servo's channel makes, read from its registers.
+        """Return the pulse in us that the channel of servo `index` makes, read from its registers.
 
-        0: none, also while the chip is not set up to run.
+        0: none, also while the chip is not set up to run. The guard gets its last heartbeat again.
         """
         chip = self._opened
         if self._guard is not None:
@@ -141,10 +146,10 @@ class Pca9685:
         self._opened.write([ALL_OFF])
 
     def _beat(self, guard: OeGuard, *, passes: bool) -> None:
-        """Send the guard a heartbeat that lets pulses through or blocks them.
+        """Send the guard a heartbeat that lets pulses through (`passes`) or blocks them.
 
-        Raises ServoError, after switching all pulses off, when the guard is dead or hangs: nothing
-        would end the pulses with this program any more.
+        Raises ServoError, after switching all pulses off, when the guard is dead or hangs: if this
+        program died then, nothing would end the pulses.
         """
         try:
             guard.beat(passes=passes)
@@ -153,9 +158,9 @@ class Pca9685:
             raise
 
     def _set_up(self) -> bool:
-        """Write prescaler and modes unless the chip has them; return whether it has them now.
+        """Write prescaler and mode registers unless set already; return whether they read as set.
 
-        Pulses of a chip that is set up already continue. False: its supply failed meanwhile.
+        Pulses of a chip that is set up already continue. False: the supply failed meanwhile.
 
         The prescaler can be written only asleep (7.3.5), where no pulse is made: all channels go
         off first, so that none is cut short or comes back by the restart.
@@ -196,7 +201,7 @@ def check_identity(chip: I2cChip) -> None:
 
 
 def clock_remark(clock_hz: float) -> str:
-    """Return a warning that `clock_hz` is the data sheet's value; empty: the clock was measured."""
+    """Return a warning if `clock_hz` is the data sheet's and so not measured; else "" (empty)."""
     if clock_hz != NOMINAL_CLOCK_HZ:
         return ""
     return "clock_hz is that of the data sheet; boards differ by some per cent, pulses with them"

@@ -14,10 +14,10 @@ from firmware_bridge.pca9685.settings import Pca9685Settings
 def examine(
     wiring: Wiring, opener: Callable[[], I2cChip], slowness: str | None
 ) -> Iterator[Finding]:
-    """Yield findings on bus, chip, channels, timing, rate and OE pin; only reads.
+    """Yield findings on bus, chip, channels, timing, rate and OE pin; only reads, never writes.
 
     opener: opens the chip; findings end at its PortError. slowness: why the bus is too slow for the
-    face; None: it is not.
+    face; None: it is fast enough.
     """
     settings: Pca9685Settings = wiring.settings
     try:

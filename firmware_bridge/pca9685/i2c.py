@@ -55,7 +55,7 @@ class Transfers(Protocol):
 
 
 class I2cChip:
-    """One chip on an I2C bus, found by its address. Methods raise PortGone."""
+    """One chip at an address of an I2C bus; `name`: for messages. Methods raise PortGone."""
 
     def __init__(self, transfers: Transfers, address: int, name: str) -> None:
         self._transfers, self._address, self.name = transfers, address, name
@@ -191,16 +191,16 @@ class _TerminalTransfers:
 
 
 def is_terminal(path: str) -> bool:
-    """Return whether `path` leads to a pseudo-terminal, at whose other end a simulator is."""
+    """Return whether `path` leads to a pseudo-terminal, behind which the I2C chip is simulated."""
     return Path(path).resolve().parent == _TERMINALS
 
 
 def open_chip(path: str, address: int) -> I2cChip:
-    """Open the chip at an address of the I2C bus at `path`, locked for this process.
+    """Open the chip at `address` of the I2C bus at `path`, locked for this process.
 
-    Nothing is sent. The lock is on the address: programs that use other addresses of the bus are
-    not affected. Raises PortError, with the remedy, when the bus cannot be opened or the address is
-    in use.
+    Nothing is sent. On a bus of the computer only the address is locked: programs that use its
+    other addresses are not affected. Raises PortError, with the remedy, when the bus cannot be
+    opened or the address is in use.
     """
     name = f"{path}, address {address:#04x}"
     is_alone = is_terminal(path)
@@ -219,10 +219,10 @@ def open_chip(path: str, address: int) -> I2cChip:
 
 
 def _claim(fd: int, address: int, *, alone: bool) -> None:
-    """Lock an I2C address for this process, as one byte of the bus's file, without waiting.
+    """Lock an I2C address for this process, as one byte of the bus's file `fd`, without waiting.
 
-    alone: lock the whole file as well, since a terminal carries one conversation; else share it.
-    Raises OSError where another process has the lock.
+    alone: lock the whole file as well, since a terminal carries one conversation; else share the
+    file. Raises OSError where another process has the lock.
     """
     fcntl.flock(fd, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)
     lock = _OFD_LOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, address, 1, 0)

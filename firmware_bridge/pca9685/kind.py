@@ -53,7 +53,10 @@ class Pca9685Kind(BusKind):
         )
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":  # noqa: ARG002 - no servo can be asked whether it is there
-        """Return the bus of the servos: over I2C, or simulated in memory when no port is set."""
+        """Return the face's bus, unopened: over I2C, or simulated in memory when no port is set.
+
+        strict: without effect, since a missing hobby servo cannot be detected.
+        """
         from firmware_bridge.pca9685.i2c import is_terminal
         from firmware_bridge.pca9685.oe_guard import OeGuard
         from firmware_bridge.pulse_bus import KeptPulses, PulseBus
@@ -70,9 +73,10 @@ class Pca9685Kind(BusKind):
         return PulseBus(wiring.servos, controller, clock, can, kept, may_jump=may_jump)
 
     def slowness(self, wiring: Wiring, rate_hz: float) -> str | None:
-        """Return why the I2C bus is too slow for `rate_hz`, and the remedy; None: it is not.
+        """Return why the I2C bus is too slow for `rate_hz` ticks a second; None: it is fast enough.
 
-        Computed from the bytes of a tick and the bus clock that the device tree states.
+        The text has the remedy. Computed from the bytes of a tick and the bus clock that the device
+        tree states.
         """
         bits_s = _bits_s(wiring.settings.port or "")
         needed_s = (4 * len(wiring.servos) + 8) * _BYTE_BITS / bits_s
@@ -85,7 +89,7 @@ class Pca9685Kind(BusKind):
         )
 
     def allow_first_start(self, wiring: Wiring) -> None:
-        """Let servos that had no pulse yet jump to neutral, by writing neutral as kept pulses."""
+        """Allow servos without any pulse yet to jump to neutral: file it as their last pulse."""
         from firmware_bridge.pulse_bus import KeptPulses
 
         KeptPulses(wiring.kept).allow_neutral(wiring.servos)
@@ -93,7 +97,7 @@ class Pca9685Kind(BusKind):
     def port_release(self, port: str, wiring: Wiring | None) -> Callable[[], PortRelease]:
         """Return a function that opens the face's board to switch its outputs off.
 
-        Raises PortError without `wiring`, which has the board's address.
+        Raises PortError if `wiring`, which has the board's address, is None.
         """
         if wiring is None:
             raise PortError(f"{port}: which address? Give --config, the face's YAML")
@@ -122,17 +126,20 @@ class BoardRelease:
             raise
 
     def tell_all(self, addresses: Sequence[int]) -> None:  # noqa: ARG002 - one byte is for all
-        """Switch the pulses of all channels off, whatever `addresses` says."""
+        """Switch the pulses of all channels off, whatever `addresses` contains."""
         from firmware_bridge.pca9685.registers import ALL_OFF
 
         self._chip.write([ALL_OFF])
 
     def ask(self, address: int) -> str:
-        """Return why a channel's servo never counts as limp: a hobby servo reports nothing."""
+        """Return why the servo of channel `address` never counts as limp: it reports nothing."""
         return f"channel {address} cannot say whether its servo holds"
 
     def find(self, addresses: Sequence[int]) -> Sequence[int]:
-        """Switch all pulses off; return `addresses`, else all channels: none can be detected."""
+        """Switch all pulses off; return `addresses`, or all 16 channels if it is empty.
+
+        Connected servos cannot be detected.
+        """
         self.tell_all(addresses)
         return addresses or range(N_CHANNELS)
 
@@ -142,7 +149,7 @@ class BoardRelease:
 
 
 def opener_of(wiring: Wiring) -> Callable[[], "I2cChip"]:
-    """Return a function that opens the PCA9685 of a face; that function raises PortError."""
+    """Return a function that opens the PCA9685 of the face in `wiring`, and raises PortError."""
     from firmware_bridge.pca9685.i2c import open_chip
 
     return partial(open_chip, wiring.settings.port, wiring.settings.address)
@@ -156,7 +163,8 @@ def controller_of(
 ) -> "Pca9685":
     """Return the controller of a face's PCA9685, unopened.
 
-    Raises ServoError for pulses that are too long for its frequency.
+    opener: opens the chip. guard: holds its OE pin; None: nothing does. Raises ServoError where the
+    servos' longest pulse does not fit into the period of the pulses.
     """
     from firmware_bridge.pca9685.controller import Pca9685
 
@@ -168,7 +176,10 @@ def controller_of(
 
 
 def _has_guard(settings: Pca9685Settings) -> bool:
-    """Return whether a guard holds the OE pin; for a simulated board only if its pin is a FIFO."""
+    """Return whether the face is driven with a guard at its OE pin.
+
+    True where `oe_gpio` and a port are set; behind a pseudo-terminal only if `gpio_chip` is a FIFO.
+    """
     from firmware_bridge.pca9685.i2c import is_terminal
     from firmware_bridge.pca9685.oe_guard import is_stand_in
 
@@ -178,7 +189,7 @@ def _has_guard(settings: Pca9685Settings) -> bool:
 
 
 def _bits_s(port: str) -> int:
-    """Return an I2C bus's clock in bits/s from the device tree; 100,000 where it has none."""
+    """Return the clock of the I2C bus `port` in bits/s from the device tree, else 100,000."""
     number = Path(port).name.removeprefix("i2c-")
     try:
         cells = Path(f"/sys/class/i2c-adapter/i2c-{number}/of_node/clock-frequency").read_bytes()

@@ -1,10 +1,11 @@
 """The guard of a PCA9685's OE pin: a process that holds it low only as long as a bridge lives.
 
-OE is active low: while it is high the board makes no pulse, whatever its registers say. The guard
-lowers it for half a second at each heartbeat, and lets it go high when none comes: when the bridge
-has died, hangs, or has stopped all servos. It ends with the bridge only where the registers are off
-as well; else it holds the pin high until the next guard of the pin ends it. With a pull-up at the
-pin, the pin goes high as well when the guard or the computer dies.
+The bridge is the process that drives the servos. OE is active low: while it is high the board makes
+no pulse, whatever its registers say. The guard lowers it for half a second at each heartbeat, and
+lets it go high when none comes: when the bridge has died, hangs, or has stopped all servos. The
+guard ends with the bridge only where the registers are off as well; else it holds the pin high
+until the next guard of the pin ends it. With a pull-up at the pin, the pin goes high as well when
+the guard or the computer dies.
 
 Run as `python -m firmware_bridge.pca9685.oe_guard CHIP LINE DESCRIPTOR` by `OeGuard`.
 """
@@ -72,11 +73,11 @@ class OeGuard:
 
     @property
     def has_lapsed(self) -> bool:
-        """Whether the last heartbeat let pulses through so long ago that they may have ended."""
+        """Whether the last heartbeat let pulses through, but is so old that they may have ended."""
         return self.passes and self._clock.now() - self._sent_s > _LAPSED_S
 
     def start(self) -> None:
-        """Start the guard process, which drives the pin high, unless it already runs.
+        """Start the guard process, which drives the pin high (no pulses), unless one runs already.
 
         Raises PortError with the reason when the guard cannot hold the pin.
         """
@@ -109,9 +110,10 @@ class OeGuard:
         self._heard_s = self._sent_s
 
     def beat(self, *, passes: bool) -> None:
-        """Send a heartbeat, in every tick: let pulses through for half a second, or end them now.
+        """Send a heartbeat: let pulses through for half a second (`passes`), or end them now.
 
-        Raises ServoError once the guard is dead or hangs: nothing would end the pulses then.
+        Call it in every tick; an unchanged heartbeat is sent every 50 ms at most. Raises ServoError
+        once the guard is dead or hangs: nothing would end the pulses then.
         """
         now_s, wanted = self._clock.now(), _PASS if passes else _BLOCK
         if wanted == self._sent and now_s - self._sent_s < _BEAT_S:
@@ -134,10 +136,10 @@ class OeGuard:
             self._fail("has died")
 
     def close(self) -> None:
-        """Close the link to the guard, which ends the pulses.
+        """Close the connection to the guard process, which ends the pulses.
 
-        The guard process ends only if the last heartbeat had ended the pulses already; else it
-        holds the pin high.
+        The guard process itself ends only if the last heartbeat had ended the pulses already; else
+        it continues, to hold the pin high.
         """
         if self._link is not None:
             self._link.close()
@@ -195,13 +197,16 @@ class _StandIn:
 
 
 def open_pin(chip: str, line: int) -> Pin:
-    """Open the OE pin, or the FIFO in its place, driven high. Raises PortError with the remedy."""
+    """Open `line` of the GPIO `chip`, or the FIFO `chip` in its place, driven high.
+
+    Raises PortError with the remedy.
+    """
     with _in_words():
         return _StandIn(chip) if is_stand_in(chip) else _GpioPin(chip, line)
 
 
 def user_of(chip: str, line: int) -> str:
-    """Return the name of the GPIO line's present user; empty: it is free. Raises PortError.
+    """Return the name of the program that holds the GPIO line; empty: it is free. Raises PortError.
 
     Changes nothing; a FIFO in place of a GPIO chip counts as free.
     """
@@ -235,10 +240,10 @@ def _in_words() -> Iterator[None]:
 
 
 def guard(link: socket.socket, pin: Pin) -> bool:
-    """Drive the pin by the bridge's heartbeats until the bridge is gone.
+    """Drive the pin by the heartbeats received over `link`, until the bridge has closed it.
 
-    Low for `HOLD_S` after a heartbeat that lets pulses through, else high. Return whether the last
-    heartbeat had ended the pulses.
+    Low for `HOLD_S` after a heartbeat that lets pulses through, else high. Return True if the last
+    heartbeat had blocked pulses, or none came.
     """
     waits, wanted, is_high, until_s = select.poll(), _BLOCK, True, 0.0
     waits.register(link, select.POLLIN)
@@ -261,9 +266,10 @@ def guard(link: socket.socket, pin: Pin) -> bool:
 
 
 def _lock(chip: str, line: int) -> int:
-    """Lock the pin for this process, ending a guard that outlived its bridge; return the lock's fd.
+    """Lock `line` of GPIO `chip` for this process, ending a guard without a bridge; return an fd.
 
-    Raises PortError when the lock cannot be made, or another guard keeps it for 2 s.
+    The fd is of the lock's file. Raises PortError when the lock cannot be made, or another guard
+    keeps it for 2 s.
     """
     name = f"oe-{os.path.realpath(chip).replace('/', '_')}-{line}.lock"
     try:

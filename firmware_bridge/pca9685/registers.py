@@ -1,4 +1,4 @@
-"""Registers of a PCA9685 and the counts of its pulses: pure functions.
+"""Registers of a PCA9685, and its pulses in counts, the units of its clock: pure functions.
 
 Sections and tables: https://www.nxp.com/docs/en/data-sheet/PCA9685.pdf, revision 4.
 """
@@ -27,7 +27,7 @@ _BYTES: Final = 4
 
 
 class Register(IntEnum):
-    """Addresses of registers, table 4."""
+    """Addresses of a PCA9685's registers, table 4 of its data sheet."""
 
     MODE1 = 0x00
     MODE2 = 0x01
@@ -42,7 +42,7 @@ class Register(IntEnum):
 
 
 class Mode1(IntFlag):
-    """Bits of MODE1, table 5."""
+    """Bits of the PCA9685's register MODE1, table 5 of its data sheet."""
 
     RESTART = 0x80
     EXTERNAL_CLOCK = 0x40
@@ -55,7 +55,10 @@ class Mode1(IntFlag):
 
 
 class Mode2(IntFlag):
-    """Bits of MODE2, table 6. CHANGE_ON_ACK unset: outputs change together, after a STOP."""
+    """Bits of the PCA9685's register MODE2, table 6 of its data sheet.
+
+    CHANGE_ON_ACK unset: outputs change together, after a STOP.
+    """
 
     INVERT = 0x10
     CHANGE_ON_ACK = 0x08
@@ -72,7 +75,7 @@ ALL_OFF: Final = bytes([Register.ALL_LED_OFF_H, FULL])
 
 
 def channel_register(channel: int) -> int:
-    """Return the address of LEDn_ON_L of a channel. Raises ValueError outside 0..15."""
+    """Return the address of a channel's first register, LEDn_ON_L; ValueError outside 0..15."""
     if not 0 <= channel < N_CHANNELS:
         raise ValueError(f"channel {channel} is outside 0..{N_CHANNELS - 1}")
     return Register.LED0_ON_L + _BYTES * channel
@@ -90,9 +93,9 @@ class Timing:
 
     @classmethod
     def at(cls, clock_hz: float, frequency_hz: float) -> "Timing":
-        """Return the timing nearest to a pulse frequency (7.3.5).
+        """Return the timing nearest to `frequency_hz`, for a chip with clock `clock_hz` (7.3.5).
 
-        Raises ValueError where no value of the prescaler gives it.
+        Raises ValueError where no value of the prescaler gives that frequency.
         """
         prescale = int(clock_hz / (CYCLE * frequency_hz) + 0.5) - 1
         if not 3 <= prescale <= 255:
@@ -133,7 +136,7 @@ class Timing:
         return (pulses_us / self.count_us + 0.5).astype(np.int64)
 
     def resolution_deg(self, us_per_deg: float) -> float:
-        """Return the smallest step of a servo in degrees, which is that of one count."""
+        """Return a servo's smallest step in degrees: one count, by its `us_per_deg`."""
         return self.count_us / abs(us_per_deg)
 
 
@@ -164,7 +167,7 @@ class PulseMessages:
         Parameters
         ----------
         counts : NDArray[np.int64]
-            (n_servos,) of 4096 a cycle; 0: full off.
+            (n_servos,) pulse widths; a cycle has 4096 counts, 0: full off.
 
         Returns
         -------

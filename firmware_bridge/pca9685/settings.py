@@ -24,8 +24,9 @@ class Pca9685Settings(BusSettings):
     """The `bus:` section of a face whose servos hang on a PCA9685.
 
     port: the bus's file in Linux; default: that of `i2c_bus`; without either the servos are
-    simulated in memory. clock_hz: as measured at this board. oe_gpio: the line of `gpio_chip` that
-    leads to the board's OE pin; None: none does.
+    simulated in memory. frequency_hz: of the pulses. clock_hz: as measured at this board. oe_gpio:
+    the line of `gpio_chip` that leads to the board's OE pin; None: nothing is connected to that
+    pin.
     """
 
     kind: str = "pca9685"
@@ -43,7 +44,7 @@ class Pca9685Settings(BusSettings):
 
     @property
     def timing(self) -> Timing:
-        """The chip's clock and prescaler for `frequency_hz`."""
+        """The chip's clock and the prescaler for pulses at `frequency_hz`."""
         return Timing.at(self.clock_hz, self.frequency_hz)
 
     @model_validator(mode="before")
@@ -66,7 +67,7 @@ class Pca9685Servo(PulseServo):
 
 
 def check_pulses(settings: Pca9685Settings, longest_us: float) -> str:
-    """Return why pulses of `longest_us` do not fit into the chip's period; empty: they fit."""
+    """Return why a pulse of `longest_us` and a pause do not fit into a period; empty: they fit."""
     room_us = settings.timing.period_us - _PAUSE_US
     if min(longest_us, LONGEST_US) <= room_us:
         return ""

@@ -57,7 +57,7 @@ class ChipFault(TimedFault):
     kind: Literal["nack", "stuck", "cut", "brown-out", "unplug"]
 
     def is_on(self, now_s: float) -> bool:
-        """Return whether the fault lasts at the time `now_s`."""
+        """Return whether the fault is in effect at the time `now_s`."""
         since_s = now_s - self.at_s
         return (
             since_s >= 0.0 and (since_s % self.every_s if self.every_s else since_s) < self.lasts_s
@@ -74,7 +74,7 @@ FAULTS: Final = get_args(ChipFault.model_fields["kind"].annotation)
 
 
 def read_faults(text: str | None) -> Sequence[ChipFault]:
-    """Parse the faults in a YAML script; None: no faults. Raises ValueError for a bad script."""
+    """Return the faults in the YAML `text`, none for None. Raises ValueError for bad YAML."""
     return parse_faults(text, ChipFault)
 
 
@@ -90,10 +90,10 @@ class Pulse:
 
 @dataclass(slots=True)
 class HobbyServo:
-    """A hobby servo's shaft, which runs to the angle of its last pulse at constant speed.
+    """A simulated hobby servo's shaft, which runs to the angle of its last pulse at constant speed.
 
-    us_per_deg, neutral_us: as in a face's YAML. Without pulses it stays: a digital servo holds, an
-    analogue one is stiff by its gears alone.
+    us_per_deg, neutral_us: as in a face's YAML. Without pulses the shaft stays: a digital servo
+    holds it, an analogue one is stiff by its gears alone.
     """
 
     us_per_deg: float
@@ -122,9 +122,10 @@ class HobbyServo:
 class SimulatedPca9685:
     """A simulated PCA9685, from power-up on. Callers pass the time in s, which never goes back.
 
-    Faults come from a script, or are set at any time: `nacks`, so many of the next transfers are
-    not acknowledged; `cut_after`, so many bytes of the next write arrive; `brown_out`. cuts_pulses:
-    a write ends the pulse of its channel that is under way, as was seen on some boards.
+    Faults come from a script, or are set at any time: `nacks` is the number of coming transfers
+    that are not acknowledged, `cut_after` the number of bytes of the next write that arrive;
+    `brown_out` is called. cuts_pulses: a write ends the pulse of its channel that is under way, as
+    was seen on some boards.
     """
 
     def __init__(
@@ -139,9 +140,11 @@ class SimulatedPca9685:
         oe_is_high: Callable[[], bool] = lambda: False,
         n_remembered: int = 200_000,
     ) -> None:
-        """servos: by channel. on_pulse: called with every ended pulse, which `pulses` logs, too.
+        """Start as after power-up.
 
-        oe_is_high: returns whether the OE pin is high, which blocks all pulses.
+        servos: by channel. on_pulse: called with every ended pulse, which `pulses` logs, too.
+        oe_is_high: returns whether the OE pin is high, which blocks all pulses. n_remembered: how
+        many of the newest pulses are kept in `pulses`.
         """
         self.address, self._clock_hz = address, clock_hz
         self.servos = dict(servos or {})
@@ -169,7 +172,7 @@ class SimulatedPca9685:
         return self.plugged and not self._suffers("stuck") and not self._suffers("nack")
 
     def transfer(self, messages: Sequence[Message], time_s: float) -> tuple[int, bytes]:
-        """Run one I2C transfer; return its error number (0: none) and the bytes read."""
+        """Run an I2C transfer at `time_s`; return its error number (0: none) and the bytes read."""
         self.advance(time_s)
         if not self.plugged:
             return errno.ENODEV, b""
@@ -387,7 +390,7 @@ class TerminalChip:
         self.chip.advance(time_s)
 
     def receive(self, data: bytes, time_s: float, _baud_rate: int) -> None:
-        """Run the transfers in the frames of a client; an incomplete frame is kept for .5 s."""
+        """Run the transfers in the frames in `data`; an incomplete frame is kept for .5 s."""
         if time_s - self._received_s > 0.5:
             self._received = b""  # whoever sent half a frame has died of it
         self._received += data
@@ -404,7 +407,7 @@ class TerminalChip:
 
 
 def _parse(data: bytes) -> tuple[list[Message], bytes] | None:
-    """Return the first frame's messages and the bytes after it; None: no frame is complete."""
+    """Return the first frame's messages and the bytes after that frame; None: it is incomplete."""
     if not data:
         return None
     messages: list[Message] = []
@@ -441,7 +444,7 @@ class PinFifo:
         self._is_high = True
 
     def is_high(self) -> bool:
-        """Return whether the pin is high, by the last byte in the FIFO; high without a guard."""
+        """Return whether the pin is high, by the last byte in the FIFO; True without a guard."""
         with contextlib.suppress(BlockingIOError):
             self._is_high = os.read(self._fd, 4096)[-1:] != b"0"
         return self._is_high
@@ -453,7 +456,10 @@ def chip_for(
     on_pulse: Callable[[Pulse], None] | None = None,
     oe_is_high: Callable[[], bool] = lambda: False,
 ) -> SimulatedPca9685:
-    """Return the simulated PCA9685 of a face, with its servos at neutral."""
+    """Return the simulated PCA9685 of the face in `wiring`, with its servos at neutral.
+
+    faults, on_pulse, oe_is_high: as for `SimulatedPca9685`.
+    """
     servos = {each.channel: HobbyServo(each.us_per_deg, each.neutral_us) for each in wiring.servos}
     settings = wiring.settings
     return SimulatedPca9685(
@@ -471,7 +477,10 @@ def watched_servos(
     faults: Sequence[ChipFault] = (),
     on_pulse: Callable[[Pulse], None] | None = None,
 ) -> WatchedServos:
-    """Return a face's servos simulated in memory: bus, clock, chip, and the shafts' angles."""
+    """Return the servos of `wiring` simulated in memory: bus, clock, chip, and the shafts' angles.
+
+    faults, on_pulse: as for `SimulatedPca9685`.
+    """
     chip, clock = chip_for(wiring, faults, on_pulse), ManualClock()
     opener = partial(I2cChip, MemoryTransfers(chip, clock), chip.address, "simulated PCA9685")
     controller, can = controller_of(wiring, opener, clock), PCA9685.capabilities(wiring.settings)
@@ -485,7 +494,7 @@ def watched_servos(
 
 
 def simulated_wire(wiring: Wiring) -> tuple[ServoBus, ManualClock]:
-    """Return the bus of a face's servos, simulated in memory, and the clock that moves them."""
+    """Return the bus of a face's servos simulated in memory, and the clock that moves them."""
     watched = watched_servos(wiring)
     return watched.bus, watched.clock
 
@@ -497,7 +506,7 @@ def serve(
 
     link: path of a symbolic link to the terminal. faults: the YAML text of a script. log: a file
     that gets every pulse as a line of JSON: start in seconds of the simulator, channel, width in
-    us. Raises ServoError without a face or for a log that cannot be written, ValueError for a bad
+    us. Raises ServoError if `wiring` is None or the log cannot be written, ValueError for a bad
     script, and PortError where no terminal, link or FIFO can be made.
     """
     if wiring is None:

@@ -18,7 +18,7 @@ _BLIND_S: Final = 0.5
 
 @dataclass(frozen=True, slots=True)
 class HeartbeatTimeouts:
-    """How many seconds a process may be without a heartbeat: while it starts, and once it runs."""
+    """The longest silence in s: `start_s` until a process's first heartbeat, `run_s` afterwards."""
 
     start_s: float
     run_s: float
@@ -32,14 +32,15 @@ class HeartbeatMonitor:
         self._since_s = self._looked_s = 0.0
 
     def begin(self, now_s: float) -> None:
-        """Start counting the silence of a new process at `now_s`."""
+        """Start counting the silence of a process that was started at `now_s`."""
         self._since_s = self._looked_s = now_s
 
     def look(self, now_s: float, beat_s: float | None) -> float:
-        """Return when the process counts as hung if it stays silent; up to `now_s`: it hangs.
+        """Return the time at which the process counts as hung if no further heartbeat comes.
 
-        beat_s: time of its newest heartbeat; None: none yet. Call it often: after a pause of the
-        caller the silence is counted anew.
+        If that is at or before `now_s`, the process hangs. beat_s: time of its newest heartbeat;
+        None: none yet. Call it often: if the caller itself paused for more than .5 s, the silence
+        is counted anew.
         """
         if now_s - self._looked_s > _BLIND_S:
             self._since_s = now_s
@@ -53,7 +54,8 @@ class HeartbeatMonitor:
 class Child:
     """A process in a group of its own, so that a terminal's Ctrl-C reaches its supervisor only.
 
-    It dies with its supervisor: by the kernel's signal, and when it finds its lifeline closed.
+    It dies with its supervisor: by the kernel's signal, and when it finds the lifeline, its socket
+    to the supervisor, closed.
     """
 
     def __init__(
@@ -63,7 +65,12 @@ class Child:
         inherited: Mapping[str, int],
         timeouts: HeartbeatTimeouts,
     ) -> None:
-        """command: `{lifeline}` and the keys of `inherited` in it stand for descriptor numbers."""
+        """Set up a process that `start` starts.
+
+        command: its words; `{lifeline}` and the keys of `inherited` are replaced by the numbers of
+        the descriptors that the process inherits. name: for the log. timeouts: after which it
+        hangs.
+        """
         self.name = name
         self._command = command
         self._inherited = dict(inherited)
@@ -83,13 +90,16 @@ class Child:
         return self._watch is not None and self._watch.beat_s is not None
 
     def filenos(self) -> list[int]:
-        """Return the descriptors that become readable when the process sends a message or ends."""
+        """Return the descriptors that become readable when the process sends a message or ends.
+
+        [] while there is no process.
+        """
         if self._process is None or self._watch is None:
             return []
         return [self._pidfd] if self._watch.closed else [self._pidfd, self._watch.fileno()]
 
     def start(self, arguments: Sequence[str], now_s: float) -> None:
-        """Start the process, with `arguments` after its command."""
+        """Start the process at `now_s`, with `arguments` after its command."""
         if self._watch is not None:
             self._watch.close()
         end, self._watch = lifeline_pair()
@@ -116,7 +126,10 @@ class Child:
         return [] if self._watch is None else self._watch.read()
 
     def hung_at_s(self, now_s: float) -> float:
-        """Return the monotonic time at which the process counts as hung if it stays silent."""
+        """Return the monotonic time at which the process counts as hung if no heartbeat comes.
+
+        Call it often, with the present time as `now_s`.
+        """
         return self._silence.look(now_s, None if self._watch is None else self._watch.beat_s)
 
     def ended(self) -> int | None:
@@ -133,7 +146,7 @@ class Child:
         return status
 
     def send(self, number: signal.Signals) -> None:
-        """Send a signal to the process if it runs."""
+        """Send the signal `number` to the process if it runs."""
         if self._process is not None:
             with contextlib.suppress(ProcessLookupError):
                 self._process.send_signal(number)
@@ -163,14 +176,14 @@ class RestartDelay:
         self._wait_s = _RESTART_S
 
     def after(self, ran_s: float) -> float:
-        """Return the seconds to wait before a process is restarted that ran for `ran_s`."""
+        """Return the seconds to wait before restarting a process that died after `ran_s`."""
         wait_s = _RESTART_S if ran_s > _WELL_S else self._wait_s
         self._wait_s = min(2.0 * wait_s, _LONGEST_RESTART_S)
         return wait_s
 
 
 class RestartedChild:
-    """A child that is killed when it hangs and restarted later; times are monotonic seconds."""
+    """A `Child` and when its owner's loop must kill or restart it; times are monotonic seconds."""
 
     def __init__(self, child: Child) -> None:
         self.child = child
@@ -185,32 +198,32 @@ class RestartedChild:
         return self.child.pid is not None and self.child.has_beaten and not self.is_killed
 
     def start(self, arguments: list[str], now_s: float) -> None:
-        """Start the process, with `arguments` after its command, and log it."""
+        """Start the process at `now_s`, with `arguments` after its command, and log it."""
         self.child.start(arguments, now_s)
         self.is_killed = False
         self._started_s = now_s
         _LOG.info("%s runs as process %s", self.child.name, self.child.pid)
 
     def kill_if_hung(self, now_s: float) -> None:
-        """Kill the process when its last heartbeat is too old."""
+        """Kill the process if at `now_s` its last heartbeat is older than its timeout."""
         if now_s >= self.child.hung_at_s(now_s):
             self.kill("hangs: no heartbeat from it")
 
     def kill(self, why: str) -> None:
-        """Kill the process, once, and log why."""
+        """Kill the process and log `why`; do nothing while an earlier kill takes effect."""
         if not self.is_killed:
             self.is_killed = True
             _LOG.warning("%s %s; it is killed", self.child.name, why)
             self.child.send(signal.SIGKILL)
 
     def note_end(self, status: int, now_s: float) -> None:
-        """Log that the process ended with a status, and compute when it may start again."""
+        """Log that the process ended with `status`, and set when it may be restarted, `due_s`."""
         how = f"signal {-status}" if status < 0 else f"status {status}"
         _LOG.warning("%s died (%s)", self.child.name, how)
         self.due_s = now_s + self._delay.after(now_s - self._started_s)
 
     def next_s(self, now_s: float) -> float:
-        """Return the time at which a restart or kill may be due next; infinity: none."""
+        """Return when a restart or kill may be due next; infinity: the process is being killed."""
         if self.child.pid is None:
             return self.due_s
         return float("inf") if self.is_killed else self.child.hung_at_s(now_s)

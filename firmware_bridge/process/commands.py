@@ -75,7 +75,11 @@ class CommandQueue:
         return {name: setting.value for name, setting in self._settings.items()}
 
     def stop(self, level: StopLevel, requested_by: str = "", *, ends: bool = False) -> None:
-        """Queue a stop; it replaces an earlier one of its level. ends: the process ends with it."""
+        """Queue a stop in place of an earlier one of its level.
+
+        requested_by: process and user, for a log. ends: whether the face's process ends with the
+        stop; True remains if the earlier stop had it.
+        """
         before = self._stops.get(level)
         ends = ends or (before is not None and before.ends)
         self._stops[level] = StopRequest(level, requested_by, ends)
@@ -89,13 +93,16 @@ class CommandQueue:
             self._on_change(values)
 
     def attend(self, refusal: Callable[[Order], str]) -> None:
-        """Accept orders from now on. refusal: returns why an order is refused; empty: it is not."""
+        """Accept orders from now on.
+
+        refusal: returns the reason why an order is refused, or an empty text to accept it.
+        """
         self._refusal = refusal
 
     def order(self, order: Order) -> None:
-        """Queue an order.
+        """Queue an order: to switch or jog a servo, or to start the face.
 
-        Raises CommandError when the queue is full or the driver refuses the order.
+        Raises CommandError when the queue is full or the order is refused.
         """
         if len(self._orders) >= _MOST_ORDERS:
             raise CommandError("too many orders at once; ask again")
@@ -127,9 +134,9 @@ class CommandQueue:
         return [self._orders.popleft() for _ in range(len(self._orders))]
 
     def _checked(self, name: str, value: float) -> Setting:
-        """Return a setting with another value.
+        """Return the setting `name` with a new `value`; nothing is stored.
 
-        Raises CommandError for an unknown name or a bad value.
+        Raises CommandError for an unknown name, or a value that is out of range or not finite.
         """
         setting = self._settings.get(name)
         if setting is None:
@@ -168,9 +175,10 @@ _SAY_JOG: Final = "say: jog arm, jog NAME DEG, or jog end; jog NAME PULSE us for
 def command_answer(
     word: str, commands: CommandQueue, requested_by: Callable[[], str]
 ) -> dict[str, object] | None:
-    """Execute a command word on `commands` and return its answer; None: the word is no command.
+    """Execute the command `word`, such as `set gain 1.2`, and return its answer; None: no command.
 
-    requested_by: returns the sender's name for a log. A refused command is answered by {"error"}.
+    commands: the queue that receives settings and orders. requested_by: returns the sender's name
+    for a log. A refused command is answered by {"error"}.
     """
     first, *rest = word.split()
     try:

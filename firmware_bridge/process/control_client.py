@@ -46,7 +46,10 @@ Answer = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class RunningFace:
-    """A face that listens. pid: the process that made its socket, the supervisor of a daemon."""
+    """A face whose process listens at its control socket, `path`.
+
+    pid: the process that made the socket; of a daemon, the supervisor.
+    """
 
     name: str
     pid: int
@@ -54,7 +57,10 @@ class RunningFace:
 
 
 def running_faces() -> list[RunningFace]:
-    """Return all faces that listen in the searched folders, by name; remove our dead sockets."""
+    """Return all faces that listen in the searched folders, sorted by name.
+
+    Dead sockets of ours are removed.
+    """
     found = []
     for folder in searched_folders():
         for path in sorted(folder.glob(f"*{SOCKET_SUFFIX}")):
@@ -65,7 +71,7 @@ def running_faces() -> list[RunningFace]:
 
 
 def face_at(path: Path) -> RunningFace:
-    """Return the face at the socket `path`.
+    """Return the face that listens at the socket `path`.
 
     Raises ControlError if none listens or access is denied.
     """
@@ -81,7 +87,10 @@ def face_at(path: Path) -> RunningFace:
 
 
 def ask(path: Path, word: str, patience_s: float = _PATIENCE_S) -> Answer:
-    """Send one word to the face at `path`; return its answer. Raises OSError when none comes."""
+    """Send the command `word` to the face at `path`; return its answer.
+
+    Raises OSError when none comes within `patience_s`.
+    """
     give_up_s = time.monotonic() + patience_s
     while True:
         with _connected(path, give_up_s) as client:
@@ -92,7 +101,7 @@ def ask(path: Path, word: str, patience_s: float = _PATIENCE_S) -> Answer:
 
 
 def send_stop(path: Path, level: StopLevel, *, end: bool = False) -> socket.socket:
-    """Send a stop without waiting for anything; for an event loop, and for many faces at once.
+    """Send a stop of `level` to the face at `path`, without waiting: for event loops, many faces.
 
     Parameters
     ----------
@@ -122,10 +131,11 @@ def send_stop(path: Path, level: StopLevel, *, end: bool = False) -> socket.sock
 
 
 def start_face(path: Path, patience_s: float = _PATIENCE_S) -> Answer:
-    """Start a stopped face; return {"accepted": "start"}, or {"error": one line}.
+    """Start the stopped face at `path`; return {"accepted": "start"}, or {"error": one line}.
 
     While the face is still stopping the order is sent again, up to `patience_s`. Raises OSError
-    when no face answers. Whether the face is driven then is in `status`: `state`, `troubles`.
+    when no face answers. Whether the face is then driven is in its answer to `status`, under
+    `state` and `troubles`.
     """
     give_up_s = time.monotonic() + patience_s
     while True:
@@ -137,7 +147,7 @@ def start_face(path: Path, patience_s: float = _PATIENCE_S) -> Answer:
 
 
 def change_setting(path: Path, name: str, value: float) -> Answer:
-    """Change one setting of a running face; return {"set", "value"}, or {"error": one line}.
+    """Change a setting of the face at `path`; return {"set", "value"}, or {"error": one line}.
 
     Raises OSError when no face answers.
     """
@@ -146,9 +156,9 @@ def change_setting(path: Path, name: str, value: float) -> Answer:
 
 
 def change_settings(path: Path, values: Mapping[str, float]) -> Answer:
-    """Change several settings, all or none; return {"set": {name: value}}, or {"error": line}.
+    """Change settings of the face at `path`, all or none.
 
-    Raises OSError when no face answers.
+    Return {"set": {name: value}}, or {"error": one line}. Raises OSError when no face answers.
     """
     pairs = [f"{name} {float(value)!r}" for name, value in values.items()]
     word = " ".join((SET_WORD, *pairs))
@@ -167,21 +177,22 @@ def change_settings(path: Path, values: Mapping[str, float]) -> Answer:
 def switch_servo(path: Path, name: str, switch: ServoSwitch) -> Answer:
     """Send the order to switch one servo off or on, or reboot it; return {"servo"} or {"error"}.
 
-    The effect is in `status`: `servos`, `troubles`. Raises OSError when no face answers.
+    The effect is in the face's answer to `status`, under `servos` and `troubles`. Raises OSError
+    when no face answers.
     """
     return _ask_of(path, SERVO_WORD, name, switch.value)
 
 
 def arm_jog(path: Path) -> Answer:
-    """Start or prolong jogging; return {"jog": "arm"} or {"error"}.
+    """Start or prolong jogging, which moves single joints by command.
 
-    Raises OSError when no face answers.
+    Return {"jog": "arm"} or {"error"}. Raises OSError when no face answers.
     """
     return ask(path, f"{JOG_WORD} {ARM_WORD}")
 
 
 def jog_servo(path: Path, name: str, position_deg: float) -> Answer:
-    """Send one joint to an angle in joint degrees; return {"jog", "position_deg"} or {"error"}.
+    """Move the joint `name` to an angle in degrees; return {"jog", "position_deg"} or {"error"}.
 
     Jogging ends 3 s after the last jog command of any kind. Raises OSError when no face answers.
     """
@@ -189,18 +200,18 @@ def jog_servo(path: Path, name: str, position_deg: float) -> Answer:
 
 
 def jog_pulse(path: Path, name: str, pulse_us: float) -> Answer:
-    """Send one hobby servo to a pulse in us; return {"jog", "pulse_us"} or {"error"}.
+    """Send the hobby servo `name` to a pulse in us; return {"jog", "pulse_us"} or {"error"}.
 
-    Beyond the servo's limits it goes in small steps, so that a person can find its limits. Raises
-    OSError when no face answers.
+    Beyond the servo's limits the pulse changes in small steps, so that a person can find the
+    limits. Raises OSError when no face answers.
     """
     return _ask_of(path, JOG_WORD, name, f"{float(pulse_us)!r} {PULSE_UNIT}")
 
 
 def end_jog(path: Path) -> Answer:
-    """End jogging, so that all joints return; return {"jog": "end"} or {"error"}.
+    """End jogging, so that all joints return to their ordinary goals.
 
-    Raises OSError when no face answers.
+    Return {"jog": "end"} or {"error"}. Raises OSError when no face answers.
     """
     return ask(path, f"{JOG_WORD} {END_WORD}")
 
@@ -219,8 +230,8 @@ def _is_name(text: str) -> bool:
 def watch(path: Path, patience_s: float = _PATIENCE_S) -> int:
     """Return a read-only descriptor of the shared memory with the state of the face at `path`.
 
-    `lipservo.runtime.status.live_board` reads it. Raises OSError when no face answers, ControlError
-    when the face cannot be watched.
+    `lipservo.runtime.status.live_board` reads that memory. Raises OSError when no face answers
+    within `patience_s`, ControlError when the face cannot be watched.
     """
     give_up_s = time.monotonic() + patience_s
     raw = b""
@@ -247,7 +258,7 @@ def stop_and_wait(
     end: bool = False,
     sent: socket.socket | None = None,
 ) -> tuple[Answer, Answer | None]:
-    """Request a stop, and wait for its end; return the face's answer and its report of the end.
+    """Stop a face by `level`, and wait for the end; return its answer and its report of the end.
 
     end: whether a daemon's process ends with it. sent: the connection from `send_stop`, if the stop
     was sent already.
@@ -281,9 +292,9 @@ def stop_and_wait(
 
 
 def _send_and_receive(client: socket.socket, word: str, give_up_s: float) -> Answer | None:
-    """Send a word and return the answer; None: the face closed the connection.
+    """Send `word` and return the answer; None: the face closed the connection.
 
-    Raises TimeoutError.
+    Raises TimeoutError when no answer comes until the monotonic time `give_up_s`.
     """
     try:
         client.send(word.encode())
@@ -293,7 +304,10 @@ def _send_and_receive(client: socket.socket, word: str, give_up_s: float) -> Ans
 
 
 def _receive(client: socket.socket, give_up_s: float) -> Answer | None:
-    """Return the next message of the face; None: it closed the connection. Raises TimeoutError."""
+    """Return the face's next message; None: it closed the connection.
+
+    Raises TimeoutError when neither happens until the monotonic time `give_up_s`.
+    """
     client.settimeout(max(0.001, give_up_s - time.monotonic()))
     try:
         raw = client.recv(_LONGEST_ANSWER)
@@ -320,7 +334,10 @@ def _connected(path: Path, give_up_s: float) -> Iterator[socket.socket]:
 
 
 def _listens(path: Path) -> bool:
-    """Return whether a face listens at `path`; remove a dead socket of ours if it needs no wait."""
+    """Return whether a face listens at `path`.
+
+    A dead socket of ours at `path` is removed, unless another process has locked its folder.
+    """
     if knock(path) == 0:
         return True
     if is_dead_socket(path):

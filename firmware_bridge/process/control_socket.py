@@ -47,7 +47,10 @@ _STOPS: Final = {
 
 @dataclass(eq=False, slots=True)
 class _Client:
-    """A connected client; waits_for_end: it requested a stop and is sent the report of the end."""
+    """A connected client. end: our end of the connection.
+
+    waits_for_end: whether the client requested a stop, and is sent the report of the stop's end.
+    """
 
     end: socket.socket
     waits_for_end: bool = False
@@ -140,7 +143,10 @@ class ControlSocket:
         describe: Describe = dict,
         watched_fd: int | None = None,
     ) -> Self:
-        """Serve a listening socket that another process made; its file is not removed at exit."""
+        """Serve the listening socket `fd` of another process; its file is not removed at the exit.
+
+        path: of that file. Other parameters as for the constructor.
+        """
         listener = socket.socket(fileno=fd)
         return cls(listener, path, about, commands, describe, watched_fd)
 
@@ -158,9 +164,9 @@ class ControlSocket:
         return [self._listener.fileno(), *self._clients]
 
     def poll(self) -> StopRequest | None:
-        """Receive all requests; return the furthest stop in the queue, None: none.
+        """Receive the requests of all clients, without answering; return the furthest stop queued.
 
-        Answers nothing.
+        Limp goes further than soft, soft further than freeze. None: no stop is queued.
         """
         for fd, _ in self._ready.poll(0):
             if fd == self._listener.fileno():
@@ -172,7 +178,10 @@ class ControlSocket:
         return self._commands.take_stop()
 
     def answer(self, status: Callable[[], Mapping[str, object]]) -> None:
-        """Answer what `poll` received, stops first. status: gives the face's status if needed."""
+        """Answer the requests that `poll` received, stops first.
+
+        status: returns the face's status; called only if a client requests it.
+        """
         if not self._unanswered:
             return
         waiting, self._unanswered = self._unanswered, []
@@ -181,7 +190,10 @@ class ControlSocket:
                 self._answer(client, word, status)
 
     def attend(self, refusal: Callable[[Order], str]) -> None:
-        """Accept orders from now on. refusal: returns why an order is refused; empty: it is not."""
+        """Accept orders from now on.
+
+        refusal: returns the reason why an order is refused, or an empty text to accept it.
+        """
         self._commands.attend(refusal)
 
     def take_orders(self) -> list[Order]:
@@ -189,12 +201,15 @@ class ControlSocket:
         return self._commands.take_orders()
 
     def send_away(self) -> None:
-        """Drop all clients that await no stop's end; another process serves them at a retry."""
+        """Drop all clients but those that wait for the end of a stop.
+
+        Call it once another process serves the socket: clients then connect to that process.
+        """
         for client in [each for each in self._clients.values() if not each.waits_for_end]:
             self._drop(client)
 
     def report_end(self, report: Mapping[str, object]) -> None:
-        """Send every client that requested a stop the report of its end, and drop all clients."""
+        """Send `report` to all clients that requested a stop, as its end, and drop all clients."""
         for client in list(self._clients.values()):
             if client.waits_for_end:
                 client.send({"ended": True, **self._about, **report})
@@ -295,6 +310,9 @@ def peer(end: socket.socket) -> tuple[int, int]:
 
 
 def _peer_words(end: socket.socket) -> str:
-    """Return the client's process and user for a log, by number: name lookups may take seconds."""
+    """Return process and user at the other end of a socket for a log, by number.
+
+    Looking up names may take seconds.
+    """
     pid, uid = peer(end)
     return f"process {pid} of user {uid}"

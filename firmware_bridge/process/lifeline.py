@@ -1,7 +1,7 @@
 """Messages from a child process to its supervisor: heartbeats, and what must outlive the process.
 
-A socket pair, one end each. Nothing here waits: while the supervisor does not read, heartbeats are
-lost, but no other message.
+The lifeline is a socket pair, one end each. Nothing here waits: while the supervisor does not read,
+heartbeats are lost, but no other message.
 """
 
 import contextlib
@@ -48,14 +48,14 @@ class Started:
 
 @dataclass(frozen=True, slots=True)
 class NotStarted:
-    """The message that the servos could not be armed, and why."""
+    """The message that torque could not be switched on at a start, and why."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """The message that the servo at an index in the face was given up for good, and why."""
+    """The message that the servo number `index` of the face was given up for good, and why."""
 
     index: int
     reason: str
@@ -63,7 +63,7 @@ class Failed:
 
 @dataclass(frozen=True, slots=True)
 class Switched:
-    """The message that a person switched a servo, by index, off, or on again after any failure."""
+    """The message that a person switched servo number `index` off, or on after any failure."""
 
     index: int
     on: bool
@@ -71,7 +71,7 @@ class Switched:
 
 @dataclass(frozen=True, slots=True)
 class Began:
-    """The message that sound time 0 was at the monotonic time `zero_s`."""
+    """The message that time 0 of the spoken sound was at the monotonic time `zero_s`."""
 
     zero_s: float
 
@@ -87,14 +87,14 @@ Message = Stopped | Started | NotStarted | Failed | Switched | Began | Ready
 class Lifeline:
     """The child's end of its connection to the supervisor; no method waits or raises.
 
-    While the other end has no room, messages other than heartbeats are kept for the next heartbeat.
-    closed: the supervisor is gone.
+    While the connection has no room, messages other than heartbeats are kept for the next
+    heartbeat. closed: whether the supervisor is gone.
     """
 
     def __init__(
         self, end: socket.socket | int, now_s: Callable[[], float] = time.monotonic
     ) -> None:
-        """end: the socket, or the descriptor number of an inherited one."""
+        """Use `end`, a socket or the descriptor number of an inherited socket."""
         self._end = socket.socket(fileno=end) if isinstance(end, int) else end
         self._end.setblocking(False)
         self._now_s = now_s
@@ -113,7 +113,10 @@ class Lifeline:
         self._send(b"B" + _TIME.pack(now_s))
 
     def stopped(self, level: StopLevel, *, ends: bool = False, requested_by: str = "") -> None:
-        """Report that a person stopped the face; the stop then holds even if this process dies."""
+        """Report that a person stopped the face; the stop remains in force if this process dies.
+
+        Arguments: as of `Stopped`.
+        """
         words = f"{level.value}\0{requested_by}".encode("utf-8", "replace")[:_LONGEST_REASON]
         self._say((b"E" if ends else b"S") + words)
 
@@ -122,19 +125,19 @@ class Lifeline:
         self._say(b"G")
 
     def not_started(self, reason: str) -> None:
-        """Report that the servos could not be armed, and why."""
+        """Report that torque could not be switched on at a start, and why (`reason`)."""
         self._say(b"N" + reason.encode("utf-8", "replace")[:_LONGEST_REASON])
 
     def failed(self, index: int, reason: str) -> None:
-        """Report that a servo, by its index in the face, was given up for good, and why."""
+        """Report that servo number `index` was given up for good, and why (`reason`)."""
         self._say(b"F" + _INDEX.pack(index) + reason.encode("utf-8", "replace")[:_LONGEST_REASON])
 
     def switched(self, index: int, *, on: bool) -> None:
-        """Report that a person switched a servo, by its index, off or on."""
+        """Report that a person switched servo number `index` of the face off or `on`."""
         self._say(b"W" + _SWITCHED.pack(index, on))
 
     def began(self, zero_s: float) -> None:
-        """Report that sound time 0 was at the monotonic time `zero_s`."""
+        """Report that time 0 of the spoken sound was at the monotonic time `zero_s`."""
         self._say(b"Z" + _TIME.pack(zero_s))
 
     def ready(self) -> None:
@@ -164,7 +167,11 @@ class Lifeline:
 
 
 class LifelineWatch:
-    """The supervisor's end of its connection to a child. beat_s: the newest heartbeat, or None."""
+    """The supervisor's end of its connection to a child.
+
+    beat_s: monotonic time of the newest heartbeat; None: none yet. closed: whether the child has
+    closed its end.
+    """
 
     def __init__(self, end: socket.socket) -> None:
         self._end = end
@@ -173,7 +180,7 @@ class LifelineWatch:
         self.closed = False
 
     def fileno(self) -> int:
-        """Return the descriptor: readable when a message came, and when the child has closed."""
+        """Return the descriptor: readable when a message has come or the child closed its end."""
         return self._end.fileno()
 
     def read(self) -> list[Message]:
@@ -202,19 +209,19 @@ class LifelineWatch:
 
 
 def lifeline_pair() -> tuple[socket.socket, LifelineWatch]:
-    """Return a new connection: the child's end, to be inherited, and the supervisor's end."""
+    """Return the two ends of a new connection: one for the child to inherit, the supervisor's."""
     child, supervisor = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     return child, LifelineWatch(supervisor)
 
 
 def inherited_lifeline(fd: int) -> Lifeline:
-    """Return the child's end of the lifeline whose descriptor `fd` a supervisor handed over."""
+    """Return the child's end of its lifeline, whose descriptor `fd` the child inherited."""
     os.set_inheritable(fd, False)
     return Lifeline(fd)
 
 
 def _understood(raw: bytes) -> Message:
-    """Parse the bytes of one message. Raises ValueError or struct.error for unknown bytes."""
+    """Parse `raw`, one message in bytes. Raises ValueError or struct.error for unknown bytes."""
     kind, rest = raw[:1], raw[1:]
     if kind in (b"S", b"E"):
         level, _, requested_by = rest.decode("utf-8", "replace").partition("\0")

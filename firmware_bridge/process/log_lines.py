@@ -55,9 +55,9 @@ def one_line(text: str) -> str:
 class LogLines(logging.Handler):
     """A handler that passes records to another one, each as one line, by a thread; never waits.
 
-    Use it as a context manager. A record without room is dropped and counted, and the count is
-    written a second later. A repeated line is written once, and then every ten seconds with its
-    count.
+    Use it as a context manager. A record that comes too fast or finds the queue full is dropped and
+    counted, and the count is written a second later. A repeated line is written once, and then
+    every ten seconds with its count.
 
     The lock guards a few operations in memory: nothing is formatted or written under it.
     """
@@ -88,7 +88,7 @@ class LogLines(logging.Handler):
         return True
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Queue a record's text as one line; objects in its arguments may change afterwards."""
+        """Queue a record's text, formatted now: objects in its arguments may change afterwards."""
         try:
             text = record.getMessage()
         except Exception:  # a mistake in a message must not reach who stops a face
@@ -140,7 +140,7 @@ class LogLines(logging.Handler):
                 self._target.emit(record)
 
     def _has_token(self, now_s: float) -> bool:
-        """Return whether one more line may be written now by the rate limit, and count it if so."""
+        """Return whether the rate limit allows a line more at `now_s`, and count it if so."""
         gained = _MOST_PER_S * (now_s - self._tokens_s)
         self._tokens, self._tokens_s = min(_MOST_AT_ONCE, self._tokens + gained), now_s
         if self._tokens < 1.0:
@@ -149,7 +149,7 @@ class LogLines(logging.Handler):
         return True
 
     def _until_counts_s(self) -> float | None:
-        """Return how many seconds remain until a count is to be written; None: there is none."""
+        """Return the seconds until a count of lines is to be written; None: no count is pending."""
         due_s = [until_s for until_s, n, _ in self._same.values() if n]
         due_s += [self._lost_until_s] if self._n_lost else []
         return max(0.0, min(due_s) - self._clock()) if due_s else None
@@ -176,9 +176,9 @@ def _changed(record: logging.LogRecord, **fields: object) -> logging.LogRecord:
 
 
 def write_stderr(text: str) -> None:
-    """Write a text and a line end to descriptor 2, past the lock of sys.stderr.
+    """Write `text` and a line end to descriptor 2, past the lock of sys.stderr.
 
-    That lock, held by a writer that hangs, would stop the exit.
+    Another thread that hangs in a write would hold that lock, and so prevent the exit.
     """
     data = f"{text}\n".encode("utf-8", "backslashreplace")
     while data:
@@ -244,9 +244,10 @@ class LogWriter(logging.Handler):
 
 
 def _sent_to_journal(fields: Mapping[str, object]) -> bool:
-    """Send an entry to journald; False: stderr does not lead to the journal, or sending failed.
+    """Send the `fields` of an entry to journald, and return whether they were sent.
 
-    systemd.exec(5) has `$JOURNAL_STREAM`.
+    False: stderr does not lead to the journal (`$JOURNAL_STREAM`, systemd.exec(5)), or sending
+    failed.
     """
     stderr = os.fstat(_STDERR)
     if os.environ.get("JOURNAL_STREAM") != f"{stderr.st_dev}:{stderr.st_ino}":

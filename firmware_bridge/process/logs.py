@@ -23,7 +23,10 @@ _NAMED_SIDES: Final = ("bridge", "speech")
 
 
 def set_up(level: int = logging.WARNING) -> None:
-    """Log to stderr as the environment variables say; call it again when they have changed."""
+    """Log to stderr from `level` on, or from DEBUG; call it again when the environment has changed.
+
+    $LIPSERVO_VERBOSE selects DEBUG, $LIPSERVO_LOG_JSON a JSON object a line.
+    """
     _replace_handler(_writer("", ""))
     _show(level)
 
@@ -65,7 +68,10 @@ def _print(text: str) -> None:
 
 
 def _replace_handler(*handlers: logging.Handler) -> list[logging.Handler]:
-    """Replace our handlers of the root logger by these, and return ours; others' handlers stay."""
+    """Replace our handlers of the root logger by `handlers`; return the replaced ones.
+
+    Handlers of other packages stay.
+    """
     root = logging.getLogger()
     others = [each for each in root.handlers if not isinstance(each, (LogLines, LogWriter))]
     before = [each for each in root.handlers if each not in others]

@@ -19,7 +19,7 @@ _FIFO_PRIORITY: Final = 50
 
 
 def die_with_parent(number: int = signal.SIGTERM) -> None:
-    """Have the kernel send this process a signal when its parent dies; nothing where it cannot."""
+    """Have the kernel send this process the signal `number` when its parent dies, if it can."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
 
@@ -34,7 +34,7 @@ def write_from_background() -> None:
 
 @contextlib.contextmanager
 def on_time() -> Iterator[bool]:
-    """Run the block with `run_on_time`, then restore scheduling; yield whether that was granted."""
+    """Run the block with real-time scheduling, then restore it; yield whether permitted."""
     granted = run_on_time()
     try:
         yield granted
@@ -88,7 +88,7 @@ class ServiceNotice:
             self._notify("WATCHDOG=1")
 
     def _notify(self, state: str) -> None:
-        """Send one notification to systemd, without waiting; see sd_notify(3)."""
+        """Send systemd the notification `state`, such as READY=1; never wait; sd_notify(3)."""
         if not self._address:
             return
         address = self._address

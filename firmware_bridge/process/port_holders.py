@@ -46,7 +46,10 @@ def holders_of_socket(path: Path) -> list[int]:
 
 
 def is_ours(pid: int) -> bool:
-    """Return whether a process is another lipservo that we may end: our user's, or any for root."""
+    """Return whether a process is another lipservo that we may end: our user's, or any for root.
+
+    False for this process itself, and for one that has ended.
+    """
     if pid == os.getpid():
         return False
     try:
@@ -58,10 +61,11 @@ def is_ours(pid: int) -> bool:
 
 
 def supervisor_of(pid: int) -> int | None:
-    """Return the id of the supervisor that would restart a bridge process; None: it has none.
+    """Return the id of the supervisor that would restart the bridge process `pid`; None: none.
 
-    Proven by what no shell, terminal or script has: a bridge process is given the listening control
-    socket of its face as `--control FD`, and its supervisor has the same socket open.
+    Proven by what no shell, terminal or script has: a bridge process, which drives servos, is given
+    the listening control socket of its face as `--control FD`, and its supervisor has the same
+    socket open.
     """
     parent = _parent(pid)
     if parent is None or not is_ours(parent):
@@ -77,13 +81,13 @@ def supervisor_of(pid: int) -> int | None:
 
 
 def with_children(pids: Iterable[int]) -> list[int]:
-    """Return the ids of processes and of their children, without duplicates."""
+    """Return the ids in `pids` and those of the processes' children, without duplicates."""
     parents = dict.fromkeys(pids)
     return [*parents, *(each for each in _processes() if _parent(each) in parents)]
 
 
 def end_hung(pids: list[int]) -> list[int]:
-    """End hung processes by `END_OF_HUNG`, then SIGKILL; return the ids of those that still run."""
+    """End hung processes by SIGUSR2, then SIGKILL; return the ids of those that still run."""
     for number in (END_OF_HUNG, signal.SIGKILL):
         for pid in pids:
             with contextlib.suppress(OSError):

@@ -28,7 +28,10 @@ _LONGEST_BYTES: Final = 4096
 
 
 def note_port(settings: BusSettings) -> None:
-    """Write the record of a bus and its port to the runtime folder; ignore errors of writing."""
+    """Write the record of a bus and its port, so that a later process can switch its torque off.
+
+    The record goes into the runtime folder; errors of writing are ignored.
+    """
     assert settings.port is not None
     content = {
         "plug": _plug(settings.port),
@@ -79,7 +82,7 @@ def _name(port: str) -> str:
 
 
 def _plug(port: str) -> list[int] | None:
-    """Return numbers that change when the port is plugged in anew; None: the port is gone."""
+    """Return numbers that change when `port` is plugged in anew; None: there is no such port."""
     try:
         found = Path(port).stat()
     except OSError:

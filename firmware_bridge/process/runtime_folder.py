@@ -65,7 +65,7 @@ def name_in_path(face: str) -> str:
 
 
 def socket_path(face: str) -> Path:
-    """Return the path for this process's socket as the named face. Raises ControlError."""
+    """Return the path for this process's socket as the face named `face`. Raises ControlError."""
     return runtime_folder() / f"{name_in_path(face)}-{os.getpid()}{SOCKET_SUFFIX}"
 
 
@@ -119,13 +119,16 @@ def _is_own(folder: Path) -> bool:
 
 
 def _user_in_name(folder: Path) -> int | None:
-    """Return 1000 for /run/user/1000/lipservo and /tmp/lipservo-1000; None without a number."""
+    """Return the user number in a folder's path; None without a number.
+
+    It is 1000 in /run/user/1000/lipservo and in /tmp/lipservo-1000.
+    """
     number = folder.parent.name if folder.name == _NAME else folder.name.rpartition("-")[2]
     return int(number) if number.isascii() and number.isdigit() else None
 
 
 def _belongs_to(folder: Path, uid: int) -> bool:
-    """Return whether it is a real folder of that user, into which no other user may write."""
+    """Return whether `folder` is a real folder of user `uid`, in which no other user may write."""
     try:
         found = folder.lstat()
     except OSError:
@@ -148,9 +151,10 @@ _FOLDER_PATIENCE_S: Final = 1.0
 
 @contextlib.contextmanager
 def held_folder(folder: Path, patience_s: float = _FOLDER_PATIENCE_S) -> Iterator[None]:
-    """Lock a folder while inside: no other process makes or removes a socket in it.
+    """Lock a folder inside the `with` block: no other process makes or removes a socket in it.
 
-    Raises ControlError where it cannot be opened, or others hold it for longer than `patience_s`.
+    Raises ControlError where the folder cannot be opened, or other processes lock it for longer
+    than `patience_s`.
     """
     import fcntl
 
@@ -174,7 +178,10 @@ def held_folder(folder: Path, patience_s: float = _FOLDER_PATIENCE_S) -> Iterato
 
 
 def knock(path: Path) -> int:
-    """Connect to a socket and disconnect; return 0 if a process listens, else the error number."""
+    """Return 0 if a process listens at the socket `path`, else the error number.
+
+    Connects to the socket and disconnects at once.
+    """
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
         probe.setblocking(False)
         try:

@@ -29,10 +29,10 @@ _LAST_WRITE_S: Final = 5.0
 
 
 class StopRecord:
-    """The stop record of one face, in a file; all methods but `close` return at once.
+    """The file that records a person's stop of one face; all methods but `close` return at once.
 
-    stopped: the stop of an earlier process that still holds, None: the face may be driven. why: its
-    reason in one line, for a log.
+    stopped: the stop of an earlier process that is still in force; None: the face may be driven.
+    why: the reason of that stop in one line, for a log.
     """
 
     def __init__(
@@ -47,9 +47,9 @@ class StopRecord:
 
         Parameters
         ----------
-        path : of the file; None: no record is kept.
+        path : path of the file; None: no record is kept.
         started_by_person : whether this very start is a person's, so that no earlier stop holds.
-        drives_after_power_cut : whether a run that was cut off is driven again by itself.
+        drives_after_power_cut : whether a face is driven at once after a power cut.
         on_change : receives every stop, and None when a person has started the face again.
 
         """
@@ -75,7 +75,7 @@ class StopRecord:
         self._on_change(request)
 
     def close(self) -> None:
-        """Record that the process ended by itself, and wait for the write, at most 5 s."""
+        """Record that this process ended in order, and wait for the write, 5 s at most."""
         self._keep(is_running=False)
         give_up_s = time.monotonic() + _LAST_WRITE_S
         with self._is_due:
@@ -154,7 +154,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _write(path: Path, text: str) -> None:
-    """Write a file completely or not at all. Raises OSError."""
+    """Write `text` to the file `path`, completely or not at all. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     coming = path.with_name(f".{path.name}.{os.getpid()}")
     try:

@@ -1,4 +1,6 @@
-"""Keeps the processes of one face alive, and the face safe while one of them is not.
+"""Keep the processes of one face alive, and the face safe while one of them is not.
+
+The processes are the bridge, which drives the servos, and speech.
 
 One loop, one thread, no sleep: it waits for whatever comes first, a heartbeat, an end, a
 request, a signal, a deadline. A stop by a person is kept here, so that it outlives every process.
@@ -75,7 +77,7 @@ class _Phase(Enum):
 
 @dataclass(frozen=True, slots=True)
 class SupervisedServos:
-    """The servos of a face, as far as they matter while no bridge drives them.
+    """The data of a face's servos that are needed while no bridge drives them.
 
     can: the capabilities of each servo, by name. make_release: a function that returns a
     `FaceRelease`, given for how many seconds silent servos are polled again.
@@ -86,7 +88,10 @@ class SupervisedServos:
 
 
 class Supervisor:
-    """Runs bridge and speech, restarts one that dies or hangs, and holds stops and switches."""
+    """The parent of bridge and speech: restarts one that dies or hangs, and keeps a person's stops.
+
+    It also remembers servos that failed or were switched off, for a restarted bridge.
+    """
 
     def __init__(
         self,
@@ -102,7 +107,8 @@ class Supervisor:
 
         Parameters
         ----------
-        control : served here while no bridge serves it.
+        control : the face's control socket, served here while no bridge serves it.
+        notice : to systemd.
         record : keeps stops beyond this process, and may hold one from before it.
 
         """
@@ -138,7 +144,10 @@ class Supervisor:
         self.exit_status = int(ExitStatus.ENDED_WELL)
 
     def run(self, signals: SignalCounter) -> StopReport:
-        """Run until the face is stopped or cannot continue, end all children, return the report."""
+        """Run until the face has ended for good; end all children, and return the stop report.
+
+        A stop that only makes the face wait, limp, for a start does not end it; `signals` do.
+        """
         try:
             while (report := self.step(time.monotonic(), signals.count, signals.last)) is None:
                 now_s = time.monotonic()
@@ -154,7 +163,8 @@ class Supervisor:
     def step(self, now_s: float, n_signals: int = 0, signal_name: str = "") -> StopReport | None:
         """Do all that is due at monotonic `now_s`; return the report, None: the face has not ended.
 
-        n_signals: how many signals to end have come. signal_name: name of the last one.
+        n_signals: how many signals to end the program have come so far. signal_name: name of the
+        last one.
         """
         self._now_s = now_s
         bridge_status, speech_status = self._bridge.child.ended(), self._speech.child.ended()
@@ -192,7 +202,7 @@ class Supervisor:
 
     @property
     def _is_kept(self) -> bool:
-        """Whether the face is stopped and can be started, also while torque off is repeated."""
+        """Whether the face is stopped and can be started, also while torque off is sent again."""
         return self._stop_report is not None and not self._ends
 
     @property
@@ -236,7 +246,7 @@ class Supervisor:
                 self._zero_s = message.zero_s
 
     def _hold_stop(self, request: StopRequest) -> None:
-        """Hold a stop whatever process dies: soft replaces freeze, and limp replaces any stop."""
+        """Keep a stop whatever process dies: soft replaces freeze, and limp replaces any stop."""
         self._ends = self._ends or request.ends
         if not (self._is_ending and request.level is not StopLevel.LIMP):
             self._stop = request
@@ -245,7 +255,7 @@ class Supervisor:
             self._speech.child.send(signal.SIGTERM)
 
     def _hold_switched(self, index: int, *, on: bool) -> None:
-        """Remember a servo that a person switched off, for restarted bridges, until it is on."""
+        """Remember that servo `index` is switched off, for later bridges; `on`: forget that."""
         if on:
             self._switched_off.discard(index)
             self._failed.pop(index, None)
@@ -255,7 +265,8 @@ class Supervisor:
     def _handle_signals(self, n_signals: int, name: str, now_s: float) -> None:
         """Obey a new signal: a soft stop at the first, limp at the second; then the process ends.
 
-        From the third on no lost port is waited for.
+        n_signals: how many have come so far, name: of the last one. From the third on no lost port
+        is waited for.
         """
         if n_signals == self._n_signals:
             return
@@ -300,7 +311,7 @@ class Supervisor:
         _LOG.info("stop requested: %s, by %s; no bridge runs", request.level.value, by)
 
     def _stopped_again(self) -> None:
-        """Handle a stop of a face that is limp: end the face, or repeat torque off."""
+        """Obey a stop or signal while the face is limp: end the face, or repeat torque off."""
         report = self._stop_report
         assert report is not None
         if self._ends:
@@ -311,7 +322,7 @@ class Supervisor:
             self._release_again_s = 0.0
 
     def _refusal(self, order: Order) -> str:
-        """Return in a line why an order is refused while no bridge serves; empty: it is obeyed."""
+        """Return in a line why an order is refused while no bridge runs; empty: accepted."""
         match order:
             case StartFace() if self._is_kept:
                 return ""
@@ -326,7 +337,10 @@ class Supervisor:
         return f"{self._phase.value}: ask again once the face is driven"
 
     def _obey_start(self, order: StartFace, now_s: float, *, is_stopped_now: bool) -> None:
-        """Start the face by the bridge's ordinary start, unless a stop came in the same round."""
+        """Start the face's bridge as the order demands, unless the face was stopped in this round.
+
+        is_stopped_now: whether it was. A start of a face that is not stopped is ignored, too.
+        """
         if is_stopped_now or not self._is_kept:
             why_not = "not obeyed, a stop came with it"
             _LOG.info("start requested by %s: %s", order.requested_by, why_not)
@@ -425,7 +439,7 @@ class Supervisor:
         self._phase = _Phase.WAITING
 
     def _release_on(self, now_s: float) -> None:
-        """Do one step of switching torque off by force; if that is over, restart or conclude."""
+        """Do one step of switching torque off by force; then restart the bridge or end the face."""
         assert self._release is not None
         if now_s >= self._release.next_s and self._release.step():
             self._released(self._release)
@@ -465,7 +479,11 @@ class Supervisor:
         return let_go_report(let_go, release.unconfirmed, confirms=confirms)
 
     def _conclude(self, report: StopReport, status: int) -> None:
-        """Wait for a start after a person's stop, or else end the face; torque-off is over."""
+        """Handle the end of switching torque off, with `report`, and `status` to exit with.
+
+        After a person's stop the face waits for a start; otherwise, or if the stop ends the
+        process, the face ends.
+        """
         if self._ends or not self._is_ending:
             self._finish(report, status)
             return

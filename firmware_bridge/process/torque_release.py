@@ -1,4 +1,4 @@
-"""Switch torque off where no bridge runs any more: open the port and make every servo limp."""
+"""Switch torque off where no bridge (driving process) runs any more: make every servo limp."""
 
 import threading
 import time
@@ -16,9 +16,9 @@ _RETRY_S: Final = 0.05
 class TorqueRelease:
     """Torque off by force at one port, one small step a call, so that the caller's loop continues.
 
-    confirmed: addresses of servos that were read limp; released: of those that were sent the order
-    and cannot confirm it; unconfirmed: why each other servo was not, by address; port_error: why
-    the port cannot be opened now, empty: it can.
+    confirmed: addresses of servos that were read limp; released: of those that were sent torque off
+    and cannot confirm it; unconfirmed: by address, why each other servo was not read limp;
+    port_error: why the port cannot be opened now, empty: it can.
     """
 
     def __init__(
@@ -30,9 +30,10 @@ class TorqueRelease:
         searches: bool = False,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        """timeout_s: how long silent servos are polled again; three times at least.
+        """Prepare to switch off the servos at `addresses`; `step` opens the port by `open_port`.
 
-        searches: whether other servos that are found at the port are polled, too.
+        timeout_s: how long silent servos are polled again; three times at least. searches: whether
+        other servos that are found at the port are polled, too.
         """
         self._open_port = open_port
         self._addresses = tuple(addresses)
@@ -56,9 +57,9 @@ class TorqueRelease:
         return self._port is not None
 
     def step(self) -> bool:
-        """Open the port and send torque off, or poll one servo; return whether it is over.
+        """Open the port and send torque off, or poll one servo; return whether the release is over.
 
-        Never raises BusError: the port is then opened again later.
+        Never raises BusError: a port that fails is opened again later.
         """
         if self.done:
             return True
@@ -146,7 +147,7 @@ class FaceRelease:
 
     @property
     def next_s(self) -> float:
-        """The monotonic time of the next `step`."""
+        """The monotonic time at which `step` must be called next."""
         return self._ports[0][0].next_s if len(self._ports) == 1 else self._look_s
 
     @property
@@ -165,7 +166,7 @@ class FaceRelease:
 
     @property
     def unconfirmed(self) -> dict[str, str]:
-        """The reasons why servos were not confirmed limp, by their names."""
+        """The reasons why servos were not confirmed limp, by the servos' names."""
         return {
             names.get(address, f"address {address}"): each.port_error or why
             for each, names in self._ports
@@ -193,10 +194,11 @@ def release_port(
     *,
     timeout_s: float = 0.0,
 ) -> TorqueRelease:
-    """Broadcast torque off at a port, poll every servo found there, and return the release.
+    """Send torque off to all servos at a port, poll every servo found, and return the release.
 
-    addresses: servos that must be found. Waits up to `timeout_s` for the port. Raises PortError
-    when it cannot be opened.
+    The release is over; its `confirmed`, `released` and `unconfirmed` list the servos. addresses:
+    servos that are polled even if they are not found. Waits up to `timeout_s` for the port. Raises
+    PortError when it cannot be opened.
     """
     release = TorqueRelease(open_port, addresses, searches=True)
     give_up_s = time.monotonic() + timeout_s

@@ -21,7 +21,7 @@ _MARGIN_S: Final = 0.001
 
 
 class LearntLatency:
-    """The waiting time for replies, learnt from their delays: quick to rise, slow to fall."""
+    """The time to wait for late replies, learnt from their delays: quick to rise, slow to fall."""
 
     def __init__(self) -> None:
         self._high_s = _UNKNOWN_S
@@ -51,7 +51,7 @@ class PendingAnswers:
     """Answers that may still come late: from which servo, of how many bytes, and until when.
 
     A status packet contains its servo and its length, but not the request that it answers. So a
-    request whose answer would be like a pending one must be sent in another length.
+    request whose answer would look like a pending one must ask for another number of bytes.
     any: whether answers may be pending; `expire` makes it exact.
     """
 
@@ -67,7 +67,10 @@ class PendingAnswers:
         return max(self._until_s.values(), default=float("-inf"))
 
     def note(self, servo_id: int, size: int, request: bytes, now_s: float) -> None:
-        """Note that `size` bytes in answer to `request` are overdue; b"": to several requests."""
+        """Note that a servo's answer of `size` bytes to `request` (b"": to several) is overdue.
+
+        It counts as pending from `now_s` on for `LATE_S`.
+        """
         key = (servo_id, size)
         if self._requests.setdefault(key, request) != request:
             self._requests[key] = b""
@@ -76,7 +79,7 @@ class PendingAnswers:
         self.any = True
 
     def note_arrived(self, servo_id: int, size: int) -> None:
-        """Note that an answer of `size` bytes arrived late, so that one fewer is pending."""
+        """Note that a servo's answer of `size` bytes has arrived late: one fewer is pending."""
         key = (servo_id, size)
         if key in self._n:
             self._n[key] -= 1
@@ -90,11 +93,14 @@ class PendingAnswers:
         return self.any
 
     def looks_like(self, servo_id: int, size: int, request: bytes) -> bool:
-        """Return whether an answer to `request` looks like a pending one to another request."""
+        """Return whether a pending answer could be mistaken for the servo's answer to `request`.
+
+        That is so if it has the same `size` in bytes, and belongs to another request.
+        """
         return self._requests.get((servo_id, size), request) != request
 
     def free_size(self, ids: Iterable[int], size: int, step: int = 1) -> int:
-        """Return the least of size, size + step, ... that no pending answer of `ids` has."""
+        """Return the least of size, size + step, ... bytes that no pending answer of `ids` has."""
         allowed_ids = {*ids, ANYBODY}
         taken = {pending for servo_id, pending in self._until_s if servo_id in allowed_ids}
         while size in taken:
@@ -114,7 +120,10 @@ class Take(Protocol[_Taken_co]):
     """A parser of the bytes of a reply; None: more bytes are needed."""
 
     def __call__(self, stream: bytes, *, last: bool) -> _Taken_co | None:
-        """Return the answer in `stream`, None: there is no whole one. last: no more bytes come."""
+        """Return the answer in `stream`; None: there is no whole one yet.
+
+        last: whether no more bytes will come.
+        """
 
 
 class HalfDuplex:
@@ -125,11 +134,14 @@ class HalfDuplex:
     transaction.
     echoes: the adapter returns the sent bytes, which is detected, and the echo removed.
     extra_wait_s: further seconds to wait for an answer; for commands outside the loop.
-    heard_noise: in the last transaction bytes came, but not the expected answer.
+    heard_noise: in the last transaction bytes came, but no valid answer.
     """
 
     def __init__(self, transport: Transport, return_delay_s: float, extra_wait_s: float) -> None:
-        """return_delay_s: of the slowest servo; it lengthens deadlines, not the time per byte."""
+        """Use the line behind `transport`, an open port.
+
+        return_delay_s: of the slowest servo; it lengthens deadlines, not the time per byte.
+        """
         self.transport = transport
         self.return_delay_s = return_delay_s
         self.byte_s = BITS_PER_BYTE / transport.baud_rate
@@ -158,7 +170,7 @@ class HalfDuplex:
         self._send(request)
 
     def _send(self, request: bytes) -> float:
-        """Send bytes once the line is quiet; return when their last will be on the wire, in s."""
+        """Send `request` once the line is quiet; return when its last byte will be sent, in s."""
         now_s = self._clock.now()
         if now_s < self._quiet_s:
             self._clock.sleep_until(self._quiet_s)
@@ -178,7 +190,12 @@ class HalfDuplex:
         n_answers: int = 1,
         extra_wait_s: float = 0.0,
     ) -> _Answer | None:
-        """Send a request, and read until `take` returns an answer; None: none came in time."""
+        """Send a request, and read until `take` returns an answer; None: none came in time.
+
+        reply_size: bytes of the whole reply. is_over: returns whether no more bytes will follow.
+        n_answers: how many servos answer, each after its return delay. extra_wait_s: to wait
+        longer.
+        """
         transport, clock = self.transport, self._clock
         if self.extra_wait_s > extra_wait_s:
             extra_wait_s = self.extra_wait_s
@@ -216,10 +233,10 @@ class HalfDuplex:
             heard += more
 
     def _without_echo(self, heard: bytes, request: bytes) -> bytes:
-        """Return the bytes after an echo of `request`, all bytes if there is none.
+        """Return the bytes of `heard` after an echo of `request`; all of them if there is no echo.
 
-        Sets `echoes`. Bytes before the echo cannot answer this request, since the line carries one
-        at a time.
+        An echo sets `echoes`. Bytes before the echo cannot answer this request, since the line
+        carries one at a time.
         """
         at = heard.find(request)
         if at < 0:

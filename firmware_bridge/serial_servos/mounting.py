@@ -50,7 +50,7 @@ Identity = TypeVar("Identity")
 class MountedServo(Generic[Model]):
     """One servo and the joint it drives. servo angle = sign x (joint angle + zero_offset_deg).
 
-    max_current_ma: the limit of its current; None: none.
+    max_current_ma: the limit of the servo's current; None: no limit.
     Raises ValueError for a current limit on a model that does not measure current.
     """
 
@@ -87,7 +87,7 @@ class MountedServo(Generic[Model]):
 
 
 class Mounting:
-    """Conversion between joint degrees and positions of all servos of a face.
+    """Conversion between joint degrees and position register values of all servos of a face.
 
     Arrays are (n_servos,).
     """
@@ -99,7 +99,7 @@ class Mounting:
         self._zero = center + offset * self._scale
 
     def pulses(self, joint_deg: Array) -> Array:
-        """Return the servos' position values for joint angles.
+        """Return the servos' position register values (pulses) for joint angles.
 
         Parameters
         ----------
@@ -115,7 +115,7 @@ class Mounting:
         return pulses
 
     def joint_deg(self, pulses: Array) -> Array:
-        """Return joint angles for the servos' position values.
+        """Return the joint angles for the servos' position register values (pulses).
 
         Parameters
         ----------
@@ -131,7 +131,10 @@ class Mounting:
         return joint_deg
 
     def obstacle(self, index: int, place: int, low: float, high: float) -> str:
-        """Return why a servo cannot hold at `place`; empty: it is within low..high, in pulses."""
+        """Return why a servo cannot hold the position `place`; empty: it is within low..high.
+
+        All three are position register values; `low` and `high` are the servo's own limits.
+        """
         if low <= place <= high:
             return ""
         here_deg, *ends_deg = (
@@ -154,9 +157,10 @@ def checked_identities(
 ) -> list[Identity | None]:
     """Return `found`, the identities that servos reported (None: silent), if they can be driven.
 
-    Not strict: servos that do not answer are allowed, unless all are silent or a critical one is.
-    Raises ServoError with every mismatch in one text, and where all are silent with the kind of bus
-    that answers in place of `kind`; transport: None: that is not looked for.
+    mismatches: returns the differences between a servo and its identity. Not strict: servos that do
+    not answer are allowed, unless all are silent or a critical one is. Raises ServoError with every
+    mismatch in one text; where all are silent, with the other kind of bus, in place of `kind`, that
+    answers at `transport`; None: no other kind is tried.
     """
     silent = [servo for servo, each in zip(servos, found, strict=True) if each is None]
     if len(silent) == len(servos) and transport is not None:

@@ -47,7 +47,7 @@ class Plan:
 
 
 def differences(found: Mapping[str, int], wanted: Mapping[str, int]) -> list[Difference]:
-    """Return the registers that must be written, in the order of `wanted`."""
+    """Return the registers whose value `found` in a servo differs from `wanted`, in that order."""
     return [
         Difference(name, found[name], value)
         for name, value in wanted.items()
@@ -56,15 +56,15 @@ def differences(found: Mapping[str, int], wanted: Mapping[str, int]) -> list[Dif
 
 
 def chain_is_complete(servos: Sequence[MountedServo[Any]], found: Found) -> bool:
-    """Return whether every servo answers at its own id, so that none needs to be unplugged."""
+    """Return whether every servo was found at its own id, so that none needs to be unplugged."""
     return all(servo.joint.servo_id in found for servo in servos)
 
 
 @dataclass(frozen=True, slots=True)
 class ChainSetup:
-    """The steps to find and set up servos of one protocol. Lines are of the protocol's own class.
+    """The steps to find and set up servos of one protocol, over a serial line of its own class.
 
-    The only place that writes EEPROM: torque off, only differences, all of it read back.
+    Only here is EEPROM written: with torque off, where it differs, and all is read back.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class ChainSetup:
 
     @contextmanager
     def unhurried_line(self, port: str, baud_rate: int) -> Iterator[Any]:
-        """Open a port and yield a line with longer waits than a loop allows; close it.
+        """Open a port and yield a line with longer waits than a control loop allows; close it.
 
         Raises PortError.
         """
@@ -128,16 +128,17 @@ class ChainSetup:
     ) -> Iterator[tuple[int, Mapping[int, Any]]]:
         """Yield each baud rate with the servos that answer at it, {id: model number}.
 
-        rates: None: all. The line stays at the rate yielded last: a caller may stop there.
+        rates: the rates to try; None: all. The line stays at the rate yielded last, even if the
+        caller stops there.
         """
         for rate in dict.fromkeys(self.rates if rates is None else rates):
             line.baud_rate = rate
             yield rate, self.answers(line)
 
     def find_servos(self, line: Any, ids: Sequence[int], baud_rate: int) -> Found:
-        """Return the servos that answer at the face's and the factory's rate.
+        """Return the servos that answer at `baud_rate`, the face's, and at the factory's rate.
 
-        Other rates are tried while one of `ids` is missing.
+        Other rates are tried while one of `ids` is missing; the slowest only if no servo was found.
         """
         found: dict[int, list[tuple[int, Any]]] = {}
         rates = list(dict.fromkeys([baud_rate, self.factory_rate, *self.rates]))
@@ -152,10 +153,10 @@ class ChainSetup:
     def plan_chain(
         self, line: Any, servos: Sequence[MountedServo[Any]], found: Found, baud_rate: int
     ) -> list[Plan]:
-        """Return a plan for every servo at its own id.
+        """Return, for every servo at its own id, the plan of registers to change.
 
-        Raises ServoError with a line for each servo of another model, or with an id that several
-        have.
+        found: all that answer. baud_rate: the one that servos shall have. Raises ServoError with a
+        line for each servo of another model, or with an id that several have.
         """
         lines = []
         for servo in servos:
@@ -178,9 +179,10 @@ class ChainSetup:
         ]
 
     def plan_alone(self, line: Any, servo: MountedServo[Any], found: Found, baud_rate: int) -> Plan:
-        """Return a plan for the one servo that answers, at any id.
+        """Return the plan of registers to change so that the only connected servo becomes `servo`.
 
-        Raises ServoError for none, for several, and for another model.
+        found: all that answer, at any id. baud_rate: the one that it shall have. Raises ServoError
+        if none or several answer, and for another model.
         """
         name, own_id = servo.joint.name, servo.joint.servo_id
         answers = [(servo_id, *each) for servo_id, all_of_it in found.items() for each in all_of_it]
@@ -205,13 +207,13 @@ class ChainSetup:
     def set_up(
         self, line: Any, servo_id: int, model: Any, changes: Sequence[Difference]
     ) -> Generator[Difference, None, None]:
-        """Write `changes` to the servo at `servo_id`, and yield each once the servo holds it.
+        """Write `changes` to the servo at `servo_id`, and yield each change once it was read back.
 
-        Torque goes off first and stays off. Of both position limits the one comes first that keeps
-        them in order: servos refuse a lower limit above the upper one. The id and then the baud
-        rate come last, and the line follows to the new rate. A process that stops between two
-        leaves nothing half-written. Raises ServoError when the servo refuses or does not keep a
-        value.
+        model: the servo's, such as a `ServoModel`. Torque goes off first and stays off. Of both
+        position limits the one is written first that keeps them in order: servos refuse a lower
+        limit above the upper one. The id and then the baud rate come last, and the line follows to
+        the new rate. A process that stops between two writes leaves nothing half-written. Raises
+        ServoError when the servo refuses or does not keep a value.
         """
         if not changes:
             return
@@ -252,9 +254,9 @@ class ChainSetup:
 
 
 def _limits_in_order(changes: Sequence[Difference]) -> list[Difference]:
-    """Return the changes with both position limits last, in an order that servos accept.
+    """Return the changes in an order that servos accept, both position limits last.
 
-    The limit that makes room comes first: servos refuse a lower limit above the upper one.
+    Of the two the limit that makes room precedes: servos refuse a lower limit above the upper one.
     """
     by_name = {change.name: change for change in changes}
     low, high = by_name.get(_LOW), by_name.get(_HIGH)

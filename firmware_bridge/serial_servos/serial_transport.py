@@ -106,7 +106,10 @@ class SerialTransport:
 
 
 def open_port(port: str, baud_rate: int, clock: Clock | None = None) -> SerialTransport:
-    """Open a serial port for this process alone. Raises PortError with the remedy."""
+    """Open a serial port for this process alone. Raises PortError with the remedy.
+
+    clock: for deadlines; None: the computer's monotonic clock.
+    """
     try:
         handle = serial.Serial(port, baud_rate, timeout=0, exclusive=True)
     except ValueError as error:
@@ -127,7 +130,8 @@ def open_port(port: str, baud_rate: int, clock: Clock | None = None) -> SerialTr
 def claim(fd: int) -> None:
     """Lock the port of `fd` for this process. Raises OSError when another process holds the lock.
 
-    The lock keeps out programs that try to lock, also root's; the terminal's flag all but root.
+    A file lock keeps out programs that also lock, even root's; the terminal's exclusive flag, set
+    as well, keeps out all but root's.
     """
     fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     fcntl.ioctl(fd, termios.TIOCEXCL)
@@ -140,7 +144,7 @@ def release(fd: int) -> None:
 
 
 def latency_timer_ms(port: str) -> int | None:
-    """Return how long the adapter holds bytes back, in ms; None: its driver has no such timer."""
+    """Return how many ms the USB adapter holds bytes back; None: its driver has no such timer."""
     name = Path(port).resolve().name
     try:
         return int(Path(f"/sys/bus/usb-serial/devices/{name}/latency_timer").read_text())
@@ -149,7 +153,7 @@ def latency_timer_ms(port: str) -> int | None:
 
 
 def adapter_serial(port: str, sysfs: Path = Path("/sys")) -> str | None:
-    """Return the serial number of the USB adapter behind a port; None: there is none."""
+    """Return the serial number of the USB adapter behind a port; None: it has none."""
     device = (sysfs / "class/tty" / Path(port).resolve().name / "device").resolve()
     for folder in (device, *device.parents):
         with contextlib.suppress(OSError):
@@ -158,7 +162,7 @@ def adapter_serial(port: str, sysfs: Path = Path("/sys")) -> str | None:
 
 
 class SameAdapter:
-    """Opens one port repeatedly, but never another adapter that has taken its name.
+    """A function that opens one port repeatedly, but never another adapter that has taken its name.
 
     A face whose adapter was unplugged must not take the servos that appear at its old port.
     """
@@ -169,9 +173,9 @@ class SameAdapter:
         self._serial: str | None = None
 
     def __call__(self) -> SerialTransport:
-        """Return the port, opened.
+        """Open and return the port.
 
-        Raises PortError, also for an adapter of another serial number.
+        Raises PortError, also if the adapter has another serial number than at the first call.
         """
         found = adapter_serial(self._port)
         if self._serial is not None and found != self._serial:
@@ -202,7 +206,7 @@ def _no_such_rate(port: str, baud_rate: int) -> str:
 
 
 def explain(port: str, error: OSError) -> str:
-    """Return the message why a port cannot be opened, with the remedy."""
+    """Return the message why `port` could not be opened, from `error`, with the remedy."""
     if error.errno is None:  # pyserial found no settings to change
         return f"{port}: is not a serial port"
     if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):

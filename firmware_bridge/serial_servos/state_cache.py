@@ -30,11 +30,11 @@ ROOM_DEGC: Final = 45.0
 class ServoStateCache:
     """The last report of every servo. Every array is (n_servos,), in the face's order.
 
-    pulses, goals: position registers, NaN = never received; effort: share of the stall torque;
-    low, high: the servo's own limits in pulses; heard_s: when it answered last;
-    enabled: torque was switched on by us and not confirmed off since. `health` and feedback return
-    these arrays without a copy, in every tick: so arrays are replaced, by `set_one` for one servo,
-    and never written into.
+    pulses, goals: position registers, NaN = never received; effort: share of the stall torque; low,
+    high: the servo's own limits in pulses; heard_s: when the servo answered last; enabled: torque
+    was switched on by us and not confirmed off since. `health` and the bus's feedback return these
+    arrays without a copy, in every tick: so arrays are replaced, by `set_one` for one servo, and
+    never written into.
     """
 
     def __init__(
@@ -44,7 +44,10 @@ class ServoStateCache:
         hottest_degc: Sequence[float],
         return_delay_s: float,
     ) -> None:
-        """Start without reports; the arguments hold until each servo's EEPROM has been read."""
+        """Start without reports; the arguments are used until each servo's EEPROM has been read.
+
+        highest_pulse: upper position limit. hottest_degc: temperature limit of each servo.
+        """
         n = len(ids)
         self.ids = tuple(ids)
         self.index = {servo_id: k for k, servo_id in enumerate(ids)}
@@ -79,7 +82,10 @@ class ServoStateCache:
     def take_identity(
         self, index: int, found: ServoIdentity, hottest_degc: float, now_s: float
     ) -> None:
-        """Store a servo's limits and return delay from its EEPROM; it answered at `now_s`."""
+        """Store the limits and return delay in `found`, which servo `index` reported at `now_s`.
+
+        hottest_degc: its temperature limit.
+        """
         self.low[index] = found.eeprom["min_position_limit"]
         self.high[index] = found.eeprom["max_position_limit"]
         self.hottest[index] = hottest_degc
@@ -87,7 +93,7 @@ class ServoStateCache:
         self.heard_s[index] = now_s
 
     def ages(self, answered: Sequence[int], now_s: float) -> Array:
-        """Return the age of each servo's last answer.
+        """Return how long ago each servo answered last.
 
         Parameters
         ----------

@@ -31,11 +31,11 @@ class Motion:
 class SimulatedBus:
     """A `ServoBus` in memory, whose servos run to their goals at constant top speed.
 
-    As the real ones do, they keep their old goal when a new one is outside their range (and show
+    As real servos do, they keep their old goal when a new one is outside their range (and show
     the error until the next goal they take), take goals while limp, stay where they are when torque
     goes off, and run to the last goal they were given when it comes on.
 
-    With fewer capabilities they move likewise, and report less: as a bus of hobby servos, for one.
+    With fewer capabilities they move likewise, and report less, as hobby servos do.
 
     Not simulated: acceleration, load, gravity, backlash, encoder steps, current, temperature,
     supply voltage, time on the wire, lost or damaged packets, a servo falling out.
@@ -53,7 +53,7 @@ class SimulatedBus:
     ) -> None:
         """Start with limp servos at `start_deg`, (n_servos,) degrees; None: in neutral.
 
-        capabilities: values that the servos cannot measure by these are reported as NaN.
+        capabilities: of the servos; values that they cannot measure are reported as NaN.
 
         The newest `n_remembered` writes stay in `history`: by default more than ten minutes at
         30 Hz, and 7 MB with ten servos.
@@ -109,12 +109,12 @@ class SimulatedBus:
         self._history.append(Motion(self._moved_until_s, self._goals_deg, self._positions_deg))
 
     def widen(self, joints: NDArray[np.bool_]) -> None:
-        """Widen the range of hobby servos that are True to their pulses' reach; reset all others.
+        """Widen the range of the given hobby servos to their pulses' reach; reset all others.
 
         Parameters
         ----------
         joints : NDArray[np.bool_]
-            (n_servos,).
+            (n_servos,): True for servos that may go beyond.
         """
         self._min_deg, self._max_deg = np.where(joints, self._reach_deg, self._narrow_deg)
 
@@ -157,7 +157,7 @@ class SimulatedBus:
         )
 
     def obstacle(self, index: int) -> str:
-        """Return why a servo may not get torque: its position is unknown or out of range; or ""."""
+        """Return why a servo may not get torque (position unknown, out of range); empty: it may."""
         self._move()
         place_deg = self._positions_deg[index]
         if np.isnan(place_deg):

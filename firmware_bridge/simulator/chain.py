@@ -31,7 +31,10 @@ class SpanWanted(NamedTuple):
 
 
 def sync_read(parameters: bytes) -> list[SpanWanted]:
-    """Parse a sync read: one span for all ids; an id named twice counts once, as named first."""
+    """Return the spans that a sync read requests, one span for all ids; [] if it is too short.
+
+    An id named twice counts once, as named first.
+    """
     if len(parameters) < 5:
         return []
     address = parameters[0] | parameters[1] << 8
@@ -40,7 +43,7 @@ def sync_read(parameters: bytes) -> list[SpanWanted]:
 
 
 def bulk_read(parameters: bytes) -> list[SpanWanted]:
-    """Parse a bulk read: a span for each id; of an id named twice the first span counts."""
+    """Return the spans that a bulk read requests, one for each id; an id's first span counts."""
     wanted: dict[int, SpanWanted] = {}
     for at in range(0, len(parameters) - 4, 5):
         servo_id, low, high, size_low, size_high = parameters[at : at + 5]
@@ -50,7 +53,7 @@ def bulk_read(parameters: bytes) -> list[SpanWanted]:
 
 
 def sync_write(parameters: bytes) -> dict[int, bytes]:
-    """Parse a sync write into plain writes' parameters by id; an id's last block counts."""
+    """Split a sync write into the parameters of plain writes, by id; an id's last block counts."""
     if len(parameters) < 5:
         return {}
     head = parameters[:2]
@@ -62,7 +65,7 @@ def sync_write(parameters: bytes) -> dict[int, bytes]:
 
 
 def bulk_write(parameters: bytes) -> dict[int, bytes]:
-    """Parse a bulk write into parameters of a plain write by id; a block cut short is left out."""
+    """Split a bulk write into parameters of plain writes, by id; a block cut short is left out."""
     blocks: dict[int, bytes] = {}
     at = 0
     while at + 5 <= len(parameters):
@@ -110,7 +113,11 @@ class SimulatedChain:
         seed: int = 0,
         baud_rate: int | None = None,
     ) -> None:
-        """Make servos with factory settings; a `baud_rate` sets them to it, with return delay 0."""
+        """Make servos of `models` with these `ids` and factory settings.
+
+        environment, rules: what the manual does not state. baud_rate: sets all servos to it, with
+        return delay 0; None: the factory's. seed: of the faults' chance.
+        """
         self.motors = Motors(models, environment or Environment())
         self.servos = [
             SimulatedServo(model, servo_id, index, self.motors)
@@ -131,7 +138,7 @@ class SimulatedChain:
         self._cut_off = False
 
     def turn(self, index: int, by_deg: float) -> None:
-        """Turn a limp servo's shaft by some degrees, as by hand; with torque on it stays."""
+        """Turn a limp servo's shaft by `by_deg` as by hand; with torque on the shaft stays."""
         if 0 <= index < len(self.servos) and not self.motors.torque_on[index]:
             self.motors.position[index] += by_deg * PULSES_PER_DEG
 
@@ -202,7 +209,7 @@ class SimulatedChain:
                 self.servos[index].latch(int(bits[index]))
 
     def _look_at_clocks(self, now_s: float) -> None:
-        """Trip the bus watchdogs that are due, each motor at its position of that time.
+        """Trip the bus watchdogs due by `now_s`, with each motor where it was at the time due.
 
         Servos that switch torque on at start-up do so here once they have booted.
         """
@@ -232,7 +239,10 @@ class SimulatedChain:
         return self._wire.deliver(now_s)
 
     def _hear(self, frame: Frame, end_s: float, byte_s: float, baud_rate: int) -> None:
-        """Execute an instruction on all servos that listen at `baud_rate`; queue the replies."""
+        """Execute an instruction whose last byte arrives at `end_s`; queue the replies.
+
+        Only servos that listen at `baud_rate` execute it. byte_s: seconds a byte at that rate.
+        """
         self.counts.instructions += 1
         self.advance(end_s)
         listening = [s for s in self.servos if s.baud_rate == baud_rate and s.deaf_until_s <= end_s]
@@ -266,7 +276,7 @@ class SimulatedChain:
     def _broadcast(
         self, listening: list[SimulatedServo], instruction: int, parameters: bytes, byte_s: float
     ) -> None:
-        """Execute a broadcast instruction on all servos; only a ping is answered.
+        """Execute a broadcast instruction on the servos `listening`; only a ping is answered.
 
         A factory reset of everything is ignored, as the manual says.
         """
@@ -282,7 +292,10 @@ class SimulatedChain:
     def _read_in_turn(
         self, listening: list[SimulatedServo], wanted: list[SpanWanted], byte_s: float
     ) -> None:
-        """Answer a group read, each servo in turn; a silent one leaves a gap, or stops the rest."""
+        """Answer a group read for the spans `wanted`, one servo after another.
+
+        A silent servo leaves a gap, or, by the rule `chain_stops`, ends the answers.
+        """
         by_id = _by_id(listening)
         for servo_id, address, size in wanted:
             answering = by_id.get(servo_id)
@@ -299,7 +312,7 @@ class SimulatedChain:
     def _read_together(
         self, listening: list[SimulatedServo], wanted: list[SpanWanted], byte_s: float
     ) -> None:
-        """Answer a fast group read in one frame, which ends at the first silent servo."""
+        """Answer a fast group read (spans `wanted`) in one frame, cut at the first silent servo."""
         by_id = _by_id(listening)
         replies = []
         for servo_id, address, size in wanted:
@@ -316,7 +329,7 @@ class SimulatedChain:
 
 
 def _by_id(listening: list[SimulatedServo]) -> dict[int, list[SimulatedServo]]:
-    """Return the servos that answer reads, by id; several for an id that was given twice."""
+    """Return those of `listening` that answer reads, by id; several if they have the same id."""
     by_id: dict[int, list[SimulatedServo]] = {}
     for servo in listening:
         if servo.answers_reads:

@@ -16,7 +16,7 @@ from firmware_bridge.simulator.motors import FULL_PWM, VELOCITY_UNIT, Motors, Pr
 
 
 class RegisterMemory:
-    """Register values by name, and reads and writes by address with a servo's rules."""
+    """The registers of one servo: values by name, and reads and writes by address by its rules."""
 
     def __init__(self, model: ServoModel) -> None:
         self.bytes = bytearray(model.table_size)
@@ -33,7 +33,10 @@ class RegisterMemory:
         self.bytes[register.address : register.end] = register.encode(value)
 
     def shown(self, address: int, size: int) -> bytes:
-        """Return the bytes that a read gets, also by indirect data; call `refresh` before."""
+        """Return the `size` bytes that a read from `address` on gets, indirect data resolved.
+
+        Call `Drive.refresh` before, for present values.
+        """
         data = bytes(self.bytes[address : address + size])
         for block in self._indirect:
             if address < block.data + block.count and address + size > block.data:
@@ -41,7 +44,7 @@ class RegisterMemory:
         return data
 
     def reset_indirect(self) -> None:
-        """Map every indirect address to its own data byte."""
+        """Map every indirect address to its own data byte, as after power-up."""
         for block in self._indirect:
             for n in range(block.count):
                 struct.pack_into("<H", self.bytes, block.addresses + 2 * n, block.data + n)
@@ -49,10 +52,10 @@ class RegisterMemory:
     def pieces(
         self, address: int, data: bytes, *, locked: bool
     ) -> list[tuple[Register, int]] | StatusError:
-        """Return the registers that a write changes, with their values, or the error against it.
+        """Return the registers that a write changes, with their values, or the write's error.
 
-        Indirect data is resolved. Empty for a write of indirect addresses, which `map_indirect`
-        then does. locked: torque is on, so those cannot be changed.
+        Indirect data is resolved. []: an allowed write of indirect addresses, to be done by
+        `map_indirect`. locked: whether torque is on, so that indirect addresses cannot be changed.
         """
         for block in self._indirect:
             if block.data <= address < block.data + block.count:
@@ -96,7 +99,7 @@ class RegisterMemory:
         return pieces
 
     def map_indirect(self, address: int, data: bytes) -> None:
-        """Write indirect addresses, which `pieces` must have allowed."""
+        """Write `data` to indirect addresses, after `pieces` has allowed it."""
         self.bytes[address : address + len(data)] = data
 
     def _mapping_refusal(
@@ -145,7 +148,7 @@ SHAPING: Final = frozenset(
 
 
 class Drive:
-    """Memory and motor of one servo, number `index` of `motors`.
+    """Registers and motor of one simulated servo, number `index` of `motors`.
 
     The manual does not say about which position reverse mode mirrors; here it is 2048, so that one
     turn stays one turn.
@@ -191,7 +194,10 @@ class Drive:
         motors.shown_at_s = -1.0
 
     def settle(self) -> None:
-        """Apply the registers to the motor; a new profile counts from the next goal on."""
+        """Apply the registers in `SHAPING` (modes, offset, profile, limits) to the motor.
+
+        A changed profile counts from the next goal on.
+        """
         table, motors, i = self.table, self.motors, self.index
         drive_mode = table["drive_mode"]
         offset = table["homing_offset"]
@@ -221,7 +227,7 @@ class Drive:
         return min(1.0, units * (self._model.current_unit_ma or 0.0) / self._stall_ma)
 
     def count_one_turn(self) -> None:
-        """Forget whole turns: the position counts from 0 to 4095 again, plus the homing offset."""
+        """Forget whole turns: the position is from 0 to 4095 again, plus the homing offset."""
         counted = float(self.motors.position[self.index]) * self._sign
         self._n_revolutions = math.floor(counted / _TURN) + (self._sign < 0)
         self.settle()
@@ -249,7 +255,7 @@ class Drive:
         motors.shown_at_s = -1.0
 
     def set_torque(self, *, on: bool) -> None:
-        """Switch torque on or off; on, the motor runs to the goal in the register."""
+        """Switch torque on or off; when it comes on, the motor runs to the goal in the register."""
         motors, i = self.motors, self.index
         was_on = self.torque_on
         self._memory[_TORQUE] = on
@@ -264,7 +270,7 @@ class Drive:
             self.pursue(self.table["goal_position"])
 
     def change_mode(self) -> None:
-        """Reset gains, profile and goals as another operating mode does, as after a restart.
+        """Reset gains, profile and goals, as a change of the operating mode does.
 
         https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#operating-mode11
         The manual states gains of mode 3 alone, so the other modes have the same. It does not say
@@ -289,20 +295,23 @@ class Drive:
     def trip_watchdog(self) -> None:
         """Trip the bus watchdog: stop at the present position, with torque on.
 
-        Goals are refused until 0 is written to the register.
+        Goals are refused until 0 is written to the register bus_watchdog.
         """
         self.table["bus_watchdog"] = _WATCHDOG_TRIPPED
         self.set_watchdog_timeout()
         self.motors.stop(self.index)
 
     def set_watchdog_timeout(self) -> None:
-        """Compute the watchdog's timeout from its register; infinity while it or torque is off."""
+        """Compute the bus watchdog's timeout from its register; infinity if 0 or torque is off."""
         setting = self.table["bus_watchdog"]
         armed = setting > 0 and self.torque_on
         self.watchdog_timeout_s = setting * WATCHDOG_UNIT_S if armed else math.inf
 
     def refresh(self, booted_s: float) -> None:
-        """Write the present values (position, current, ...) of the motor into their registers."""
+        """Write the motor's present values (position, current, ...) into their registers.
+
+        booted_s: the time of the servo's last start, for realtime_tick.
+        """
         values = self.motors.register_values()[self.index]
         tick_ms = int((self.motors.now_s - booted_s) * 1e3) % 32768
         _PRESENT.pack_into(self._memory, _PRESENT_ADDRESS, tick_ms, *values)

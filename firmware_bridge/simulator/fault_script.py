@@ -45,7 +45,7 @@ class _StrictLoader(yaml.SafeLoader):
 
 
 def read_faults(text: str | None, n_servos: int) -> tuple[int, tuple[Fault, ...]]:
-    """Parse the seed and the faults of a script for a chain of `n_servos`; None: 0 and no faults.
+    """Return seed and faults of the YAML script `text` for `n_servos`; (0, ()) for None.
 
     Raises FaultScriptError for an invalid script.
     """
@@ -81,7 +81,7 @@ def _load(text: str) -> object:
 
 
 def _bracket_depth(text: str) -> int:
-    """Return the greatest depth of open brackets in a text; those in quotes count, too."""
+    """Return the greatest depth of open brackets in a text; brackets in quotes count, too."""
     depth = deepest = 0
     for character in text:
         depth += (character in "[{") - (character in "]}")
@@ -199,7 +199,7 @@ class _Reader:
 
 
 def _shown(value: object) -> str:
-    """Return a value as short text for a message."""
+    """Return a value from a script as short text for an error message."""
     if value is None:
         return "nothing"
     if isinstance(value, list):

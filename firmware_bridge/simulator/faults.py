@@ -67,7 +67,10 @@ LASTING: Final = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Amount:
-    """The meaning of `amount` for one kind of fault, and its bounds; whole: no fractions."""
+    """The meaning of `amount` for one kind of fault, and its bounds.
+
+    whole: no fractions. needed: whether a script must give it.
+    """
 
     meaning: str
     low: float
@@ -97,10 +100,11 @@ AMOUNTS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault of a simulated chain. servos: indices in the chain, empty = all.
+    """One fault of a simulated chain. servos: indices in the chain; empty: all.
 
-    On packets: happens with `probability` between from_s and until_s.
-    On servos: happens at each of at_s and every `every_s` (0 = never), for lasts_s.
+    Of a kind that hits packets: it happens with `probability` between from_s and until_s.
+    Of a kind that hits servos: it happens at each of at_s and every `every_s` (0: never), for
+    lasts_s.
     amount: as `AMOUNTS` lists it for the kind: seconds late, degrees pushed, load share, ...
     """
 
@@ -121,7 +125,7 @@ class Fault:
             raise ValueError(f"fault {self.kind}: probability {self.probability} is outside 0..1")
 
     def hits(self, index: int, now_s: float, rng: random.Random) -> bool:
-        """Return whether the fault hits a packet of servo `index` at `now_s`, by `rng`'s chance."""
+        """Return whether the fault hits a packet of servo `index` at `now_s`, by chance (`rng`)."""
         return (
             (not self.servos or index in self.servos)
             and self.from_s <= now_s < self.until_s
@@ -173,13 +177,13 @@ class FaultInjector:
         heapq.heappush(self._coming, (when_s, self._n, n_before, begins, fault))
 
     def _expect_again(self, fault: Fault, n_before: int) -> None:
-        """Schedule the next occurrence of a repeated fault."""
+        """Schedule the next occurrence of a repeated fault, after `n_before` earlier ones."""
         when_s = fault.from_s + (n_before + 1) * fault.every_s
         if fault.every_s > 0.0 and when_s <= fault.until_s:
             self._expect(when_s, n_before, fault, begins=True)
 
     def hardware_errors(self) -> NDArray[np.int64]:
-        """Return the hardware error bits that each servo would set now, by its limits.
+        """Return the hardware error bits that each servo sets now, by load, voltage and heat.
 
         Returns
         -------

@@ -38,10 +38,11 @@ def serve(
 ) -> PtyHost:
     """Return a host that serves simulated Dynamixels at a pseudo-terminal.
 
-    They are a face's servos, or `n_servos` of one model. link: path of a symbolic link to the
-    terminal. options: chain_stops, as of `WireRules`. baud_rate: None: that of the face, or the
-    factory's. faults: the YAML text of a script. Raises ServoError for unknown models, rates and
-    ids, FaultScriptError for a bad script, and PortError where no terminal or link can be made.
+    They are the servos of the face in `wiring`, or if that is None, `n_servos` of one model with
+    ids from `first_id` on. link: path of a symbolic link to the terminal. options: chain_stops, as
+    of `WireRules`. baud_rate: None: that of the face, or the factory's. faults: the YAML text of a
+    script. Raises ServoError for unknown models, rates and ids, FaultScriptError for a bad script,
+    and PortError where no terminal or link can be made.
     """
     if options.get("log") is not None:
         raise ServoError("--log: is of hobby servos only")

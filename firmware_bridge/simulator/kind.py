@@ -24,7 +24,7 @@ class SimulatedKind(DynamixelKind):
         return IN_MEMORY
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":  # noqa: ARG002 - nobody is missing
-        """Return the simulated bus, which must be entered by `with`; no servo is ever missing."""
+        """Return the simulated bus, which must be entered by `with`; strict: without effect."""
         from firmware_bridge.simulator.bus import SimulatedBus
 
         return SimulatedBus(wiring.joints, clock, capabilities=wiring.capabilities or IN_MEMORY)

@@ -23,7 +23,10 @@ STEP, RECTANGLE, TRIANGLE, TRAPEZOID = 0x00, 0x10, 0x20, 0x30
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """Top speed and acceleration of a motion, in pulses/s and /s^2, and its moving_status bits."""
+    """Top speed (pulses/s) and acceleration (pulses/s^2) of a motion to a goal.
+
+    shape: the motion's bits in the register moving_status.
+    """
 
     top_speed: float
     acceleration: float
@@ -147,7 +150,7 @@ class Motors:
     Positions are the shafts' own, counter-clockwise, with 2048 in the middle of the first turn. A
     register shows `sign` x position + `zero`: equal, unless the servo is reversed, has a homing
     offset, or counts another turn.
-    Set the inputs (goal, torque, course, load, jam), call `advance`, read the rest.
+    Set goal, torque, course, load and jam, call `advance`, and read the other arrays.
     """
 
     def __init__(self, models: Sequence[MotorModel], environment: Environment) -> None:
@@ -197,7 +200,7 @@ class Motors:
     def register_values(self) -> list[list[int]]:
         """Return each servo's registers from `moving` to present_temperature, in register units.
 
-        They are those of the time of the last `advance`.
+        The values are those at the time of the last `advance`.
         """
         if self.shown_at_s != self.now_s:
             self.shown_at_s = self.now_s
@@ -326,7 +329,7 @@ class Motors:
     def hardware_errors(
         self, low_v: Array, high_v: Array, hottest_degc: Array
     ) -> NDArray[np.int64]:
-        """Return the hardware error bits that each servo would set now, by its limits.
+        """Return the hardware error bits that each servo sets now, by load, voltage and heat.
 
         Parameters
         ----------

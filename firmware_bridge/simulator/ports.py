@@ -35,7 +35,7 @@ class SimulatedDevice(Protocol):
         """Simulate the device until `now_s`."""
 
     def receive(self, data: bytes, now_s: float, baud_rate: int) -> None:
-        """Take bytes that the computer sends at `now_s` at a baud rate."""
+        """Process bytes that the computer sends at `now_s` at a baud rate."""
 
     def deliver(self, now_s: float) -> bytes:
         """Return and remove the bytes that reach the computer by `now_s`; b"": none."""
@@ -66,7 +66,7 @@ class MemoryTransport:
         baud_rate: int = 1_000_000,
         tap: Callable[[float, bytes], None] | None = None,
     ) -> None:
-        """Open the port. Raises PortGone while the device is unplugged."""
+        """Open the port of the device `chain`. Raises PortGone while that is unplugged."""
         self._chain = chain
         self._clock = clock
         self.baud_rate = baud_rate
@@ -87,7 +87,7 @@ class MemoryTransport:
         self._chain.receive(data, self._clock.now(), self.baud_rate)
 
     def read(self, deadline_s: float) -> bytes:
-        """Advance the clock to the next delivery; return its bytes. b"": none by `deadline_s`."""
+        """Advance the clock to the next delivery; return its bytes; b"": none by `deadline_s`."""
         self._check()
         self._clock.sleep_until(min(self._chain.next_delivery_s, deadline_s))
         data = self._chain.deliver(self._clock.now())
@@ -117,7 +117,7 @@ _TERMINALS: Final = Path("/dev/pts")
 
 
 class PortLink:
-    """A symbolic link that a simulator makes to its port; links and files of others stay."""
+    """A symbolic link to a simulator's port, made by it; links and files of others stay."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -126,9 +126,9 @@ class PortLink:
     def lead_to(self, port: str) -> None:
         """Make the path a symbolic link to `port`.
 
-        Replaced is a link of ours, or one to a pseudo-terminal that no longer exists, as a
-        simulator that was killed leaves behind. Raises PortError for anything else, and where no
-        link can be made.
+        A link that this object made is replaced, and one to a pseudo-terminal that no longer
+        exists, as a simulator that was killed leaves behind. Raises PortError for anything else at
+        the path, and where no link can be made.
         """
         if not self._path.name:
             raise PortError(f"--link {self._path}: is a folder, not the name of a link")
@@ -153,7 +153,7 @@ class PortLink:
         self._port = port
 
     def remove(self) -> None:
-        """Remove the link if it still leads to our port."""
+        """Remove the link if it still leads to the port that it was made for."""
         if self._port and self._target() == self._port:
             with contextlib.suppress(OSError):
                 self._path.unlink()
@@ -168,7 +168,7 @@ class PortLink:
         return Path(target).parent == _TERMINALS and not os.path.lexists(target)
 
     def _target(self) -> str | None:
-        """Return the target of the link; None without a link."""
+        """Return the target of the link; None: there is no link at the path."""
         try:
             return os.readlink(self._path)
         except (OSError, ValueError):
@@ -185,7 +185,10 @@ class ExclusiveAccess:
     """The host's watch on one pseudo-terminal: clears the exclusive flag that clients leave."""
 
     def __init__(self, slave: int, port: str) -> None:
-        """slave: the host's own descriptor of `port`. Without inotify closes are not noticed."""
+        """Watch `port`, of which `slave` is the host's own descriptor.
+
+        Without inotify a client's close is not noticed.
+        """
         self._slave = slave
         self._port = port
         self._watch = _watch_closes(port)
@@ -196,7 +199,7 @@ class ExclusiveAccess:
         return [] if self._watch is None else [self._watch]
 
     def other_end_closed(self) -> None:
-        """Clear the exclusive flag, so that any client may open the port, unless one has it."""
+        """Clear the exclusive flag after a client's close, unless a client has the port open."""
         if self._watch is not None:
             with contextlib.suppress(BlockingIOError):
                 os.read(self._watch, _EVENTS)
@@ -234,7 +237,7 @@ class ExclusiveAccess:
 
 
 def _watch_closes(path: str) -> int | None:
-    """Return an inotify descriptor that reports every close of `path`; None without inotify."""
+    """Return an inotify descriptor that reports every close of file `path`; None: no inotify."""
     try:
         libc = ctypes.CDLL(None, use_errno=True)
         watch = libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
@@ -267,13 +270,14 @@ _BUSY_S: Final = 0.001
 class PtyHost:
     """A host that serves one simulated device at a pseudo-terminal, in real time. Linux only.
 
-    The simulator sees the client's baud rate, so a wrong one is silence, as on the wire. `unplug`
-    closes the terminal, by the device's method or by its script; plugged in again it has a new
-    name, and `link`, if given, leads to it, as /dev/serial/by-id does.
+    The simulator sees the client's baud rate, so a wrong one is silence, as on the wire. When the
+    device is unplugged, by its method `unplug` or its script, the terminal is closed. When plugged
+    in again it gets a new name, and `link`, if given, leads to that name, as /dev/serial/by-id
+    does.
     """
 
     def __init__(self, chain: SimulatedDevice, link: Path | None = None) -> None:
-        """Open the terminal. Raises PortError when no terminal or no `link` can be made."""
+        """Open a terminal to the device `chain`. Raises PortError if that or `link` fails."""
         self._chain = chain
         self._link = None if link is None else PortLink(link)
         self._zero_s = time.monotonic()
@@ -311,7 +315,7 @@ class PtyHost:
                 self._access.other_end_closed()
 
     def turn(self, index: int, by_deg: float) -> None:
-        """Turn a limp servo's shaft by some degrees, as by hand, if the device has such shafts."""
+        """Turn a limp servo's shaft by `by_deg`, as by hand, if the device has such shafts."""
         if (turn := getattr(self._chain, "turn", None)) is not None:
             turn(index, by_deg)
 

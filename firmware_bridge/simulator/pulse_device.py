@@ -16,7 +16,10 @@ from firmware_bridge.errors import ServoError
 
 
 class TimedFault(Strict):
-    """A fault of a `kind` in a simulated controller: at at_s, and then every `every_s` if set."""
+    """A fault of a simulated controller: at at_s, and then every `every_s` (None: once).
+
+    lasts_s: the duration of faults that last.
+    """
 
     at_s: Annotated[float, within(0.0, 1e9)]
     every_s: Annotated[float, within(0.01, 1e9)] | None = None
@@ -27,7 +30,7 @@ Fault = TypeVar("Fault", bound=TimedFault)
 
 
 def parse_faults(text: str | None, fault: type[Fault]) -> Sequence[Fault]:
-    """Parse the faults in a YAML script as `fault`; None: none.
+    """Return the faults in the YAML script `text`, as objects of the class `fault`; none for None.
 
     Raises ValueError for a bad script.
     """
@@ -45,9 +48,9 @@ def parse_faults(text: str | None, fault: type[Fault]) -> Sequence[Fault]:
 
 
 def pulse_log(path: Path | None) -> Callable[[Sequence[float]], None] | None:
-    """Return a function that writes a row of numbers to `path` as a line of JSON; None: no path.
+    """Return a function that writes a row of numbers to `path` as a line of JSON.
 
-    Raises ServoError where the file cannot be written.
+    None if `path` is None. Raises ServoError where the file cannot be written.
     """
     if path is None:
         return None

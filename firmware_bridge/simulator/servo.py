@@ -134,7 +134,7 @@ class SimulatedServo:
         self._drive.stand_at(place)
 
     def trip_watchdog(self) -> None:
-        """Trip the bus watchdog: stop, with torque on; goals are refused until it is set to 0."""
+        """Trip the bus watchdog: stop with torque on, and refuse goals until its register is 0."""
         self._drive.trip_watchdog()
 
     def lose_torque(self) -> None:
@@ -142,7 +142,7 @@ class SimulatedServo:
         self._drive.set_torque(on=False)
 
     def latch(self, bits: int) -> None:
-        """Set hardware error bits until a restart; torque goes off at bits in `shutdown`."""
+        """Set hardware error `bits` until a restart; torque goes off at those in `shutdown`."""
         known = self._memory[70]
         if bits & ~known:
             self["hardware_error_status"] = known | bits
@@ -159,7 +159,7 @@ class SimulatedServo:
         self.deaf_until_s = time_s
 
     def start_up(self, now_s: float) -> None:
-        """Switch torque on for the start-up configuration, once booted and without an error."""
+        """Switch torque on by the start-up configuration, once booted and if without an error."""
         if self.deaf_until_s <= now_s:
             self.holds_at_start = False
             self._drive.set_torque(on=not self._drive.broken)
@@ -190,7 +190,7 @@ class SimulatedServo:
         return (self._error(error), b"") if level == 2 else None
 
     def read_span(self, address: int, size: int) -> Answer:
-        """Return (error, data) for a read of `size` bytes from `address` on, also in a group."""
+        """Return (error, data) for a read of `size` bytes at `address`, alone or in a group."""
         if size < 1 or address + size > len(self._memory):
             return self._error(StatusError.ACCESS), b""
         if address + size > _PRESENT:
@@ -223,7 +223,7 @@ class SimulatedServo:
         return 0
 
     def _refusal_of_all(self, pieces: Sequence[tuple[Register, int]]) -> int:
-        """Return the first status error against writing these values to registers; 0: none."""
+        """Return the first status error against writing `pieces` (register, value); 0: none."""
         for entry, value in pieces:
             error = self._refusal_of_one(entry, value)
             if error:
@@ -237,7 +237,7 @@ class SimulatedServo:
         return 0
 
     def _refusal_of_goal(self, goal: int) -> int:
-        """Return the status error for a goal position; 0: it is allowed.
+        """Return the status error against writing a goal position; 0: it is allowed.
 
         Refused is a goal outside the range, and any goal while the watchdog has tripped.
         """
@@ -285,7 +285,7 @@ class SimulatedServo:
             drive.change_mode()
 
     def _register(self, parameters: bytes) -> int:
-        """Keep a write for the next action; return its status error, by the checks of a write."""
+        """Keep a write for the next action instruction; return the write's status error."""
         if len(parameters) < 3:
             return StatusError.DATA_LENGTH
         address, data = parameters[0] | parameters[1] << 8, parameters[2:]
@@ -297,7 +297,7 @@ class SimulatedServo:
         return error
 
     def _act(self) -> int:
-        """Do the kept write and return its status error; the instruction error if there is none."""
+        """Do the kept write and return its status error; the instruction error if none is kept."""
         if not self._registered:
             return StatusError.INSTRUCTION
         parameters, self._registered = self._registered, b""
@@ -305,7 +305,10 @@ class SimulatedServo:
         return self.write(parameters)
 
     def _clear(self, parameters: bytes) -> int:
-        """Forget whole turns; return the status error, RESULT_FAIL while the servo moves."""
+        """Obey the instruction clear: forget whole turns; return the status error.
+
+        It is RESULT_FAIL while the servo moves.
+        """
         if parameters != _CLEAR_REVOLUTIONS:
             return StatusError.DATA_RANGE
         if self["moving"]:

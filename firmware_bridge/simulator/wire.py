@@ -21,9 +21,9 @@ _ECHO: Final = b"\xff\xff\xfd\x00\xfe\x03\x00\x01\x31\x42"
 class WireCounts:
     """Counts of packets and collisions on the wire so far.
 
-    contention: two sent at once, though both kept to the time a packet is due;
-    talked_over_uninvited: the computer sent over bytes that a fault made late, double or noise,
-    which it could not foresee.
+    contention: two packets at once, though each was sent when it was due; talked_over_uninvited:
+    the computer sent over bytes that a fault made late, double or noise, which it could not
+    foresee; unheard: instructions that no servo listened to.
     """
 
     instructions: int = 0
@@ -88,9 +88,10 @@ class Wire:
         self._out.clear()
 
     def host_speaks(self, data: bytes, now_s: float, byte_s: float) -> tuple[bytes, float]:
-        """Send bytes of the computer; return those the servos receive, and when the first is sent.
+        """Send the computer's bytes; return those that servos receive, and when the first is sent.
 
-        Replies that are on the wire at that time are destroyed, and counted.
+        byte_s: seconds a byte. Replies that are on the wire at that time are destroyed, and
+        counted.
         """
         start_s = max(now_s, self.host_until_s)
         self._disturbed = False
@@ -115,7 +116,11 @@ class Wire:
         after_s: float,
         byte_s: float,
     ) -> None:
-        """Send one status packet of a servo after its return delay, with faults by chance."""
+        """Send one status packet of a servo after its return delay, with faults by chance.
+
+        replied_id: the id in the packet. answer: (error, data). after_s: when the delay begins.
+        byte_s: seconds a byte.
+        """
         start_s = after_s + servo.return_delay_s
         error, data = answer
         raw = status(replied_id, error, data)
@@ -166,9 +171,10 @@ class Wire:
         after_s: float,
         byte_s: float,
     ) -> None:
-        """Send one frame with the data of many servos, cut off where a silent servo would be.
+        """Send one frame with many servos' data, cut off where a silent servo's data would be.
 
-        missing: the number of data bytes of each silent servo and of those after it.
+        replies: (servo, error, data). missing: the number of data bytes of each silent servo and of
+        those after it. after_s: when the return delay begins. byte_s: seconds a byte.
         """
         blocks = [(servo.servo_id, error, data) for servo, error, data in replies]
         frame = fast_status([*blocks, *((0, 0, bytes(size)) for size in missing)])
@@ -188,7 +194,10 @@ class Wire:
         return raw[:at] + bytes((raw[at] ^ 1 << self._rng.randrange(8),)) + raw[at + 1 :]
 
     def _queue(self, raw: bytes, start_s: float, byte_s: float, *, uninvited: bool = False) -> None:
-        """Put bytes on the wire to the computer; they are spoilt where two senders overlap."""
+        """Put the bytes `raw` on the wire at `start_s`; they are spoilt where two senders overlap.
+
+        uninvited: whether a fault made the bytes late, double or noise.
+        """
         end_s = start_s + len(raw) * byte_s
         for other in self._out:
             if other.start_s < end_s - _SAME_S and start_s < other.end_s - _SAME_S:

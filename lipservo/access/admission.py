@@ -110,7 +110,7 @@ def refusal(request: Request, policy: Policy, *, is_stop: bool = False) -> Refus
 
     Parameters
     ----------
-    is_stop : whether it can do nothing but stop the face, which needs no token on this computer.
+    is_stop : whether the request can only stop the face, which needs no token on this computer.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def refusal(request: Request, policy: Policy, *, is_stop: bool = False) -> Refus
 
 
 def has_token(request: Request, token: str) -> bool:
-    """Return whether a request has the token: in its query, its header, or our cookie."""
+    """Return whether a request has the token: in its query, header or cookie."""
     in_query = request.token_in_query
     if in_query is not None and is_same_token(in_query, token):
         return True
@@ -187,7 +187,7 @@ def _is_from_this_computer(request: Request) -> bool:
 
 
 def _is_own_page(request: Request, policy: Policy) -> bool:
-    """Return whether the request is from a page of the server or a listed one, or from no page."""
+    """Return whether a request comes from a page of this server, of a listed origin, or no page."""
     origin = request.headers.get("origin")
     if origin in policy.origins:
         return True

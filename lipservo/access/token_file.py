@@ -45,7 +45,7 @@ def runtime_token_file() -> Path:
 
 
 def read_token(token_file: str | None) -> str | None:
-    """Return the first line of a file, which clients must send; None without a file.
+    """Return the token that clients must send, the first line of `token_file`; None for None.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def _make(path: Path) -> None:
 
 
 def _check(path: Path) -> None:
-    """Raise UserError for a token file that another user owns or may read, or that has no token."""
+    """Raise UserError unless `path` is this user's own file, of mode 0640 at most, with a token."""
     found = path.lstat()
     if not stat.S_ISREG(found.st_mode):
         raise UserError(f"{path}: is no plain file, and no token; {_REMEDY}")

@@ -1,4 +1,4 @@
-"""The WebSocket server that voice agents connect to: one thread, beside the live loop.
+"""The WebSocket server that voice agents connect to: one thread beside the loop that moves servos.
 
 docs/agents.md describes the protocol.
 """
@@ -58,7 +58,7 @@ _SILENT: Final = logging.Logger("websockets of agents", logging.CRITICAL + 1)
 
 
 class _BoundedConnection(ServerConnection):
-    """A WebSocket connection with a small send buffer, aborted at once if too many are open."""
+    """A WebSocket connection with a small send buffer, aborted at once if 64 others are open."""
 
     n_open: ClassVar[int] = 0
 
@@ -93,10 +93,10 @@ class AgentServer:
     ) -> None:
         """Prepare the server; entering its `with` block starts it.
 
-        listener: a socket from `bind_listener`, closed when the server ends. control_path: the path
-        of the face's control socket. delay_ms: returns the present delay in ms from the arrival of
-        sound to the face that shows it. say, play: speak a text or play a sound file; None: not
-        available.
+        listener: a socket from `bind_listener`, closed when the server ends. playout: plays the
+        clients' speech. control_path: of the face's control socket. delay_ms: returns the present
+        delay in ms from the arrival of sound to the motion that shows it. say, play: speak a text
+        or play a sound file; None: not available.
         """
         self._listener = listener
         self._url = url_of(listener)
@@ -134,7 +134,7 @@ class AgentServer:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """End all streams, close the connections, join the thread; a client cannot delay this."""
+        """End all streams, close the connections, and wait at most 5 s for the thread's end."""
         if self._loop is not None:
             with contextlib.suppress(RuntimeError):  # it has ended by itself
                 self._loop.call_soon_threadsafe(self._stopping.set)
@@ -245,7 +245,7 @@ class AgentServer:
             await asyncio.sleep(rate.wait_s(time.monotonic()))
 
     async def _messages(self, connection: ServerConnection) -> AsyncIterator[str | bytes]:
-        """Yield a client's messages; close its connection if the first does not come in time."""
+        """Yield a client's messages; close its connection if none comes in `first_message_s`."""
         try:
             async with asyncio.timeout(self._settings.first_message_s):
                 first = await connection.recv()
@@ -260,7 +260,7 @@ class AgentServer:
                 yield message
 
     async def _tell(self) -> None:
-        """Send clients the playout's events, and positions every `position_s`, until cancelled."""
+        """Send clients events of playing, and positions every `position_s`, until cancelled."""
         sent_s = 0.0
         while True:
             now_s = time.monotonic()
@@ -308,7 +308,7 @@ class MessageRate:
         self._refilled_s = 0.0
 
     def wait_s(self, now_s: float) -> float:
-        """Count one message, at monotonic `now_s`; return how many s to wait before the next."""
+        """Count one message, at monotonic `now_s`; return the s to wait before reading the next."""
         if self._refilled_s:
             filled = (now_s - self._refilled_s) * self._per_s
             self._left = min(self._per_s, self._left + filled)

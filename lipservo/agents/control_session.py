@@ -2,7 +2,7 @@
 
 This server is a client of the face's own control socket, so there is one command queue and one
 status, and `lipservo stop` works even if this server fails. A stop is sent to that socket from the
-event loop before anything else: it needs no thread and no slot among the pending commands. The
+event loop at once: it needs no thread, and no place among a client's eight pending commands. The
 dashboard's server, too, awaits the answers to its stops with `stop_answer`.
 """
 
@@ -77,7 +77,10 @@ class ControlSession:
         streams: OpenStreams,
         may_only_stop: Refusal | None = None,
     ) -> None:
-        """Create a session. may_only_stop: why all but a stop is refused; None: it is not."""
+        """Create a session. outbox: receives results; streams: those of all clients.
+
+        may_only_stop: why all commands but stops are refused; None: none is refused.
+        """
         self._outbox = outbox
         self._commands = commands
         self._streams = streams
@@ -86,7 +89,7 @@ class ControlSession:
         self._stops: dict[asyncio.Task[None], Stop] = {}
 
     async def hear(self, message: str | bytes) -> None:
-        """Start the command in a client's message; its result or error is sent when done."""
+        """Start the command in a client's message; send its result or error once it is done."""
         if isinstance(message, bytes):
             self._outbox.error("unexpected_binary", "commands are text; audio goes to /stream")
             return
@@ -139,9 +142,9 @@ class ControlSession:
         task.add_done_callback(lambda done: self._stops.pop(done, None))
 
     def leave(self) -> None:
-        """Discard all results that are not sent yet, as the client has disconnected.
+        """Discard all unsent results; called when the client has disconnected.
 
-        Its running commands are completed.
+        Commands that are running are completed.
         """
         self._outbox.close()
 
@@ -200,7 +203,7 @@ class ControlSession:
 
 
 def _stop_of(text: str) -> Stop | None:
-    """Parse a JSON text as a stop, without `command`; None if it is not a valid stop."""
+    """Parse a JSON text as a stop; None: another command, or invalid, as `command` reports."""
     try:
         fields = json.loads(text)
         is_stop = isinstance(fields, dict) and fields.get("type") == "stop"
@@ -237,14 +240,14 @@ async def stop_answer(
 
     Parameters
     ----------
-    sent : the connection on which the stop was sent; None: not sent, too many clients waited.
-    send : sends the stop again, as `send_stop`, if the face's process was replaced.
+    sent : the connection on which the stop was sent; None: not sent, as too many clients waited.
+    send : sends the stop again, as `send_stop`, in that case or if the face's process was replaced.
     wait_s : seconds to wait for the report, counted from the call; 0: do not wait for it.
 
     Returns
     -------
-    The answer, and the report of what the servos confirmed (`StopReport`); None if no report came
-    in time or was wanted, or if there is none, as after a freeze or a refusal.
+    The answer, and the report of what the servos confirmed (`StopReport`). The report is None if
+    `wait_s` is 0, if it did not come in time, and after a freeze or a refusal.
 
     Raises
     ------
@@ -283,7 +286,10 @@ async def stop_answer(
 
 
 async def _received(connection: socket.socket, by_s: float) -> Answer | None:
-    """Return the next message; None: the peer has closed. Raises TimeoutError at `by_s`."""
+    """Return the face's next message; None: the face has closed the connection.
+
+    Raises TimeoutError at `by_s` of the event loop's clock.
+    """
     loop = asyncio.get_running_loop()
     try:
         async with asyncio.timeout_at(by_s):

@@ -1,7 +1,7 @@
-"""The entrance for voice agents: the user's limits, the listening socket, each HTTP request.
+"""The admission of voice agents: the limits, the listening socket, and each HTTP request.
 
-The policy is `lipservo/access/admission.py`, which the dashboard's server has too; this module adds
-the paths, the number of clients, and the access that a stop has where other commands are refused.
+Tokens and origins are checked by `lipservo/access/admission.py`, as for the dashboard; this module
+adds the paths, the number of clients, and access for a stop where other commands are refused.
 """
 
 import contextlib
@@ -31,19 +31,19 @@ PROTOCOL_PATH: Final = "/protocol.json"
 
 
 class Utterance(Protocol):
-    """Speech of the face itself: one stream of the playout, or several with one name."""
+    """A text or file that the face itself speaks: one stream to play, or several of one name."""
 
     @property
     def is_whole(self) -> bool:
-        """Whether all of it was read or synthesised, so that no further stream follows."""
+        """Whether all of the text or file was read or synthesised: no further stream follows."""
 
     @property
     def n_streams(self) -> int:
-        """Number of its streams in the playout so far."""
+        """Number of streams into which it was divided so far."""
 
     @property
     def duration_s(self) -> float:
-        """Duration in s of all of it, or of the part that is synthesised so far."""
+        """Duration in s of the part that is synthesised so far; of all once `is_whole`."""
 
 
 #: Says a text, or plays a file, under a name. Called in a thread of its own. A ValueError is told
@@ -55,13 +55,12 @@ Speak = Callable[[str, str], Utterance]
 class AgentSettings:
     """The limits of an `AgentServer`.
 
-    policy: which clients may connect. when_busy: whether a stream is refused or waits while another
-    client's is spoken. most_streams: streams that are spoken or wait, of all clients together.
+    policy: which clients may connect. when_busy: whether a stream is refused or waits while one of
+    another client is spoken. most_streams: streams spoken or waiting, of all clients together.
     messages_per_s: of one client; further ones wait in its socket. first_message_s: a client
     without a message by then is disconnected. stalled_s: a stream without audio for this long is
     ended. position_s: interval of position events that are sent unrequested. ping_s: interval of
-    pings; a client may take twice as long to answer, so that a lost one is noticed within ten
-    seconds.
+    pings; a client has twice as long to answer, so that a lost one is noticed within ten seconds.
     """
 
     policy: Policy = field(default_factory=Policy)
@@ -77,9 +76,9 @@ class AgentSettings:
 
 
 def bind_listener(spec: str, token: str | None) -> socket.socket:
-    """Return a socket that listens at `HOST:PORT` ([HOST]:PORT for IPv6); port 0: any free port.
+    """Return a socket listening at `spec`, HOST:PORT ([HOST]:PORT for IPv6); port 0: any free one.
 
-    Raises UserError for a bad address, one beyond loopback without a token, or one in use.
+    Raises UserError for a bad address, one in use, or one beyond loopback if `token` is None.
     """
     host, port = host_and_port(spec)
     if not is_loopback(host) and not token:
@@ -107,7 +106,7 @@ def url_of(listener: socket.socket) -> str:
 
 
 def host_and_port(spec: str) -> tuple[str, int]:
-    """Return host and port of a text `HOST:PORT`, or `[HOST]:PORT` for IPv6. Raises UserError."""
+    """Return host and port of `spec`, HOST:PORT, or [HOST]:PORT for IPv6. Raises UserError."""
     host, colon, port = spec.rpartition(":")
     bare = host.removeprefix("[").removesuffix("]")
     is_port = port.isascii() and port.isdigit() and int(port) <= _HIGHEST_PORT
@@ -117,7 +116,10 @@ def host_and_port(spec: str) -> tuple[str, int]:
 
 
 def _holder_of(port: int) -> str:
-    """Return ` by process 12 (name)` for the process that listens on a port; empty: not found."""
+    """Return words for an error message, ` by process 12 (name)`: the listener at a TCP port.
+
+    Empty if it is not found.
+    """
     found = (each.inode for each in tcp_sockets() if each.listens and each.port == port)
     inodes = {f"socket:[{inode}]" for inode in found}
     for folder in _PROC.glob("[0-9]*"):
@@ -131,14 +133,20 @@ def _holder_of(port: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Handshake:
-    """The verdict on a request. refused: the HTTP error. may_only_stop: why all else is refused."""
+    """The verdict on a request. refused: the HTTP error, None if accepted.
+
+    may_only_stop: why all commands but stops are refused; None: all are accepted.
+    """
 
     refused: Refusal | None = None
     may_only_stop: Refusal | None = None
 
 
 def request_of(target: str, headers: Iterable[tuple[str, str]], peer: str) -> Request:
-    """Return an HTTP GET as a `Request`; `target` is its path and query. Raises ValueError."""
+    """Return an HTTP GET, by path and query (`target`) and headers, of the address `peer`.
+
+    Raises ValueError if it is malformed.
+    """
     split = urlsplit(target)
     merged = merged_headers(headers)
     is_websocket = merged.get("upgrade", "").lower() == "websocket"
@@ -146,10 +154,10 @@ def request_of(target: str, headers: Iterable[tuple[str, str]], peer: str) -> Re
 
 
 def handshake(request: Request, settings: AgentSettings, n_connected: int) -> Handshake:
-    """Decide whether a request gets full access, no access, or access for a stop only.
+    """Decide whether a request gets full access, no access, or access for stops only.
 
-    `/control` accepts a stop where everything else would be refused for a missing token on this
-    computer, or because there are too many clients.
+    `/control` accepts stops where all else is refused: for a missing token on this computer, or
+    because `n_connected` clients, too many, are connected already.
     """
     refused = _refused(request, settings, n_connected)
     if refused is None or request.path != CONTROL_PATH or not request.is_websocket:

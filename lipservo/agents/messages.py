@@ -69,14 +69,21 @@ _Kind = TypeVar("_Kind", bound=_Message)
 
 
 class Hello(_Message):
-    """I am here, and may be silent for long. protocol: the client's version; None: not given."""
+    """Keep the connection open, even without a stream; answered by `hello`.
+
+    protocol: the client's version; if it is not the face's, an error follows. Absent: not checked.
+    """
 
     type: Literal["hello"]
     protocol: int | None = None
 
 
 class Start(_Message):
-    """A stream of speech begins. sample_rate: Hz; stream: its id, ours where it gives none."""
+    """Open a stream of speech; answered by `ready`. sample_rate: Hz.
+
+    stream: its id; absent: the face chooses one. format: little-endian, signed 16 bit or float.
+    playback: the face (`server`) or the client itself plays the sound.
+    """
 
     type: Literal["start"]
     stream: Name | None = None
@@ -87,53 +94,60 @@ class Start(_Message):
 
 
 class Audio(_Message):
-    """Samples as text. data: base64 of what a binary message holds."""
+    """Samples of the open stream. data: base64 of the bytes that a binary message would have."""
 
     type: Literal["audio"]
     data: str
 
 
 class End(_Message):
-    """The stream is complete; it is spoken to its end."""
+    """End the open stream: no more samples follow, and those sent are played to the last."""
 
     type: Literal["end"]
 
 
 class Interrupt(_Message):
-    """Barge-in: silence now."""
+    """Barge-in: silence the face at once; end all streams of this client (`interrupted`).
+
+    Speech by `say` and `play` ends, too, unless another client speaks.
+    """
 
     type: Literal["interrupt"]
 
 
 class Clear(_Message):
-    """What is not on its way to the loudspeaker yet is dropped."""
+    """End all streams of this client: samples on their way to the loudspeaker are still played.
+
+    All others are dropped (`cleared`).
+    """
 
     type: Literal["clear"]
 
 
 class Pause(_Message):
-    """Silence now; what was not heard is kept until `resume`."""
+    """Silence the face at once; keep what was not played until `resume`, at most a minute."""
 
     type: Literal["pause"]
 
 
 class Resume(_Message):
-    """Speech goes on where it was paused."""
+    """Continue speech that this client has paused; up to 10 ms of it are lost."""
 
     type: Literal["resume"]
 
 
 class Mark(_Message):
-    """Tell when all that was sent until now has been heard, whether more comes or not."""
+    """Request a `mark` event for when all samples sent so far have been played. name: of both."""
 
     type: Literal["mark"]
     name: Name
 
 
 class Position(_Message):
-    """How much of a stream was heard.
+    """Without `played_s`: request the `position` of each stream of this client.
 
-    With `played_s`: so much has left the client's own loudspeaker now. Without: a question.
+    With it: report how many s of a stream the client's own loudspeaker has played by now.
+    stream: its id; absent: the one that is played.
     """
 
     type: Literal["position"]
@@ -149,7 +163,10 @@ Sample = Annotated[int, Field(ge=0, le=_MOST_SAMPLES)]
 
 
 class Unit(_Message):
-    """A word, phoneme or viseme, by samples of the stream; without an end: until the next one."""
+    """A word, phoneme or viseme and its place, in samples counted from the stream's first.
+
+    No start_sample: unknown. No end_sample: where the next unit starts; the last after 0.3 s.
+    """
 
     label: Annotated[str, Field(min_length=1, max_length=LONGEST_LABEL)]
     start_sample: Sample | None = None
@@ -160,17 +177,16 @@ Units = Annotated[list[Unit], Field(min_length=1, max_length=_MOST_UNITS)]
 
 
 class _SpeechMessage(_Message):
-    """A message about the stream of id `stream`; None: the client's open stream."""
+    """A message about the stream with the id `stream`; None: the client's open stream."""
 
     stream: Name | None = None
 
 
 class Text(_SpeechMessage):
-    """The words of a stream, as they are written: before its sound, with it or after it.
+    """The written text of a stream, sent before its sound, with it or after it.
 
-    More, or corrected.
-
-    With `start_sample` it replaces all text from there on.
+    It is appended to earlier text; with `start_sample`, the sample at which it starts, it replaces
+    earlier text from there on. language: of the text, as `en-us`.
     """
 
     type: Literal["text"]
@@ -180,7 +196,10 @@ class Text(_SpeechMessage):
 
 
 class Words(_SpeechMessage):
-    """Words that are spoken, with times or without."""
+    """The words of a stream in order, with times or without; appended to earlier words.
+
+    If the first has a `start_sample`, they replace earlier words from there on.
+    """
 
     type: Literal["words"]
     units: Units
@@ -188,7 +207,10 @@ class Words(_SpeechMessage):
 
 
 class Phonemes(_SpeechMessage):
-    """Phonemes that are spoken; without times they are looked for in the sound."""
+    """The phonemes of a stream, appended or replacing as `words`. alphabet: of the labels.
+
+    With times they move the mouth; without, the face finds their times in the sound.
+    """
 
     type: Literal["phonemes"]
     units: Units
@@ -196,7 +218,10 @@ class Phonemes(_SpeechMessage):
 
 
 class Visemes(_SpeechMessage):
-    """Shapes of the mouth, with the times when they begin."""
+    """Mouth shapes that move the mouth, appended or replacing as `words`. alphabet: of the labels.
+
+    Each unit needs its `start_sample`.
+    """
 
     type: Literal["visemes"]
     units: Units
@@ -208,15 +233,16 @@ class _Command(_Message):
 
 
 class AskStatus(_Command):
-    """How the face is."""
+    """Request the face's status: the fields of docs/architecture.md, "Status"."""
 
     type: Literal["status"]
 
 
 class Stop(_Command):
-    """The face stops: to rest and limp, frozen, or limp at once.
+    """Stop the face: soft (to rest, then limp), freeze (hold the position), or limp at once.
 
-    wait_s: so long for the report of the end. end: a daemon ends, and waits for no start.
+    wait_s: longest wait for what the servos confirmed, `report` of the result; 0: no report. end: a
+    daemon exits; otherwise it waits, limp, for `start`.
     """
 
     type: Literal["stop"]
@@ -226,13 +252,13 @@ class Stop(_Command):
 
 
 class StartFace(_Command):
-    """A stopped face is driven again."""
+    """Start a stopped face again: it moves. Whether it runs is in `status`."""
 
     type: Literal["start"]
 
 
 class Set(_Command):
-    """Another value of a setting."""
+    """Change a setting of the running face. name: as `strength`; value: the new one."""
 
     type: Literal["set"]
     name: Name
@@ -240,14 +266,14 @@ class Set(_Command):
 
 
 class Say(_Command):
-    """Speak a text."""
+    """Speak a text with the face's own voice; `started`, then `finished` or `dropped` follow."""
 
     type: Literal["say"]
     text: Annotated[str, Field(min_length=1, max_length=_LONGEST_TEXT)]
 
 
 class Play(_Command):
-    """A sound file or a performance is to be played."""
+    """Play a sound file or performance of the face's folder of sounds; events as for `say`."""
 
     type: Literal["play"]
     file: Annotated[str, Field(min_length=1, max_length=1024)]
@@ -307,7 +333,7 @@ def _parsed(text: str, known: Mapping[str, type[_Kind]]) -> _Kind | None:
 
 
 def id_of(text: str) -> int | float | str | None:
-    """Return the `id` of a refused message, for its error event; None if none can be read."""
+    """Return the `id` in a refused JSON message, for its error event; None if it has none."""
     try:
         given = _object(text).get("id")
     except MessageError:
@@ -336,7 +362,9 @@ def _checked(kind: type[_Kind], fields: dict[str, object]) -> _Kind:
 
 
 def spoken_text_of(message: SpeechUnits, sample_rate_hz: int) -> SpokenText:
-    """Convert a message about a stream to a `SpokenText` in the inventory's phonemes or visemes.
+    """Convert a message to a `SpokenText`; phonemes and visemes become units of ARPAbet phones.
+
+    sample_rate_hz: of its stream.
 
     Raises AlphabetError, and SpokenTextError, as for visemes without times.
     """
@@ -368,11 +396,14 @@ class PcmDecoder:
         return len(self._rest)
 
     def n_samples(self, data: bytes) -> int:
-        """Return how many samples `decode(data)` would return, without decoding."""
+        """Return how many samples `decode(data)` would return; change nothing."""
         return (len(self._rest) + len(data)) // self._width
 
     def decode(self, data: bytes) -> Samples:
-        """Return whole samples, (n,) float32 in [-1, 1]; NaN becomes 0, and excess is clipped."""
+        """Return the whole samples in `data`, after any bytes kept before: (n,) float32 in [-1, 1].
+
+        NaN becomes 0, and values outside the range are clipped.
+        """
         data = self._rest + data
         n_bytes = len(data) // self._width * self._width
         data, self._rest = data[:n_bytes], data[n_bytes:]
@@ -416,11 +447,11 @@ class Outbox:
         self._filled.set()
 
     def error(self, code: str, message: str, **about: object) -> None:
-        """Queue an error event: a code of docs/agents.md, a message and fields (`about`)."""
+        """Queue an error event: a code of docs/agents.md, a message and further fields `about`."""
         self.put({"type": "error", "code": code, "message": message, **about})
 
     def close(self) -> None:
-        """Drop all waiting and future events, as the client has disconnected."""
+        """Drop all queued and future events; called when the client has disconnected."""
         self._is_closed = True
         self._events.clear()
 

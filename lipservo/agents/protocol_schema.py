@@ -17,13 +17,17 @@ Id = int | float | str | None
 
 
 class _Sent(BaseModel):
-    """A message from the face to a client. time_s: the face's clock, as in its `hello`."""
+    """A message from the face to a client. time_s: seconds on the face's monotonic clock."""
 
     model_config = ConfigDict(extra="forbid")
 
 
 class Greeting(_Sent):
-    """The answer to `hello`. delay_ms: from sound that is sent to the face that shows it."""
+    """The answer to `hello`. protocol: the face's version.
+
+    delay_ms: from the arrival of sound to the motion that shows it. time_s: the present time on the
+    face's clock, as in the events of streams.
+    """
 
     type: Literal["hello"]
     protocol: int
@@ -32,7 +36,11 @@ class Greeting(_Sent):
 
 
 class Ready(_Sent):
-    """The stream may be sent."""
+    """The answer to `start`: samples of the stream may be sent.
+
+    delay_ms: from the arrival of sound to the motion that shows it; a client that plays the sound
+    itself plays it so much later.
+    """
 
     type: Literal["ready"]
     stream: str
@@ -48,27 +56,38 @@ class _OfStream(_Sent):
 
 
 class Progress(_OfStream):
-    """What became of a stream; played_s and n_played count from its first sample."""
+    """The playing of a stream has started, finished, been paused or resumed.
+
+    underrun: no samples are ready; the mouth closes and waits. played_s, n_played: seconds and
+    samples played so far.
+    """
 
     type: Literal["started", "finished", "underrun", "paused", "resumed"]
 
 
 class Reached(_OfStream):
-    """All that was sent before the mark was heard."""
+    """All samples sent before a `mark` have been played. name: the mark's."""
 
     type: Literal["mark"]
     name: str
 
 
 class Place(_OfStream):
-    """So much was heard; waiting_s was sent, and is not yet on its way."""
+    """How much of a stream was played: played_s, n_played. Sent unrequested, too, as it plays.
+
+    waiting_s: seconds that were received and are not yet on their way to the loudspeaker.
+    """
 
     type: Literal["position"]
     waiting_s: float
 
 
 class Dropped(_OfStream):
-    """What was not heard never will be."""
+    """A stream was cut off by `interrupt`, `clear` or the face.
+
+    cleared: if it was playing, samples on their way are still played; then `finished` follows.
+    dropped_s, n_dropped: seconds and samples that were received and are never played.
+    """
 
     type: Literal["interrupted", "cleared"]
     dropped_s: float
@@ -76,7 +95,7 @@ class Dropped(_OfStream):
 
 
 class NothingInterrupted(_Sent):
-    """An interruption while nothing was spoken."""
+    """The answer to `interrupt` if this client has no stream; all values are null or 0."""
 
     type: Literal["interrupted"]
     stream: None
@@ -85,7 +104,10 @@ class NothingInterrupted(_Sent):
 
 
 class Recognised(_Sent):
-    """A phoneme (ARPAbet), heard_in_s before it is heard; start_s and end_s in the stream."""
+    """A phoneme of a stream, in ARPAbet. start_s, end_s: from the stream's first sample.
+
+    heard_in_s: seconds from now until its start is played.
+    """
 
     type: Literal["phoneme"]
     stream: str
@@ -96,7 +118,11 @@ class Recognised(_Sent):
 
 
 class Failure(_Sent):
-    """Nothing was changed. code: of the table in docs/agents.md."""
+    """An error. code: of docs/agents.md, "Errors". stream, id: those it is about, if any.
+
+    A refused message changes nothing, but a stream has ended after `stalled`, and after `bad_audio`
+    in answer to `end`.
+    """
 
     type: Literal["error"]
     code: str
@@ -106,7 +132,7 @@ class Failure(_Sent):
 
 
 class Result(_Sent):
-    """What a command gave."""
+    """The answer to an accepted command. id: the command's; result: as docs/agents.md lists."""
 
     type: Literal["result"]
     id: Id
@@ -114,9 +140,10 @@ class Result(_Sent):
 
 
 class OwnSpeech(_Sent):
-    """What became of a text or file, by the id of its `say` or `play`.
+    """The playing of a `say` or `play` has started or finished, or its rest was dropped.
 
-    duration_s: of what was synthesised until then; at the end of the whole.
+    id: the command's; stream: as in its result. played_s: seconds played. duration_s: of the part
+    that is synthesised so far; if finished, of all.
     """
 
     type: Literal["started", "finished", "dropped"]

@@ -1,4 +1,4 @@
-"""One client's connection to `/stream`: its streams of speech in sequence, and their events."""
+"""One client's connection to `/stream`: handles each message; mistakes are answered by errors."""
 
 import asyncio
 import logging
@@ -49,7 +49,10 @@ _MOST_UNTAKEN = 256
 
 
 class StreamSession:
-    """The effects of one client's messages on `/stream`; a mistake is answered by an error."""
+    """One client's connection to `/stream`, whose messages it applies to the client's streams.
+
+    delay_ms: returns the present delay in ms from the arrival of sound to the motion that shows it.
+    """
 
     def __init__(
         self, outbox: Outbox, streams: OpenStreams, playout: Playout, delay_ms: Callable[[], float]
@@ -82,7 +85,10 @@ class StreamSession:
             self._outbox.error(error.code, str(error), stream=about, **ids)
 
     def leave(self) -> None:
-        """Handle the client's disconnection; texts of streams it has ended are still applied."""
+        """Interrupt the client's speech if a stream is open or paused; called when it disconnects.
+
+        Streams that it has ended are played, and their texts are still applied.
+        """
         self._streams.leave(self._outbox)
 
     async def _do(self, parsed: StreamMessage) -> None:
@@ -183,8 +189,8 @@ class StreamSession:
     def _on_units(self, units: SpeechUnits) -> None:
         """Start a task that applies a text, words, phonemes or visemes to their stream.
 
-        Samples do not wait for it: the first text of a process loads a dictionary. Raises
-        MessageError.
+        Samples do not wait for it: the first text loads a dictionary. Raises MessageError for an
+        unknown stream, or while 256 texts wait.
         """
         stream = self._named_stream(units.stream)
         if stream is None:
@@ -216,7 +222,7 @@ class StreamSession:
             self._outbox.error("internal", "the text failed; see the face's log")
 
     def _named_stream(self, name: str | None) -> AgentStream | None:
-        """Return the named stream, by default the open one; None: it was cut off or is over.
+        """Return the stream `name`, or the open one if None; None: it was cut off or is over.
 
         Raises MessageError for a stream that was never started.
         """

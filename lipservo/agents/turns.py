@@ -1,7 +1,7 @@
 """The streams of speech of all clients; while one client speaks, others are refused or wait.
 
-All client streams in the playout at one time belong to one client. So an interruption, which ends
-all speech, ends no other client's speech.
+The playout, the live loop's queue of speech to play, has streams of one client only at a time. So
+an interruption, which empties it, ends no other client's speech.
 """
 
 import itertools
@@ -40,10 +40,11 @@ _Request = TypeVar("_Request")
 
 @dataclass(eq=False, slots=True)
 class AgentStream:
-    """A client's stream of speech. Two clients may use one id; the playout's name is unique.
+    """A client's stream of speech. Clients may share a `stream_id`; `speech.name` is unique.
 
-    owner: the client's outbox. ended_by: what cut it off, if anything. n_marks: marks that were not
-    reached yet. n_played: samples played so far. fed_s: monotonic time of the client's last audio.
+    owner: the client's outbox. speech: the stream in the playout. ended_by: the message that cut it
+    off, if any. n_marks: marks that were not reached yet. n_played: samples played so far. fed_s:
+    monotonic time of the client's last audio.
     """
 
     owner: Outbox
@@ -67,7 +68,7 @@ class AgentStream:
         return self.start.playback == "client"
 
     def mark(self, name: str) -> None:
-        """Request an event for when all audio so far was played. MessageError: too many wait."""
+        """Request an event `name` for when all audio so far is played; MessageError if 64 wait."""
         if self.n_marks >= _MOST_MARKS:
             raise MessageError("too_many_marks", f"{_MOST_MARKS} marks wait to be heard already")
         self.n_marks += 1
@@ -93,7 +94,7 @@ class AgentStream:
                     raise
 
     def tell(self, event: PlayoutEvent) -> None:
-        """Send the client an event of the playout about this stream, and update its counts."""
+        """Send the client an event of the playout about this stream; update the stream's counts."""
         self.n_played = max(self.n_played, event.n_played)
         if event.kind == "mark":
             self.n_marks -= 1
@@ -106,18 +107,21 @@ class AgentStream:
             self._put(event.kind)
 
     def tell_dropped(self, kind: str) -> None:
-        """Drop the stream before any of it was spoken; send `interrupted` or `cleared`."""
+        """Drop the stream, of which nothing was played; send `kind`, `interrupted` or `cleared`."""
         n_dropped = self.speech.n_received
         self.speech.drop()
         self._put(kind, dropped_s=n_dropped / self.rate_hz, n_dropped=n_dropped)
 
     def tell_position(self, n_played: int) -> None:
-        """Send the client how many samples were played, and how many seconds of the stream wait."""
+        """Send the client the samples played, at least `n_played`, and the seconds that wait."""
         self.n_played = max(self.n_played, n_played)
         self._put("position", waiting_s=round(self.speech.waiting_s, 3))
 
     def tell_phoneme(self, phoneme: str, start_s: float, end_s: float, heard_in_s: float) -> None:
-        """Send the client a phoneme: its times in the stream, and seconds until it is audible."""
+        """Send the client a phoneme, from `start_s` to `end_s` in the stream.
+
+        heard_in_s: seconds from now until it is audible.
+        """
         times_s = {"start_s": start_s, "end_s": end_s, "heard_in_s": heard_in_s}
         rounded_s = {name: round(value, 3) for name, value in times_s.items()}
         self.owner.put(
@@ -134,9 +138,10 @@ class AgentStream:
 class OwnSpeech:
     """A text or file of a client that the face itself speaks, by `say` or `play`.
 
-    stream_id: the name of all its streams in the playout. spoken: None while it is being read.
-    began_s: start of its first sample on the playout's timeline, None before. heard_s: seconds
-    played.
+    owner: the client's outbox; request_id: `id` of its command. stream_id: the name of all its
+    streams in the playout. spoken: None until the first is synthesised or read. began_s: start of
+    its first sample on the playout's timeline, None before. heard_s: seconds played; n_ended:
+    streams played.
     """
 
     owner: Outbox
@@ -167,7 +172,7 @@ class OwnSpeech:
         self.heard_s = event.position_s - (self.began_s or event.position_s)
 
     def tell(self, kind: str) -> None:
-        """Send the client `started`, `finished` or `dropped`, with seconds played and in all."""
+        """Send the client `kind` (`started`, `finished`, `dropped`), seconds played and in all."""
         about = {"stream": self.stream_id, "id": self.request_id}
         duration_s = 0.0 if self.spoken is None else self.spoken.duration_s
         times = {"played_s": round(self.heard_s, 3), "duration_s": round(duration_s, 3)}
@@ -193,11 +198,14 @@ class OpenStreams:
 
     @property
     def playing(self) -> list[AgentStream]:
-        """The client streams that were handed to the playout, in order."""
+        """The clients' streams in the playout, in the order in which they are played."""
         return list(self._playing.values())
 
     def open(self, owner: Outbox, start: Start, now_s: float) -> AgentStream:
-        """Create a client's stream, to be spoken now or later; MessageError if it is refused."""
+        """Create a stream for client `owner` by its `start` message, spoken now or after others.
+
+        Raises MessageError if it is refused.
+        """
         try:
             self._check(owner, start)
         except MessageError:
@@ -218,18 +226,17 @@ class OpenStreams:
         return stream
 
     def check_room(self, duration_s: float) -> None:
-        """Raise MessageError if all clients' waiting speech plus `duration_s` is too long."""
+        """Raise MessageError if all clients' waiting speech plus `duration_s` exceeds 5 minutes."""
         waiting_s = sum(each.speech.waiting_s + _BLOCK_S for each in self._all())
         if waiting_s + duration_s > MOST_WAITING_S - _BLOCK_S:
             kept = f"{MOST_WAITING_S:g} s of speech are kept, and {waiting_s:.1f} wait"
             raise MessageError("buffer_full", f"nothing of this chunk was taken: {kept}")
 
     def interrupt(self, owner: Outbox) -> None:
-        """Silence a client's speech at once and drop all of its streams.
+        """Silence the speech of client `owner` at once and drop all of its streams.
 
-        Each stream gets an `interrupted` event; a client without streams gets one, too.
-
-        Speech of the face itself ends as well, unless another client speaks.
+        Each stream gets an `interrupted` event; a client without streams gets one, too. Speech by
+        `say` or `play` ends as well, unless another client speaks.
         """
         n_dropped = self._drop_waiting(owner, "interrupted")
         ours = [each for each in self._playing.values() if each.owner is owner]
@@ -247,7 +254,7 @@ class OpenStreams:
         self._go_on()
 
     def clear(self, owner: Outbox) -> None:
-        """Drop all of a client's audio that is not on its way to the loudspeaker yet."""
+        """Drop the audio of client `owner` that is not yet on its way to the loudspeaker."""
         self._drop_waiting(owner, "cleared")
         ours = [
             each for each in self._playing.values() if each.owner is owner and not each.ended_by
@@ -259,9 +266,9 @@ class OpenStreams:
         self._go_on()
 
     def pause(self, owner: Outbox, now_s: float) -> None:
-        """Silence the face at once and keep what was not played.
+        """Silence the face at once, for client `owner`, and keep what was not played.
 
-        Raises MessageError if the playout has no stream of this client, or too many requests.
+        Raises MessageError if the playout has no stream of this client, or 32 requests wait in it.
         """
         if not any(each.owner is owner for each in self._playing.values()):
             raise MessageError("no_stream", "pause: nothing of this client is spoken or waits")
@@ -271,7 +278,7 @@ class OpenStreams:
             self._paused = owner, now_s
 
     def resume(self, owner: Outbox) -> None:
-        """Continue speech that this client paused; MessageError if too many requests wait."""
+        """Continue speech that `owner` paused, if any; MessageError if 32 requests wait."""
         if self._paused is not None and self._paused[0] is owner:
             self._check_requests()
             self._playout.requests.append(PlayoutRequest("resume"))
@@ -280,7 +287,10 @@ class OpenStreams:
     def open_own(
         self, owner: Outbox, request_id: int | float | str | None, label: str
     ) -> OwnSpeech:
-        """Register a client's `say` or `play` as `OwnSpeech`; MessageError if agents speak."""
+        """Register a `say` or `play` of client `owner`, named `label` and a number, and return it.
+
+        request_id: `id` of the command. MessageError if an agent speaks, unless clients queue.
+        """
         if self._settings.when_busy == "refuse" and self._all():
             raise MessageError("busy", f"an agent speaks; {_LATER}")
         own = OwnSpeech(owner, request_id, f"{label} #{next(self._numbers)}")
@@ -288,14 +298,13 @@ class OpenStreams:
         return own
 
     def forget(self, own: OwnSpeech) -> None:
-        """Remove a `say` or `play` that failed."""
+        """Unregister `own`, a `say` or `play` that failed before it was spoken."""
         self._own.pop(own.stream_id, None)
 
     def leave(self, owner: Outbox) -> None:
-        """Close the outbox of a client that has disconnected.
+        """Close `owner`, the outbox of a client that has disconnected; ended streams are spoken.
 
-        Streams that it has ended are spoken; if one is open or paused, all its speech is
-        interrupted.
+        If the client left a stream open or has paused, all its speech is interrupted.
         """
         owner.close()
         has_paused = self._paused is not None and self._paused[0] is owner
@@ -309,9 +318,9 @@ class OpenStreams:
             self.interrupt(owner)
 
     def take_events(self, now_s: float) -> None:
-        """Send clients the playout's events since the last call; start streams that may follow.
+        """Send clients the playout's events since the last call; hand it streams that may follow.
 
-        now_s: monotonic.
+        now_s: monotonic. If the playout has been empty for 1 s, all its streams count as over.
         """
         events = self._playout.events
         while events:
@@ -337,7 +346,7 @@ class OpenStreams:
         self._go_on()
 
     def end_stalled(self, now_s: float) -> None:
-        """End streams without new audio for `stalled_s` and interrupt a pause of that length."""
+        """End streams without audio for `stalled_s`; interrupt a client that paused so long."""
         for stream in self._all():
             silent_s = now_s - stream.fed_s
             if not stream.speech.ended and silent_s > self._settings.stalled_s:
@@ -350,12 +359,12 @@ class OpenStreams:
             self.interrupt(owner)
 
     def stream_of(self, owner: Outbox, stream_id: str) -> AgentStream | None:
-        """Return a client's stream by its id if it is spoken or waits; else None."""
+        """Return the stream of client `owner` with this id; None: over, or never started."""
         ours = (each for each in self._all() if each.owner is owner)
         return next((each for each in ours if each.stream_id == stream_id), None)
 
     def tell_positions(self, owner: Outbox | None = None) -> None:
-        """Send clients, or `owner` alone, the position of each of their streams being played."""
+        """Send clients, or `owner` alone, the position of each of their streams in the playout."""
         for stream in self.playing:
             if owner is None or stream.owner is owner:
                 name = stream.speech.name
@@ -363,7 +372,10 @@ class OpenStreams:
                 stream.tell_position(n_played or 0)
 
     def tell_phoneme(self, phoneme: str, start_s: float, end_s: float) -> None:
-        """Send a phoneme to the client whose stream is played at `start_s` on the timeline."""
+        """Send a phoneme to the client whose stream is played at `start_s`, if any.
+
+        start_s, end_s: on the playout's timeline.
+        """
         found = _settled(partial(self._playout.stream_at, start_s))
         if found is None or (stream := self._playing.get(found[0].name)) is None:
             return
@@ -418,7 +430,7 @@ class OpenStreams:
             self._own_speech.add(event.stream)
 
     def _go_on(self) -> None:
-        """Hand waiting streams to the playout, as long as they are of the client that speaks."""
+        """Hand waiting streams to the playout while they are of the client that speaks, if any."""
         while self._waiting:
             speaker = next((each.owner for each in self._playing.values()), None)
             if speaker is not None and self._waiting[0].owner is not speaker:
@@ -429,7 +441,10 @@ class OpenStreams:
 
 
 def _settled(ask: Callable[[], _Request | None]) -> _Request | None:
-    """Return `ask()`, tried once more if the live loop changes the playout meanwhile; else None."""
+    """Return `ask()`, tried once more if the live loop changes the playout meanwhile.
+
+    None: it changed both times, or `ask` returned None.
+    """
     for _ in range(2):
         try:
             return ask()

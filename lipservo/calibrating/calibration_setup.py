@@ -1,4 +1,4 @@
-"""The setup of a calibration: the face, the speaker's model, options, and how servos are moved."""
+"""The setup of a calibration: the robot's face, the recorded speaker's model, options, servos."""
 
 import datetime
 from collections.abc import Callable, Iterator
@@ -45,10 +45,11 @@ class Watch:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationSetup:
-    """The face, model and options of a calibration, for every sub-command that makes one.
+    """The face and options of a calibration, for every sub-command that makes one.
 
-    keep: the file that receives every captured pose; quiet: no progress bar; lags: whether lags are
-    measured by moving servos in chirps and steps; speed_deg_s: speed of servos from pose to pose.
+    model: of the recorded speaker's face. keep: the file that receives every captured pose; quiet:
+    no progress bar; lags: whether the servos' delays behind their goals are measured, by chirps and
+    steps; speed_deg_s: speed of servos from pose to pose.
     sees_forward: whether markers are measured in depth too. accept: doubts about joints, size and
     grade only warn. config: the face's name for a page that shows its servos; None: no page.
     """
@@ -127,9 +128,10 @@ def held_servos(setup: CalibrationSetup) -> HeldFace:
 
 @contextmanager
 def progress_bar(setup: CalibrationSetup, what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar with the time left; yield a function to be called with the number done.
+    """Show a progress bar, labelled `what`, with the time left; yield a function that sets it.
 
-    More than `total` may be done, as when a joint is measured again: the bar's total then grows.
+    The function is called with the number done. More than `total` may be done, as when a
+    joint is measured again: the bar's total then grows.
     """
     with Progress(
         TextColumn("{task.description}"),

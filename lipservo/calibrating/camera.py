@@ -3,7 +3,7 @@
 A time stamp of FFmpeg's v4l2 input is the kernel's own, on the monotonic clock. Time stamps of
 other clocks are converted by the least delay of recent pictures. A file or FFmpeg's lavfi
 generators may replace a camera; their pictures come at the pace of their time stamps. A thread
-reads the camera; the recorder fetches the pictures that have arrived.
+reads the camera and keeps the pictures until they are fetched.
 """
 
 import math
@@ -65,8 +65,8 @@ class CameraMode:
 class AvCamera:
     """A camera, or a video file or generator in its place, read by PyAV.
 
-    wanted: a number or the path of a device; `lavfi:GRAPH` or a video file to try without one.
-    Raises CameraError from `__enter__` if it cannot be opened.
+    wanted: number or path of a device; `lavfi:GRAPH` or a video file replaces a camera. Raises
+    UserError if PyAV is missing, and CameraError from `__enter__` if it cannot be opened.
     """
 
     def __init__(
@@ -127,14 +127,17 @@ class AvCamera:
             ) from error
 
     def _at_its_pace(self, stamp_s: float, now_s: float) -> float:
-        """Wait until a file's picture is due, the first one at once; return that monotonic time."""
+        """Wait until the picture of a file at `stamp_s` is due; return that monotonic time.
+
+        The first picture is due at once.
+        """
         self._begun_s = getattr(self, "_begun_s", now_s - stamp_s)
         due_s = self._begun_s + stamp_s
         self._sleep(max(0.0, due_s - now_s))
         return due_s
 
     def _ways(self) -> Iterator[tuple[str, dict[str, Any]]]:
-        """Yield the sources and options with which to try to open the camera, the best first."""
+        """Yield the sources and options of `av.open` to try in order, the best first."""
         if self._wanted.startswith(GENERATED):
             yield self._wanted.removeprefix(GENERATED), {"format": "lavfi"}
             return
@@ -159,7 +162,10 @@ class StampClock:
         self._ahead_s: deque[float] = deque(maxlen=_REMEMBERED)
 
     def time_s(self, stamp_s: float, now_s: float) -> float:
-        """Return the monotonic time at which a picture that arrived at `now_s` was taken."""
+        """Return the monotonic time at which a picture was taken.
+
+        stamp_s: its time stamp; now_s: the monotonic time of its arrival.
+        """
         if 0.0 <= now_s - stamp_s < _OLDEST_S:
             return stamp_s
         self._ahead_s.append(now_s - stamp_s)
@@ -171,7 +177,7 @@ _WAITING = 120
 
 
 class CameraFeed:
-    """The pictures of a camera, read by a thread inside a `with` block."""
+    """The newest 120 pictures of a camera, read by a thread inside a `with` block."""
 
     def __init__(self, camera: Camera) -> None:
         self.camera = camera
@@ -181,7 +187,10 @@ class CameraFeed:
         self._thread = threading.Thread(target=self._read, name="camera", daemon=True)
 
     def take_frames(self) -> list[Frame]:
-        """Return the pictures since the last call; CameraError if none and the camera failed."""
+        """Remove and return the pictures since the last call; empty: none has come.
+
+        Raises CameraError if there are none and the camera has failed or ended.
+        """
         frames: list[Frame] = []
         while self._waiting:
             frames.append(self._waiting.popleft())

@@ -42,7 +42,11 @@ ReadAll = Callable[[], list[tuple[int, str, Array]]]
 
 @dataclass(frozen=True, slots=True)
 class MeshOptions:
-    """Options of a face mesh. open_tracker: loads the networks; eye_distance_mm None: not given."""
+    """Options for markers from pictures without dots, in which networks find the face.
+
+    open_tracker: loads the networks. eye_distance_mm: between the outer corners of the eyes; None:
+    not given. camera: as `AvCamera`. landmarker_given: whether the user named a network's file.
+    """
 
     open_tracker: Callable[[], FaceTracker]
     eye_distance_mm: float | None = None
@@ -51,9 +55,9 @@ class MeshOptions:
 
 
 def is_mesh_folder(folder: Path, mesh: MeshOptions) -> bool:
-    """Return whether a folder contains, or will contain, photographs without dots.
+    """Return whether a folder contains, or will contain, photographs of a face without dots.
 
-    Without pictures it does so if an eye distance or a landmarker was given.
+    A folder without pictures will, if `mesh` has an eye distance or a network's file.
     """
     if not folder.is_dir() or is_dots_folder(folder):
         return False
@@ -72,7 +76,8 @@ def is_seen_from_the_front(source: Path, mesh: MeshOptions) -> bool:
 def mesh_folder(folder: Path, setup: CalibrationSetup, mesh: MeshOptions) -> MeshFolder:
     """Return the reader of a folder of photographs of this robot; print that protrusion is guessed.
 
-    Raises UserError if the scale or a tracker is missing.
+    mesh: the face mesh's options. Raises UserError if the eye distance or the tracker's software is
+    missing.
     """
     eye_distance_mm = _eye_distance_mm(setup, mesh)
     say(PROTRUSION_IS_GUESSED)
@@ -80,7 +85,10 @@ def mesh_folder(folder: Path, setup: CalibrationSetup, mesh: MeshOptions) -> Mes
 
 
 def reader_of(markers: Path, setup: CalibrationSetup, mesh: MeshOptions) -> ReadAll | None:
-    """Return a function that reads all poses' pictures; None for marker files. Raises UserError."""
+    """Return a function that reads all pictures in `markers`; None if these are marker files.
+
+    mesh: options for pictures without dots. Raises UserError.
+    """
     if is_mesh_folder(markers, mesh):
         return mesh_folder(markers, setup, mesh).all_readings
     if markers.is_dir() and is_dots_folder(markers):
@@ -92,10 +100,10 @@ def reader_of(markers: Path, setup: CalibrationSetup, mesh: MeshOptions) -> Read
 def tracker_source(
     setup: CalibrationSetup, source: str, axes: str, mesh: MeshOptions
 ) -> Iterator[MakeTracker]:
-    """Yield a function that makes the tracker once servos are held.
+    """Yield a function that makes the source of marker positions once servos are held.
 
-    Missing files and extras are reported before that. source: `camera`, or a source of
-    `tracker_of`. Raises UserError.
+    source: `camera`, a folder of pictures, or as for `tracker_of`, and so `axes`. Raises UserError
+    for missing files and extras at once, before servos move.
     """
     folder = Path(source)
     if source == CAMERA:
@@ -161,10 +169,10 @@ def _warned_once(read: ReadPose) -> ReadPose:
 
 
 def next_picture(feed: CameraFeed, clock: Clock) -> Picture:
-    """Return the first picture taken from now on, (height, width, 3) RGB.
+    """Return the first picture of `feed` taken from now on, (height, width, 3) RGB.
 
-    Raises CameraError if the camera fails, and UserError after ten seconds without a picture. A
-    device may deliver up to four older ones; the next one counts, whatever its time stamp.
+    Up to four pictures with older time stamps are skipped; the fifth counts in any case. Raises
+    CameraError if the camera fails, and UserError after ten seconds without a picture.
     """
     feed.take_frames()
     requested_s = clock.now()
@@ -180,7 +188,7 @@ def next_picture(feed: CameraFeed, clock: Clock) -> Picture:
 
 
 def say(line: str) -> None:
-    """Print a line for a person on stderr."""
+    """Print a line on stderr."""
     MESSAGES.print(line)
 
 

@@ -1,4 +1,4 @@
-"""`lipservo calibrate guided`: a person moves the robot's mouth by keys into shapes shown."""
+"""`lipservo calibrate guided`: a person moves the robot's mouth by keys into displayed shapes."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -34,7 +34,7 @@ Drawn = Callable[[Array], Array]
 
 
 def calibrate_by_eye(setup: CalibrationSetup) -> CalibrationResult:
-    """Let a person make poses by keys, on the face's servos or simulated ones, and fit them.
+    """Let a person make poses by keys, on the face's servos or simulated ones; fit a calibration.
 
     Raises CalibrationError for too few poses.
     """
@@ -88,9 +88,10 @@ def guide(
     keep: Path | None = None,
     drawn: Drawn | None = None,
 ) -> dict[str, Array]:
-    """Let a person make the landmark poses by keys, and return them; leave the robot in neutral.
+    """Let a person make the landmark poses (open, wide, narrow, ...) by keys, and return them.
 
-    Every finished pose is written to `keep` at once; a later session continues from that file.
+    The robot is in neutral afterwards. Every finished pose is written to `keep` at once; a later
+    session continues from that file.
 
     Parameters
     ----------
@@ -103,7 +104,7 @@ def guide(
     read_key : Callable[[], str]
         Returns the next key.
     console,drawn : Console
-        Where the pose is shown; what computes the robot's markers (None: not shown).
+        Where poses are shown; computes the simulated robot's markers to show (None: not shown).
     keep : Path | None
         File of the poses; None: they are not written.
 

@@ -1,9 +1,9 @@
-"""The parts of a calibration that a person makes by hand: hand poses, the touch pose, trims.
+"""The parts of a calibration that a person makes by hand: hand poses, touch pose, and trims.
 
-`touched` becomes the touch pose; `widest` and `rounded` bound the joints that open and narrow the
-mouth; all are kept in the calibration file, as positions of the lips that a person has seen and
-felt. Encoders are read live while the fingers pose, and a key keeps the pose that the hands form.
-All of it is kept when the face is calibrated again.
+Hands move the limp mouth into a pose, encoders are read live, and a key keeps the pose. The hand
+pose `touched` becomes the touch pose, in which lips just meet; `widest` and `rounded` limit the
+joints that open and narrow the mouth. Trims are degrees added in a viseme class. All are in the
+calibration file, and are kept when the face is calibrated again.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -56,7 +56,7 @@ HAND_POSES: Final = (
 
 
 def beyond_limits(servos: MouthServos, positions_deg: Array) -> dict[str, str]:
-    """Return an error message for each joint of a pose that is outside the face's limits.
+    """Return an error message for each joint of a pose that is over 1 deg outside its limits.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def beyond_limits(servos: MouthServos, positions_deg: Array) -> dict[str, str]:
 def with_hand_poses(
     calibration: Calibration, servos: MouthServos, made_deg: Mapping[str, Array], cap_ma: float
 ) -> Calibration:
-    """Return a calibration with hand poses added, and with the limits that they imply.
+    """Return a calibration with hand poses added, and limits narrowed to those that they imply.
 
     Parameters
     ----------
@@ -124,7 +124,10 @@ def with_hand_poses(
 
 
 def _bounds(servos: MouthServos, poses: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Return the joints' lower and upper limits, narrowed where a pose shows how far one may go."""
+    """Return the joints' lower and upper limits, narrowed to `widest` and `rounded` of `poses`.
+
+    Both are (n_servos,) degrees.
+    """
     low_deg, high_deg = (limit.copy() for limit in servos.limits_deg)
     for n, word in enumerate(servos.positive):
         for pose, bounded, upwards in _BOUNDED:
@@ -139,7 +142,7 @@ def _bounds(servos: MouthServos, poses: Mapping[str, Array]) -> tuple[Array, Arr
 
 
 def pose_lines(before: Calibration, after: Calibration) -> list[str]:
-    """Return lines for a person about the kept poses, changed limits and the closed mouth."""
+    """Return lines about the hand poses of `after`, limits changed since `before`, and `closed`."""
     lines = []
     for name, positions_deg in after.hand_poses.items():
         places = zip(after.servo_names, positions_deg, strict=True)
@@ -177,7 +180,7 @@ _BAR = 31
 
 
 class Keys(Protocol):
-    """A source of single keys: a person or a script."""
+    """A source of single keys: a terminal or a script."""
 
     def next_key(self, timeout_s: float) -> str | None:
         """Return the next key, or None if none comes within `timeout_s`."""
@@ -185,10 +188,11 @@ class Keys(Protocol):
 
 @dataclass(slots=True)
 class Posing:
-    """The state of a session that makes hand poses: the current one, and the angles of those made.
+    """The state of a session in which a person makes `poses`.
 
-    made_deg: (n_servos,) degrees by the name of the pose. keep: called with all poses so far after
-    each new one. undivided: a context manager that a signal does not interrupt.
+    made_deg: angles of those made, (n_servos,) degrees by name. keep: called with all made so far
+    after each new one. undivided: makes a context manager that no signal interrupts. note: why the
+    last one was refused; empty if not. current: index of the pose to make.
     """
 
     poses: Sequence[HandPose]
@@ -207,14 +211,16 @@ class Posing:
 def pose_by_hand(
     servos: LimpServos, mouth: MouthServos, posing: Posing, keys: Keys, console: Console
 ) -> Mapping[str, Array]:
-    """Let a person make poses by hand until all are made or the person stops. Raises PortGone.
+    """Let a person make poses by hand until all are made or the person stops.
+
+    Raises PortGone if the servos' port disappears.
 
     Parameters
     ----------
     servos : LimpServos
         The servos, limp already.
     mouth : MouthServos
-        Servos of the mouth.
+        The same servos, with names and limits.
     posing : Posing
         The poses to make.
     keys,console : Keys
@@ -249,7 +255,10 @@ def pose_by_hand(
 
 
 def _keep(servos: LimpServos, mouth: MouthServos, posing: Posing) -> None:
-    """Add the servos' pose to `posing` and go to the next one, or set a note why it is refused."""
+    """Add the servos' present pose to `posing` and go on; or set `posing.note` why it is refused.
+
+    mouth: the same servos, with their limits.
+    """
     held = servos.steady_pose()
     obstacles = held.obstacles | beyond_limits(mouth, held.positions_deg)
     name = posing.poses[posing.current].name
@@ -277,7 +286,7 @@ def _page(posing: Posing, mouth: MouthServos, seen: LimpPose) -> RenderableType:
 
 
 def _bar(here_deg: float, min_deg: float, max_deg: float) -> str:
-    """Return a text bar of ASCII characters with a mark at the joint's position in its limits."""
+    """Return an ASCII bar from `min_deg` to `max_deg` with a mark at `here_deg`; NaN: no mark."""
     if not np.isfinite(here_deg) or max_deg <= min_deg:
         return "." * _BAR
     share = (here_deg - min_deg) / (max_deg - min_deg)
@@ -292,9 +301,10 @@ _REMEDY: Final = "set them anew with `lipservo calibrate trim`"
 def with_hand_made(
     fresh: Calibration, servos: MouthServos, output: Path
 ) -> tuple[Calibration, list[str]]:
-    """Return a new calibration with the trims, hand poses and touch pose of the file it replaces.
+    """Return `fresh` with trims, hand poses and touch pose of the file `output`, if it exists.
 
-    The second part has lines for a person: what was kept and what was not, and why.
+    `output` is the file that `fresh` will replace; `servos` have the face's limits. The second part
+    has lines for a person: what was kept and what was not, and why.
     """
     if not output.exists():
         return fresh, []

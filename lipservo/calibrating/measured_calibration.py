@@ -1,6 +1,7 @@
 """Calibrations that are measured: on the face's own servos, from files, or on a simulated robot.
 
-Each ends with the lags of the servos, which `lipservo calibrate lags` measures alone.
+Each ends with the servos' lags (delays behind their goals), which `lipservo calibrate lags`
+measures alone.
 """
 
 import math
@@ -55,7 +56,7 @@ PROTRUSION = "protrusion"
 
 @dataclass(frozen=True, slots=True)
 class CalibrationResult:
-    """A new calibration. fit: None if nothing was measured, or only the jaw."""
+    """A new calibration. fit: of measured lip markers; None if none were measured."""
 
     calibration: Calibration
     fit: MeasuredFit | None = None
@@ -73,7 +74,7 @@ class CalibrationResult:
         return backlash_of(self.calibration)
 
     def graded_by(self, setup: CalibrationSetup, on: Robot) -> "CalibrationResult":
-        """Return the result graded at ten measured poses of speech; unchanged for a jaw alone."""
+        """Return the result, graded at ten poses of speech by `on`; unchanged if `fit` is None."""
         if self.fit is None:
             return self
         fit = take_grade(self.fit, setup.servos, self.fit.face.marker_names, on)
@@ -82,7 +83,7 @@ class CalibrationResult:
         return CalibrationResult(calibration, fit, fit.warnings)
 
     def seen_by(self, setup: CalibrationSetup) -> "CalibrationResult":
-        """Return the result marked as without measured protrusion if markers have no depth."""
+        """Return the result, marked as of unmeasured protrusion if the markers have no depth."""
         if setup.sees_forward:
             return self
         origin = replace(self.calibration.origin, not_measured=PROTRUSION)
@@ -93,7 +94,7 @@ class CalibrationResult:
         return replace(self, calibration=replace(self.calibration, following=following))
 
     def with_memories(self, memories: Sequence[ServoMemory | None]) -> "CalibrationResult":
-        """Return the result with the servos' register contents; unchanged unless all were read."""
+        """Return the result with the servos' registers; unchanged if `memories` lacks any servo."""
         known = tuple(memory for memory in memories if memory is not None)
         if len(known) != len(self.calibration.servo_names):
             return self
@@ -122,8 +123,8 @@ def backlash_of(calibration: Calibration) -> Array:
 def fit_capture(setup: CalibrationSetup, capture: Capture) -> CalibrationResult:
     """Fit a calibration to a capture of this face.
 
-    Only the jaw is fitted for one servo without lip markers. Raises CalibrationError, as for
-    markers without any depth unless `accept` is set.
+    With one servo and no lip markers, only the jaw is fitted. Raises CalibrationError, as for
+    markers without any depth unless `setup.accept` is set.
     """
     if setup.sees_forward and is_flat(capture):
         if not setup.accept:
@@ -143,7 +144,10 @@ def fit_capture(setup: CalibrationSetup, capture: Capture) -> CalibrationResult:
 
 
 def jaw_check(setup: CalibrationSetup, calibration: Calibration) -> float | None:
-    """Return the correlation of the opening joint with the speaker's jaw; None: no such joint."""
+    """Return the correlation, -1 to 1, of the joint that opens the mouth with the speaker's jaw.
+
+    None: no joint opens the mouth in the positive direction.
+    """
     positive = setup.servos.positive
     if "opens" not in positive:
         return None
@@ -153,7 +157,7 @@ def jaw_check(setup: CalibrationSetup, calibration: Calibration) -> float | None
 def with_lags(
     setup: CalibrationSetup, face: HeldFace, result: CalibrationResult
 ) -> CalibrationResult:
-    """Measure the lags of servos that are held; return the result with them."""
+    """Measure the lags of the servos that `face` holds; return the result with them."""
     return result.with_following(_measured_following(setup, face, result.calibration))
 
 
@@ -259,7 +263,10 @@ def calibrate_on_servos(
         tracker = make_tracker(face)
 
         def taken(here: Here) -> CalibrationResult:
-            """Capture, fit and grade, in a thread: fits take seconds, and a stop must not wait."""
+            """Capture, fit and grade in a thread, so that a stop does not wait for a fit.
+
+            here: runs a call in the thread that moves the servos, and returns its result.
+            """
 
             def move(goal_deg: Array) -> Array:
                 reached_deg: Array = here(lambda: face.move(goal_deg))
@@ -295,7 +302,7 @@ def calibrate_on_servos(
 
 
 def calibrate_on_computed_skin(setup: CalibrationSetup) -> CalibrationResult:
-    """Calibrate as a rehearsal: real servos move; markers are computed from their positions."""
+    """Calibrate as a rehearsal: the face's servos move; markers are computed from encoders."""
     markers_of = markers_of_face(setup.model.markers_mm(setup.model.rest[None])[0], setup.servos)
     noise = np.random.default_rng(0)
 
@@ -307,10 +314,10 @@ def calibrate_on_computed_skin(setup: CalibrationSetup) -> CalibrationResult:
 
 
 def tracker_of(setup: CalibrationSetup, source: str, axes: str) -> Callable[[HeldFace], Tracker]:
-    """Return a function that makes the tracker from held servos.
+    """Return a function that makes the source of marker positions from held servos.
 
-    source: `typed`, or the path of a file or folder that another program fills. Raises
-    CalibrationError for anything else.
+    source: `typed`, or the path of a file or folder that another program fills. axes: those of C3D
+    files that point left, up and forward, as `x z -y`. Raises CalibrationError for other sources.
     """
     if source == TYPED:
         return lambda face: TypedTracker(
@@ -328,7 +335,7 @@ def tracker_of(setup: CalibrationSetup, source: str, axes: str) -> Callable[[Hel
 def capture_face(
     setup: CalibrationSetup, marker_names: tuple[str, ...], on: Robot, *, seed: int
 ) -> Capture:
-    """Measure the markers in all poses of the face's procedure, with a progress bar."""
+    """Return `marker_names` measured by `on` in all poses, drawn by `seed`; show progress."""
     with progress_bar(setup, "poses", setup.n_poses) as done:
         return setup.procedure(seed).capture(
             marker_names,
@@ -343,7 +350,7 @@ def capture_face(
 
 
 def strained_servo(setup: CalibrationSetup, effort: Array) -> str | None:
-    """Return the name of a servo that draws nearly all of its `max_current_ma`, and print a line.
+    """Return the first servo that draws 90 % of its `max_current_ma` or more, and print a line.
 
     Parameters
     ----------
@@ -369,7 +376,7 @@ def _say(line: str) -> None:
 
 
 def fit_simulated_face(setup: CalibrationSetup) -> CalibrationResult:
-    """Calibrate the simulated face without a capture, with lags of servos simulated to the byte.
+    """Calibrate the simulated face without a capture; lags are measured on simulated servos.
 
     A face with a port gets no lags here: `lipservo calibrate lags` measures its own servos. Raises
     CalibrationError for servos that the simulated face does not have.
@@ -394,7 +401,7 @@ def fit_simulated_face(setup: CalibrationSetup) -> CalibrationResult:
 def practise_in_memory(
     setup: CalibrationSetup, seed: int, family: RobotFamily | None = None
 ) -> CalibrationResult:
-    """Calibrate a simulated robot drawn from `seed`, in memory. family: as for `practice_robot`."""
+    """Calibrate a simulated robot drawn by `seed`, in memory; `family` as `practice_robot`."""
     robot = _drawn_robot(setup, seed, family)
     on = Robot(robot.move, robot.measure)
     capture = capture_face(setup, MARKERS_47.names, on, seed=seed)
@@ -409,7 +416,10 @@ def practise_in_memory(
 def practise_over_wire(
     setup: CalibrationSetup, seed: int, family: RobotFamily | None = None
 ) -> CalibrationResult:
-    """Calibrate the servos at a port, with markers of a simulated robot's skin, drawn by `seed`."""
+    """Calibrate the face's servos with markers of a simulated robot's skin, drawn by `seed`.
+
+    family: as for `practice_robot`.
+    """
     robot = _drawn_robot(setup, seed, family)
     tracker = SeenByComputation(MARKERS_47.names, lambda _: robot.measure())
     return calibrate_on_servos(setup, lambda _: tracker, robot.move, seed)

@@ -34,7 +34,7 @@ _S_A_MINUTE: Final = 60.0
 
 
 class PageWatch:
-    """A `Watch` that sends a page the progress of `measure`, and what the tracker sees."""
+    """Callbacks that send a web page the progress of `calibrate measure`; `watch` has them all."""
 
     def __init__(self, page: PageLine, setup: CalibrationSetup) -> None:
         self._page = page
@@ -45,7 +45,7 @@ class PageWatch:
         self.watch = Watch(self.progress, self.arrived, self.seen)
 
     def progress(self, what: str, done: int, total: int) -> None:
-        """Send the page the progress of poses, or of chirps, with the minutes left."""
+        """Send the page how many of the `total` poses or chirps (`what`) are done; minutes left."""
         spent_s = time.monotonic() - self._began_s
         if not done:
             self._began_s, spent_s = time.monotonic(), 0.0
@@ -68,7 +68,7 @@ class PageWatch:
         self._page.tell("arrived", deg=_by_name(self._names, reached_deg))
 
     def seen(self, marker_names: tuple[str, ...], markers_mm: Array) -> None:
-        """Send the page the markers from the front, and the loops of the lips.
+        """Send the page the markers' x and y, and the loops that they form round the lips.
 
         Parameters
         ----------
@@ -87,7 +87,10 @@ class PageWatch:
 
 
 def _loop(group: str, landmarks: Sequence[int], marker_names: Sequence[str]) -> list[int]:
-    """Return the indices of a lip's markers in `marker_names`, in order once round the lip."""
+    """Return the indices of a lip's markers in `marker_names`, in order round the lip.
+
+    A marker's name is `group` and one of the `landmarks`.
+    """
     names = [f"{group}_{landmark}" for landmark in landmarks]
     return [marker_names.index(name) for name in names if name in marker_names]
 
@@ -95,10 +98,10 @@ def _loop(group: str, landmarks: Sequence[int], marker_names: Sequence[str]) -> 
 def calibrate_by_eye_on_page(
     setup: CalibrationSetup, page: PageLine, *, simulated: bool
 ) -> CalibrationResult:
-    """Let a person make poses with a page's sliders, on the face's servos, and fit them.
+    """Let a person make poses with a page's sliders, on the face's servos; fit a calibration.
 
-    simulated: the robot's mouth is computed from the servos' goals, and shown beside the wanted
-    one. Raises CalibrationError for too few poses.
+    simulated: the page shows the robot's mouth too, computed from the servos' goals. Raises
+    CalibrationError for too few poses.
     """
     memories = servo_memories(setup.settings)
     with held_servos(setup) as robot:
@@ -110,7 +113,10 @@ def calibrate_by_eye_on_page(
 def _guide(
     setup: CalibrationSetup, robot: HeldFace, page: PageLine, *, simulated: bool
 ) -> dict[str, Array]:
-    """Return the poses that a person makes on the page, (n_servos,) deg by name; end in neutral."""
+    """Return the poses that a person makes on the page, (n_servos,) degrees by name.
+
+    The servos are in neutral afterwards. simulated: the page shows the robot's computed mouth too.
+    """
     model, joints, names = setup.model, setup.servos.joints, setup.servos.names
     kept = {} if setup.keep is None else kept_poses(names, setup.keep)
     session = start_session(joints, landmark_poses(model), kept)
@@ -154,7 +160,7 @@ def _guide(
 
 
 def _after(session: GuidedSession, order: Order, page: PageLine) -> GuidedSession:
-    """Return the session after an order of the page, all moves that wait behind it included."""
+    """Return the session after the page's `order`, and after those that wait behind a move."""
     while (moved := order.get("move")) is not None:
         session = _moved(session, moved)
         following = page.next_order(0.0)
@@ -170,7 +176,10 @@ def _after(session: GuidedSession, order: Order, page: PageLine) -> GuidedSessio
 
 
 def _moved(session: GuidedSession, moved: object) -> GuidedSession:
-    """Return the session with joints at the angles `moved`, within limits; skip invalid ones."""
+    """Return the session with joints at the degrees `moved`, {name: angle}, clipped to limits.
+
+    Invalid angles are skipped; `moved` is unchecked JSON.
+    """
     positions_deg = session.positions_deg.copy()
     wanted = moved if isinstance(moved, dict) else {}
     for n, joint in enumerate(session.joints):

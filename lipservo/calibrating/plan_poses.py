@@ -1,8 +1,8 @@
-"""Robots moved by other programs: poses of a plan, and a later visit that grades the fit.
+"""Calibration by markers that are recorded apart: poses of a plan, and a grade at later poses.
 
 `lipservo calibrate pose` moves servos to the poses of a plan, for markers recorded by hand.
 `calibrate fit --check-plan` writes ten poses of speech that were not used in the fit, and
-`calibrate grade` grades by them.
+`calibrate grade` grades the calibration by markers recorded in them.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,9 +25,9 @@ from lipsync.arrays import Array
 def read_poses(
     setup: CalibrationSetup, path: Path, wanted: Sequence[int]
 ) -> tuple[tuple[int, ...], PosePlan]:
-    """Return the numbers and the plan of the `wanted` poses of a file; of all if none is wanted.
+    """Return the numbers and the plan of the poses numbered `wanted` in a file; empty: of all.
 
-    Raises CalibrationError for a number that is not in the plan, or goals beyond the face's limits.
+    Raises CalibrationError for a number that is not in the file, or goals beyond the face's limits.
     """
     numbers, plan = read_numbered_plan(path, setup.servos.names)
     for number in wanted:
@@ -68,7 +68,7 @@ def stand_in_poses(
     arrived: Callable[[int, Array], object],
     wait: Callable[[], object],
 ) -> None:
-    """Move the servos to each pose of a plan from its side, then to neutral; then torque off.
+    """Move the servos to each pose of a plan, from the side it names, and wait; then torque off.
 
     Parameters
     ----------
@@ -108,7 +108,9 @@ def grade_by_files(
 ) -> tuple[Calibration, tuple[str, ...]]:
     """Return the calibration graded by recorded markers, and warnings.
 
-    plan: as `fit --check-plan` wrote it. Raises CalibrationError.
+    plan: as `fit --check-plan` wrote it. markers: the file or folder of the recording; axes: of C3D
+    files, as for `tracker_of`; read: reads pictures instead, None for others. Raises
+    CalibrationError.
     """
     poses = read_check_plan(plan, calibration)
     rows, capture = read_recorded(plan, markers, calibration.servo_names, axes=axes, read=read)
@@ -147,7 +149,7 @@ def write_check_poses(
 def _in_order(capture: Capture, names: tuple[str, ...], markers: Path) -> Capture:
     """Return the capture with the markers `names`, in that order, NaN for missing ones.
 
-    Raises CalibrationError for a marker that is not in `names`; `markers` is its file.
+    Raises CalibrationError for a marker that is not in `names`; `markers`: the file to name then.
     """
     unknown = [name for name in capture.marker_names if name not in names]
     if unknown:
@@ -161,7 +163,7 @@ def _in_order(capture: Capture, names: tuple[str, ...], markers: Path) -> Captur
 
 
 def _usual_mm(markers_mm: Array) -> Array:
-    """Return each marker's median, (n, n_markers, 3) -> (n_markers, 3); NaN for one never seen."""
+    """Return each marker's median place, (n, n_markers, 3) -> (n_markers, 3); NaN if never seen."""
     usual_mm = np.full(markers_mm.shape[1:], np.nan)
     seen = np.asarray(np.isfinite(markers_mm).any(axis=0)).all(axis=1)
     usual_mm[seen] = np.nanmedian(markers_mm[:, seen], axis=0)

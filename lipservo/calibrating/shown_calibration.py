@@ -1,7 +1,7 @@
-"""A calibration shown to people, as lines and tables, as JSON, and as a picture.
+"""Output of a calibration: lines and tables for people, JSON values, and a picture.
 
-The picture shows which mouths a robot can make: openings and widths of speech, and what is missing.
-It needs matplotlib, the extra `plots`.
+The picture shows which mouth shapes of speech, by opening and width, the robot can make. It needs
+matplotlib, the extra `plots`.
 """
 
 import math
@@ -37,7 +37,8 @@ def report_lines(
 ) -> list[str]:
     """Return lines for a person: the calibration's errors, each joint's, and what is out of reach.
 
-    fit: of a measured calibration; None for others. with_servos: include a line for each servo.
+    written: the calibration's file. fit: of a measured calibration; None: not measured, or read
+    from a file. with_servos: include a line for each servo.
     """
     lines = [f"{written}: {_summary(calibration)}"]
     lips = calibration.learnt_lips
@@ -143,7 +144,7 @@ def _reach_lines(calibration: Calibration) -> list[str]:
 
 
 def following_lines(calibration: Calibration) -> list[str]:
-    """Return a line for each joint: its error, backlash, lag and bandwidth."""
+    """Return a line for each joint: its error, backlash, delay behind its goal, and bandwidth."""
     lines = []
     following = calibration.following
     for i, name in enumerate(calibration.servo_names):
@@ -163,7 +164,7 @@ def following_lines(calibration: Calibration) -> list[str]:
 
 
 def _worst_markers(each_rms_mm: Mapping[str, float]) -> list[str]:
-    """Return a line about the three markers with the largest errors, or none without markers."""
+    """Return a line about the three markers with the largest errors; no line without markers."""
     worst = sorted(each_rms_mm.items(), key=lambda item: -item[1])[:3]
     listed = ", ".join(f"{name} {rms_mm:.2f} mm" for name, rms_mm in worst)
     return [f"farthest off: {listed}"] if worst else []
@@ -231,7 +232,10 @@ def grade_values(calibration: Calibration) -> dict[str, object] | None:
 
 
 def closing_values(calibration: Calibration) -> dict[str, object] | None:
-    """Return whether the lips touch, and how far past contact closures go; None: not observed."""
+    """Return whether lips touch, and how far past contact they are pressed, for JSON.
+
+    None: closing was not observed.
+    """
     closing, closure = calibration.closing, calibration.closure
     if closing is None:
         return None
@@ -270,7 +274,7 @@ def shown_values(
 
 
 def trim_values(calibration: Calibration) -> dict[str, dict[str, float]]:
-    """Return the degrees added for a viseme class, by its first phoneme and the servo; no zeros."""
+    """Return the degrees added in each viseme class, by its first phoneme and the servo, if any."""
     trims = {
         viseme: {
             name: float(added)
@@ -293,7 +297,7 @@ def trim_lines(calibration: Calibration) -> list[str]:
 
 
 def servo_table(calibration: Calibration) -> Table:
-    """Return a table with one row for each servo, with a dash for what is unknown."""
+    """Return a table of range, error, lag, ..., a row for each servo, a dash if unknown."""
     table = Table(box=None, pad_edge=False)
     table.add_column("servo", no_wrap=True)
     for title in _COLUMNS.values():
@@ -308,7 +312,7 @@ def shown_lines(
 ) -> list[str]:
     """Return lines about the whole calibration: errors of the lips, origin, trims and rules.
 
-    rules: the `prevent` rules of the face's YAML; None: they are left out.
+    file: its name. rules: the `prevent` rules of the face's YAML; None: they are left out.
     """
     origin = calibration.origin
     made = f", {origin.poses} poses" if origin.poses else ""
@@ -326,12 +330,12 @@ def shown_lines(
 
 
 def coverage_values(calibration: Calibration) -> dict[str, dict[str, float | None]]:
-    """Return what is known of each viseme class, by its first phoneme; None for what is unknown."""
+    """Return reach and errors of each viseme class, by its first phoneme; None if unknown."""
     return {viseme: asdict(reach) for viseme, reach in calibration.coverage.items()}
 
 
 def coverage_table(calibration: Calibration) -> Table:
-    """Return a table with one row for each viseme class, with a dash for what is unknown."""
+    """Return a table of reach and errors, a row for each viseme class, a dash if unknown."""
     table = Table(box=None, pad_edge=False)
     table.add_column("class", no_wrap=True)
     for title, _ in _VISEME_COLUMNS.values():
@@ -377,8 +381,8 @@ def draw_coverage(
 ) -> Path:
     """Write `coverage.png` into `folder` and return its path.
 
-    Left is every frame of speech by opening and width, right each viseme class. Raises
-    CalibrationError for a calibration that measured nothing.
+    It shows recorded frames of speech by opening and width, coloured by the robot's error, and the
+    reach of each viseme class. Raises CalibrationError if `fit` is None: lips were not measured.
     """
     if fit is None:
         raise CalibrationError(
@@ -420,9 +424,9 @@ def draw_coverage(
 
 
 def draw_reach(folder: Path, calibration: Calibration) -> Path:
-    """Write `coverage.png`, the viseme classes of a calibration file, to `folder`; return its path.
+    """Write `coverage.png`, the reach of each viseme class, to `folder`; return its path.
 
-    Raises CalibrationError for a calibration that measured none.
+    Raises CalibrationError if the calibration measured none.
     """
     if not calibration.coverage:
         raise CalibrationError(
@@ -457,7 +461,11 @@ def _draw_classes(axes: "Axes", calibration: Calibration) -> None:
 def _best_off(
     model: FaceWithAnimPhos, fit: "MeasuredFit", frames: Array
 ) -> tuple[Array, Array, Array]:
-    """Return wanted opening and width, and the error of the best pose in either; (n,) each, mm."""
+    """Return the opening and width of the speaker's `frames`, and the error of the best pose.
+
+    (n,) mm each; the best pose is the nearest that the robot can make by `fit`, and its error the
+    larger of opening and width.
+    """
     from calibration.fit.measured import ShapeErrors
 
     found = ShapeErrors(model, fit.retargeting.mouth, fit.retargeting)

@@ -1,4 +1,4 @@
-"""`calibrate touch`: lips are closed step by step, and the calibration's contact is set anew."""
+"""`calibrate touch`: close the lips in steps, and set anew where a calibration has them meet."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -22,17 +22,17 @@ from lipsync.markers import MARKERS_47
 
 @dataclass(slots=True)
 class _Efforts:
-    """A tracker without markers that records the efforts of the mouth's servos in each pose."""
+    """A tracker without markers that records the mouth servos' loads in each pose of a capture."""
 
     face: HeldFace
     seen: list[Array] = field(default_factory=list)
     marker_names: tuple[str, ...] = ()
 
     def arrived(self, _pose: int, _reached_deg: Array) -> None:
-        """Do nothing: efforts are read by `measure`."""
+        """Do nothing: loads are read by `measure`."""
 
     def measure(self) -> Array:
-        """Record the servos' present efforts; return no markers, (0, 3)."""
+        """Record the servos' present loads, in stall torques; return no markers, (0, 3)."""
         self.seen.append(self.face.effort)
         return np.zeros((0, 3))
 
@@ -42,10 +42,10 @@ def touch_by_markers(
     calibration: Calibration,
     make_tracker: Callable[[HeldFace], Tracker],
 ) -> tuple[Calibration, float]:
-    """Close the lips step by step and set the calibration's contact by markers.
+    """Close the lips in steps, and set by markers where the calibration has them meet.
 
-    Returns the new calibration, and how many mm later its lips meet than before. Raises
-    CalibrationError.
+    Returns the new calibration, and how many mm later its lips meet than before. make_tracker:
+    makes the source of markers from held servos. Raises CalibrationError.
     """
     plan = _plan(setup, calibration)
     with held_servos(setup) as face:
@@ -59,7 +59,7 @@ def touch_by_markers(
 
 
 def touch_computed(setup: CalibrationSetup, calibration: Calibration) -> tuple[Calibration, float]:
-    """Set the contact as a rehearsal, by markers computed from the servos' positions.
+    """Do as `touch_by_markers`, for a rehearsal, with markers computed from servos' positions.
 
     Returns the new calibration, and how many mm later its lips meet than before.
     """
@@ -76,7 +76,7 @@ def touch_computed(setup: CalibrationSetup, calibration: Calibration) -> tuple[C
 def touch_by_current(
     setup: CalibrationSetup, calibration: Calibration
 ) -> tuple[Calibration, float]:
-    """Close the lips step by step and set the calibration's contact by motor current alone.
+    """Close the lips in steps, and set by motor current where the calibration has them meet.
 
     Returns the new calibration, and how many mm later its lips meet than before. Raises
     CalibrationError for servos that measure no current, or if one reaches its `max_current_ma`.

@@ -1,8 +1,8 @@
 """Whether a calibrated mouth stays within its joints' speeds while it speaks, as `run` moves it.
 
-The speaker's recorded AnimPhos, in orders that may follow each other, are mapped to joint angles,
-with backlash made up for, and planned as joint motion. A joint that should be faster than its
-`max_speed_deg_s` is held back by that plan; closures come first, and are counted behind the plan.
+AnimPhos, the speaker's recorded shapes of phonemes, in orders that may follow each other, are
+mapped to joint angles, with backlash made up for. `JointPlan` then limits them to each joint's
+`max_speed_deg_s`, giving priority to closures (lips that meet); those that remain are counted.
 """
 
 from dataclasses import dataclass
@@ -32,11 +32,12 @@ _REACHED_MM = 0.1
 
 @dataclass(frozen=True, slots=True)
 class WithinSpeeds:
-    """Shares of speech, 0..1, with joints too slow. beyond: any joint; slowest: the worst one.
+    """How often speech exceeds joints' speeds, in shares of its frames, 0..1.
 
-    reached_closures: of the closures that the calibration alone reaches, those that are reached
-    behind the plan; None: no contact is known. strength: the `lipservo set strength` that keeps all
-    but a hundredth of the frames within speeds; None: not even 0.4 does.
+    beyond: of any joint; slowest_beyond: of the worst one, `slowest`. reached_closures: share of
+    the closures that remain where speeds are limited; None: no contact is known, or none was
+    reached before. strength: the largest `lipservo set strength` that keeps 99 % of the frames
+    within speeds; None: not even 0.4 does.
     """
 
     beyond: float
@@ -70,8 +71,8 @@ def within_speeds(
 def spoken_frames(model: FaceWithAnimPhos, rng: np.random.Generator) -> Array:
     """Return random speech: walks without pauses through AnimPhos that may follow each other.
 
-    Each walk is short, as some AnimPhos lead round in a circle, and of a motion that repeats itself
-    there is no lag to measure.
+    AnimPhos are recorded shapes of phonemes. Each walk has eight, as some lead round in a circle,
+    and the lag of a motion that repeats itself cannot be measured.
 
     Parameters
     ----------
@@ -151,7 +152,7 @@ def _reached_share(
 
 
 def speed_line(found: WithinSpeeds) -> str:
-    """Return one line for a person about the joints' speeds in speech."""
+    """Return `found`, how often speech exceeds joints' speeds, as one line for a person."""
     reached = found.reached_closures
     closures = (
         ""

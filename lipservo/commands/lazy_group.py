@@ -99,7 +99,7 @@ class LazyGroup(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return click's (name, command, remaining arguments).
 
-        Fails with similar names for an unknown name.
+        For an unknown name it fails with a message that has similar names.
         """
         if args and self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
             near = get_close_matches(args[0], self.list_commands(ctx))

@@ -318,7 +318,7 @@ MOVED_OPTIONS: Final = {
 
 
 def port_of(given: str | None, of_the_face: str | None) -> str:
-    """Return the port given, else the face's. Raises UserError when neither is known."""
+    """Return the port `given` by the user, else the face's. Raises UserError without either."""
     port = given or of_the_face
     if port is None:
         raise UserError("no port: give --port, or write `port:` under `bus:` in the face's YAML")

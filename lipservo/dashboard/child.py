@@ -36,7 +36,7 @@ _END_S: Final = 2.0
 def bound_dashboard(listen: str | None, token: str | None) -> socket.socket:
     """Return a socket bound to `listen`, HOST:PORT; None: to loopback's port 8080 or the next free.
 
-    Raises UserError: no such address, one beyond loopback without a token, one that is in use.
+    Raises UserError for an unknown address, one in use, and one beyond loopback without token.
     """
     if listen is not None:
         return bind_listener(listen, token)
@@ -67,10 +67,11 @@ def dashboard_child(
     model: Path | None = None,
     open_page: bool = False,
 ) -> Iterator[None]:
-    """Serve the face at `control_path` in a browser, by a child process, until the block ends.
+    """Serve the dashboard of the face at `control_path`, by a child process, until the block ends.
 
     listener: from `bound_dashboard`; stays the caller's and must outlive the block. model: the file
-    of the face's model. token_file: the token that browsers must send; None: any local user.
+    of the face's model. token_file: the token that browsers must send; None: any local user may use
+    the dashboard. open_page: open a browser.
     """
     arguments = ["--control", str(control_path), "--listener", str(listener.fileno()), "--quiet"]
     arguments += ["--parent", str(os.getpid())]

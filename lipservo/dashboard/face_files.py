@@ -24,7 +24,7 @@ from lipsync.output_file import write_whole
 
 
 def own_yaml(config: str | None) -> Path:
-    """Return the path of the user's own YAML. Raises FaceError for a shipped face, or for None."""
+    """Return the YAML path of a user's own face. Raises FaceError for a shipped face, or None."""
     if config is None:
         raise FaceError("refused", "the face does not say where its YAML is")
     try:
@@ -36,7 +36,10 @@ def own_yaml(config: str | None) -> Path:
 def set_pulse_limit(
     config: str | None, servo: str, limit: PulseLimit, pulse_us: float
 ) -> dict[str, Any]:
-    """Write one pulse limit (us) of a hobby servo into the face's YAML; return all its limits."""
+    """Write one pulse limit (us) of a hobby servo into the face's YAML.
+
+    Returns the servo's name, all its limits, and a note on when they count.
+    """
     path = own_yaml(config)
     with face_errors():
         edit = found_limits.with_pulse_limit(path, servo, limit, pulse_us)
@@ -51,7 +54,8 @@ def set_pulse_limit(
 def saved_settings(config: str | None) -> dict[str, Any]:
     """Return the motion settings in the face's YAML, and `expression`, the amount of expression.
 
-    Motion settings that the YAML leaves out are missing; `expression` is always present.
+    config: the face's name or YAML path; None: not known. Motion settings that the YAML leaves out
+    are missing; `expression` is always present.
     """
     path = own_yaml(config)
     with face_errors():
@@ -60,7 +64,7 @@ def saved_settings(config: str | None) -> dict[str, Any]:
 
 
 def with_settings(path: Path, values: Mapping[str, float]) -> EditedYaml:
-    """Return an unwritten edit of the YAML at `path` with these settings. Raises FaceError."""
+    """Return an unwritten edit of the YAML at `path` with settings `values`. Raises FaceError."""
     places = {_place(name): value for name, value in values.items()}
     _text(path)
     with face_errors():
@@ -96,7 +100,11 @@ def sound_choices(config: str | None) -> dict[str, Any]:
 
 
 def choose_sound(config: str | None, values: Mapping[str, str | float]) -> dict[str, Any]:
-    """Write choices into `sound:` of the face's own YAML, for its next start, and return them."""
+    """Write choices into `sound:` of the face's own YAML, for its next start.
+
+    values: by key of that section. Returns the values and the file's name. Raises FaceError for a
+    shipped face.
+    """
     path = own_yaml(config)
     with face_errors():
         edited(path, {("sound", name): value for name, value in values.items()}).write()
@@ -106,7 +114,7 @@ def choose_sound(config: str | None, values: Mapping[str, str | float]) -> dict[
 def copy_shipped(config: str | None) -> dict[str, Any]:
     """Copy a shipped face's YAML into the working folder; return the file and a command to run it.
 
-    Raises FaceError for a face that is the user's own, and where the file already exists.
+    Raises FaceError for a user's own face, and if the file already exists.
     """
     if config is None or config.endswith((".yaml", ".yml")):
         raise FaceError("refused", "this face is your own: its YAML can be changed as it is")
@@ -130,7 +138,7 @@ def face_errors() -> Iterator[None]:
 
 
 def _place(name: str) -> Place:
-    """Return a setting's section and key in the YAML. Raises FaceError for one never saved."""
+    """Return the YAML section and key of setting `name`. Raises FaceError if it is never saved."""
     if name in ExpressionRequests.PASSING:
         raise FaceError("refused", f"{name} is for the moment and not saved")
     return ("expression", "amount") if name == "expression" else ("motion", name)

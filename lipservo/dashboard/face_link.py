@@ -73,9 +73,9 @@ class FaceLink:
 
     control_path: the face's present or last control socket: a stop is sent there without a search.
     layout: names of servos, states, phonemes, of the last face read. moment: the newest snapshot.
-    status: the face's newest answer, None before the first. trouble: why none comes now, or None.
-    history: encoded frames of the last seconds. on_moment: functions called at every tick. origins:
-    web pages that the face's YAML lists.
+    status: the face's newest answer, None before the first. trouble: why no answer comes now; None:
+    answers come. history: encoded frames of the last seconds. on_moment: functions called at every
+    tick. origins: web pages that the face's YAML lists.
     """
 
     def __init__(
@@ -87,8 +87,8 @@ class FaceLink:
     ) -> None:
         """Keep `find`, which returns the face's control socket; raises UserError, ControlError.
 
-        find is called in a thread. token: what the face's agent server requires; None: it is found,
-        where the face runs on this computer. control_path: the control socket, if it is known.
+        find is called in a thread. token: what the face's agent server requires; None: the token is
+        found if the face runs on this computer. control_path: the control socket, if it is known.
         """
         self._find = find
         self._token = token
@@ -122,7 +122,7 @@ class FaceLink:
 
     @property
     def answers(self) -> bool:
-        """Whether the last status request had an answer, and that is at most 1.5 s old."""
+        """Whether the last status request was answered, at most 1.5 s ago."""
         return self.trouble is None and self.status_age_s < STATUS_OLD_S + STATUS_EVERY_S
 
     def certainty(self) -> dict[str, Any]:
@@ -154,7 +154,7 @@ class FaceLink:
             self._put_away()
 
     def look(self) -> None:
-        """Read the face's newest snapshot, encode it into the history, and call `on_moment`."""
+        """Read the face's newest snapshot, add its frame to the history, call all `on_moment`."""
         now_s = self._clock()
         number, time_s = self.moment.number + 1, now_s - self._started_s
         if self._reader is None:
@@ -177,7 +177,7 @@ class FaceLink:
 
     @contextlib.contextmanager
     def waiting_for_end(self, wait_s: float) -> Iterator[float]:
-        """Yield how many seconds a stop may wait for its report; 0 if too many already wait."""
+        """Yield the seconds that a stop may wait for its report: `wait_s`, or 0 if many wait."""
         if not wait_s or self._n_waiting >= _MOST_WAITING:
             yield 0.0
             return
@@ -221,7 +221,10 @@ class FaceLink:
             await face.interrupt()
 
     async def change(self, values: Mapping[str, float]) -> Answer:
-        """Change settings of the face, all or none; return its answer. Raises FaceError."""
+        """Change the face's settings to `values`, all or none; return its answer.
+
+        Raises FaceError.
+        """
         if not values:
             raise FaceError("refused", "name at least one setting")
         for name, value in values.items():
@@ -230,7 +233,10 @@ class FaceLink:
         return await self._returned(lambda path: change_settings(path, dict(values)))
 
     async def servo(self, name: str, what: str) -> Answer:
-        """Switch one servo `off` or `on`, or `reboot` it; return the face's answer."""
+        """Switch one servo off or on, or reboot it, by `what`; return the face's answer.
+
+        what: `off`, `on` or `reboot`; any other word raises FaceError.
+        """
         if what not in set(ServoSwitch):
             raise FaceError("refused", f"{shown(what)}: there are off, on, reboot")
         return await self._returned(lambda path: switch_servo(path, name, ServoSwitch(what)))
@@ -250,7 +256,7 @@ class FaceLink:
         return await self._returned(lambda path: jog_pulse(path, name, pulse_us))
 
     async def jog_end(self) -> Answer:
-        """End jogging: moved servos go back, and the face goes on as before."""
+        """End jogging: moved servos return to the face's own goals."""
         return await self._returned(end_jog)
 
     async def look_at(self, yaw_deg: float | None, pitch_deg: float | None = None) -> Answer:
@@ -306,7 +312,10 @@ class FaceLink:
     async def _returned(
         self, call: Callable[[Path], Answer], pool: ThreadPoolExecutor | None = None
     ) -> Answer:
-        """Return the face's answer to `call`, made in a thread. Raises FaceError if refused."""
+        """Return the face's answer to `call`, run in a thread of `pool` (None: of commands).
+
+        Raises FaceError if the face refuses or none answers.
+        """
         loop = asyncio.get_running_loop()
         answer = await loop.run_in_executor(pool or self._others, partial(self._called, call))
         if "error" in answer:
@@ -314,7 +323,7 @@ class FaceLink:
         return answer
 
     def _called(self, call: Callable[[Path], Answer]) -> Answer:
-        """Return the result of `call` at the last known control socket, or at one found anew.
+        """Return the result of `call` with the last known control socket, or one found anew.
 
         Raises FaceError where no face answers. Blocks: called in a thread.
         """
@@ -345,7 +354,10 @@ class FaceLink:
             await asyncio.sleep(max(0.05, began_s + STATUS_EVERY_S - self._clock()))
 
     def _status_in_thread(self) -> tuple[dict[str, Any] | str, LiveBoard | None]:
-        """Return (the status, or a line why there is none; a new live board, or None)."""
+        """Return (the status, or a line why there is none; the face's live board).
+
+        The board is None while the present one works, and if none can be had.
+        """
         try:
             path = self.control_path
             if path is None or self._must_find:
@@ -367,7 +379,7 @@ class FaceLink:
         return answer, board
 
     def _read_origins(self, config: object) -> None:
-        """Store the web origins in the face's YAML, once a face; none if it is unreadable."""
+        """Store the web origins in the YAML `config`, once for each face; none if unreadable."""
         if config == self._origins_of or not isinstance(config, str):
             return
         try:

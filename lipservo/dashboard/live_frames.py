@@ -61,7 +61,7 @@ class Moment:
 
 @dataclass(slots=True)
 class _Side:
-    """The newest record of one writer of the board. seen_s: monotonic time when it was new."""
+    """The newest record of one writer of the board. seen_s: monotonic time of its arrival."""
 
     number: int = 0
     record: Record | None = None
@@ -88,7 +88,11 @@ class BoardReader:
         self.layout = board.layout
 
     def read(self, number: int, since_start_s: float, now_s: float) -> Moment:
-        """Return the newest records, and the peaks of sound since the last call, as a Moment."""
+        """Return a snapshot: the newest records, and the peaks of sound since the last call.
+
+        number: of the snapshot. since_start_s: since the dashboard started. now_s: a side with no
+        new record for GONE_S before it is gone.
+        """
         speech = self._board.speech_since(self._speech.number)
         peaks = b""
         if self._speech.number:
@@ -250,7 +254,7 @@ def encode(moment: Moment, layout: BoardLayout) -> bytes:
 
 
 def nothing(layout: BoardLayout) -> NDArray[np.float32]:
-    """Return an unknown angle, NaN, for every servo.
+    """Return NaN, an unknown angle, for every servo.
 
     Parameters
     ----------

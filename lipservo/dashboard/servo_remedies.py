@@ -42,7 +42,7 @@ _OF_STATE: Final = {
 
 
 def error_words(bits: int | None) -> list[dict[str, str]]:
-    """Return {error, meaning, remedy} of each hardware error bit that is set."""
+    """Return {error, meaning, remedy} of each hardware error bit that is set; [] for None."""
     known = [
         {"error": _named(error), "meaning": meaning, "remedy": remedy}
         for error, (meaning, remedy) in _OF_ERROR.items()
@@ -56,7 +56,7 @@ def error_words(bits: int | None) -> list[dict[str, str]]:
 
 
 def state_words(state: str) -> dict[str, str] | None:
-    """Return {meaning, remedy} for a state in which a servo is not driven; else None."""
+    """Return {meaning, remedy} for a state in which a servo is not driven; None for any other."""
     words = _OF_STATE.get(state)
     return None if words is None else {"meaning": words[0], "remedy": words[1]}
 
@@ -97,7 +97,7 @@ def listed_servos(status: Mapping[str, Any] | None, *, is_fresh: bool) -> list[d
 
 
 def _with_heat(status: Mapping[str, Any]) -> Callable[[str], bool]:
-    """Return a function that returns whether the servo of a name reports its temperature."""
+    """Return a function from a servo's name to whether that servo reports its temperature."""
     can: Mapping[str, Any] = status.get("capabilities") or {}
     bus_of = dict(zip(status.get("servos") or (), can.get("bus_of") or (), strict=False))
     return lambda name: bool(
@@ -126,9 +126,10 @@ def _released(words: str) -> dict[str, Any]:
 def _heard(
     health: Mapping[str, Any], state: str, *, is_fresh: bool, has_heat: bool
 ) -> dict[str, Any]:
-    """Return whether values came from the servo (heard), and whether it answers now (answers).
+    """Return {heard, answers}: whether values came from the servo, and whether it answers now.
 
-    Where the bus can read temperatures, only values with a temperature count.
+    health: the servo's readings; state: its state; is_fresh: both are current. Where the bus can
+    read temperatures, only values with a temperature count.
     """
     heard = is_fresh and bool(health)
     heard = heard and (health.get("temperature_degc") is not None or not has_heat)

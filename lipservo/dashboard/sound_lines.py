@@ -60,7 +60,7 @@ def checked_name(name: str) -> str:
 
 
 class SoundLines:
-    """The sound files and performances of one folder that a face plays from."""
+    """The lines (sound files and performances) of the folder that a face plays from."""
 
     def __init__(self, folder: Path | None) -> None:
         """Use this folder; None: the face plays no files, and every method raises FaceError."""
@@ -81,7 +81,7 @@ class SoundLines:
         return sorted(found, key=_name)[:_MOST_LISTED]
 
     def path_of(self, name: str) -> Path:
-        """Return the path of an existing line. Raises FaceError where there is none."""
+        """Return the path of the line of that name. Raises FaceError if there is none."""
         path = self.place_of(name)
         try:
             is_file = stat.S_ISREG(path.lstat().st_mode)
@@ -99,7 +99,10 @@ class SoundLines:
             raise FaceError("refused", f"{shown(name)}: {error.strerror}") from error
 
     def place_of(self, name: str) -> Path:
-        """Return the path for a line of that name, existing or not. Raises FaceError."""
+        """Return the path for a line of that name, existing or not.
+
+        Raises FaceError for a name that no line may have.
+        """
         return self._place() / checked_name(name)
 
     def _place(self) -> Path:
@@ -110,7 +113,7 @@ class SoundLines:
 
 
 def check_sound(path: Path, name: str) -> None:
-    """Raise FaceError unless the file is a sound or a performance. name: shown in the message."""
+    """Raise FaceError unless the file is a sound or a performance. name: for the message."""
     from lipsync.audio.file import checked_sound
 
     try:
@@ -137,7 +140,7 @@ class Uploads:
     async def store(
         self, place: Path, chunks: AsyncIterator[bytes], *, replace: bool = False
     ) -> dict[str, Any]:
-        """Write an upload to disk; it appears at `place` once it is whole and known to be sound.
+        """Write an upload to disk; the file appears at `place` once whole and checked.
 
         Parameters
         ----------

@@ -1,1 +1,1 @@
-"""Faces on a screen: a photograph that the model warps, a drawn robot, and films of both."""
+"""Faces on a screen: a photograph warped by the face model, a drawn robot, and films of both."""

@@ -49,7 +49,7 @@ class Display(Protocol):
 
 
 def check_film(path: Path) -> None:
-    """Raise UserError for a file name without a film's ending, MissingExtraError without PyAV."""
+    """Raise FilmError for a file name without a film's ending, MissingExtraError without PyAV."""
     if path.suffix.lower() not in FILM_ENDINGS:
         raise FilmError(f"{path}: name a film {' or '.join(FILM_ENDINGS)}")
     check_extra("av", "making a film")
@@ -89,8 +89,9 @@ def write_film(
 ) -> int:
     """Write pictures and their sound as a film; return the number of pictures.
 
-    Width and height are even, and equal in all pictures. sound: its file; None: a silent film. out:
-    replaced. Raises FilmError, OutputError, SoundError, MissingExtraError.
+    size: width and height in px of each picture, even. sound: its file; None: a silent film. out:
+    replaced. rate_hz: of pictures. progress: called with the number of pictures so far. Raises
+    FilmError, OutputError, SoundError, MissingExtraError.
     """
     check_film(out)
     import av
@@ -124,14 +125,14 @@ def write_film(
 
 
 def open_film(*given: Any, **how: Any) -> Any:
-    """Open a film by `av.open`, with its arguments."""
+    """Open a film to read or write it; arguments and result as of PyAV's `av.open`."""
     import av
 
     return av.open(*given, **how)
 
 
 class _Voice:
-    """The sound of a film, which is encoded as far as the pictures are."""
+    """The sound track of an open film, encoded in step with its pictures."""
 
     def __init__(self, file: Any, samples: NDArray[np.float32]) -> None:
         self._file, self._samples = file, samples
@@ -177,7 +178,7 @@ def _stereo(samples: NDArray[np.float32], rate_hz: int) -> NDArray[np.float32]:
 def _explained(out: Path, fault: type[Exception]) -> Iterator[None]:
     """Turn a block's error of type `fault` into OSError if it has an errno, else into FilmError.
 
-    The OSErrors are the disk's, which written_whole reports.
+    OSError is the disk's, which `written_whole` reports; FilmError names the film `out`.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""A film as it was requested: of one motion or two, each on a face."""
+"""The making of a requested film: one motion on a face, or two side by side."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -50,7 +50,11 @@ class FilmRequest:
 
 
 def make_film(request: FilmRequest, chosen: ChosenMotion, advance: Advance) -> dict[str, float]:
-    """Make the film; return its number of pictures and durations in s. Raises UserError."""
+    """Make the film; return its number of pictures, its duration and the time spent, in s.
+
+    chosen: options of the motion from the command line. advance: called with the step, the number
+    done and the number in all. Raises UserError.
+    """
     began_s = time.perf_counter()
     # What can be wrong with the face is told before anything is heard.
     displays = [_display(request)]
@@ -106,7 +110,7 @@ def photograph(
 ) -> PhotoFace:
     """Read a photograph, cut it to a film's size and fit the head to it. Raises UserError.
 
-    landmarks: file of the face's points; None: they are detected.
+    landmarks: file of the face's points; None: they are detected by the network in `landmarker`.
     """
     picture, share = read_photo(path)
     if landmarks is not None:
@@ -151,9 +155,10 @@ def _speech(request: FilmRequest, chosen: ChosenMotion) -> SpeechRequest:
 def _other(
     request: FilmRequest, chosen: ChosenMotion, first: FilmedMotion, stack: ExitStack
 ) -> FilmedMotion:
-    """Return the right-hand motion: a performance's, or that of the sound by another strategy.
+    """Return the motion at the right, `request.beside`: a performance's, or by another strategy.
 
-    It has the length of the motion at the left. Raises UserError.
+    It is cut or held to the length of `first`, the motion at the left, and its sound file exists
+    until `stack` is closed. chosen: options of the motion. Raises UserError.
     """
     assert request.beside is not None
     if Path(request.beside).suffix == SUFFIX:
@@ -184,7 +189,7 @@ def _pictures(motions: Sequence[FilmedMotion], displays: Sequence[Display]) -> I
 def _drawn(motion: FilmedMotion, display: Display) -> Callable[[int], Picture]:
     """Return a function that draws picture n of a motion.
 
-    A robot is drawn by the goals that a traced run sent to its servos, if the motion has them.
+    A robot alone is drawn at the goals that a traced run sent to its servos, if there are any.
     """
     if isinstance(display, RobotDisplay) and motion.sent_deg is not None:
         robot, sent = display, motion.sent_deg

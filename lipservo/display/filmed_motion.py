@@ -32,9 +32,9 @@ LONGEST_FILM_S = 600.0
 
 @dataclass(frozen=True, slots=True)
 class FilmedMotion:
-    """A motion to film. frames: one per picture, at n / rate. sound: its file; None: silent.
+    """A motion to film. frames: one per picture, n at n / rate s. sound: its file; None: silent.
 
-    servos, sent_deg (n, n_servos): the goals that a traced run sent to its servos; else empty.
+    servos, sent_deg (n, n_servos): the goals that a traced run sent to its servos; else (), None.
     """
 
     frames: tuple[Frame, ...]
@@ -45,10 +45,11 @@ class FilmedMotion:
 
 @dataclass(frozen=True, slots=True)
 class SpeechRequest:
-    """The known content of a sound or text, and how it becomes motion.
+    """What is known of the words of a sound, and the options by which it becomes motion.
 
-    script: a TextGrid; text: the words of the sound; with neither the recogniser finds the
-    phonemes. head: name of the face by whose expression head and eyes move; None: they are still.
+    config, model: the face's YAML and face model, None: the default one. script: a TextGrid;
+    text: the words of the sound; with neither the recogniser finds the phonemes. head: name of
+    the face by whose expression head and eyes move; None: they are still.
     """
 
     motion: MotionOptions
@@ -61,9 +62,9 @@ class SpeechRequest:
 
 @contextmanager
 def filmed(speech: str, request: SpeechRequest, rate_hz: int) -> Iterator[FilmedMotion]:
-    """Yield the motion of a sound file, a performance, or a text that is first synthesised.
+    """Yield the motion of `speech`: a sound file, a performance, or a text to synthesise.
 
-    Its sound file exists until the `with` block ends. Raises UserError.
+    The sound file exists until the `with` block ends. rate_hz: pictures a second. Raises UserError.
     """
     with ExitStack() as stack:
         path = Path(speech)
@@ -83,7 +84,10 @@ def filmed(speech: str, request: SpeechRequest, rate_hz: int) -> Iterator[Filmed
 
 
 def filmed_trace(trace: Path, sound: Path | None, model: Path | None, rate_hz: int) -> FilmedMotion:
-    """Return the motion of a traced run from sound time 0 on. Raises TraceError, UserError."""
+    """Return the motion of a traced run from sound time 0 to the end of `sound`, or of the trace.
+
+    sound: None: the film is silent. Raises TraceError, UserError.
+    """
     run = read_trace(trace)
     face = load_face(model)
     if run.model != face.checksum:
@@ -152,7 +156,10 @@ def _frames(times_s: Array, faces: Array, tracks: dict[str, Array]) -> tuple[Fra
 
 
 def _spoken(text: str, config: str, folder: Path) -> tuple[Path, Path | None]:
-    """Synthesise a text by the face's voice; return the sound file, and a phoneme file or None."""
+    """Synthesise a text by the face's voice into `folder`; return the sound file and a TextGrid.
+
+    The TextGrid of its phonemes is None if the voice does not report them.
+    """
     speaker = speaker_of(load_settings(config)[0].sound, load_settings(config)[1])
     voice = Voice("en-us", speaker.voice)
     sentences = list(speak_in_pieces(synthesizer_for(speaker.synthesizer), text, voice))

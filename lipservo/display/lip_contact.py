@@ -21,8 +21,8 @@ _LIP_MM = 6.0
 class Mesh:
     """The flat mesh of a photograph, from the back to the front.
 
-    rest_px (n, 2): its vertices in the photograph. triangles (n_triangles, 3), in drawing order.
-    skin: rows of `triangles` that are skin.
+    rest_px (n, 2): its vertices in the photograph. triangles (n_triangles, 3): rows of `rest_px`,
+    in drawing order. skin: rows of `triangles` that are skin.
     """
 
     rest_px: Array
@@ -33,10 +33,10 @@ class Mesh:
 class LipContact:
     """A correction that brings a photograph's lips together where the model's lips touch.
 
-    The targets move the lips of the photograph as far as the speaker's, so that their distance when
-    they should touch is the difference of two faces. It is removed in proportion as the model's
-    lips come nearer to each other than they are in the photograph. Lips that would overlap meet in
-    the middle. Its parts are public for the page, which computes them in the same manner.
+    Photographed lips are moved as far as the speaker's, which have another shape: where the
+    speaker's touch, a gap remains. It is removed in proportion as the model's lips come nearer to
+    each other than they are in the photograph. Lips that would overlap meet in the middle.
+    Attributes are public for `photo_packed.py`: a web page computes the same from them.
     """
 
     def __init__(self, photo: PhotoFace, own_px: Array, lips: Indices) -> None:
@@ -91,9 +91,10 @@ class LipContact:
 
 
 def _felt_by(own_px: Array, rim: Indices, reach_px: float, side: Array) -> sparse.csr_array:
-    """Return (n, n_rim): how far each vertex of one lip moves with the vertices of its rim.
+    """Return (n, n_rim): how far each skin vertex moves with each vertex of a lip's rim, 0 to 1.
 
-    side (2,): the direction from the rim to the lip.
+    own_px (n, 2): the vertices; rim: rows of it. reach_px: distance at which 1/e is left. side
+    (2,): direction from the rim to its lip; vertices at the other side do not move.
     """
     apart = own_px[:, None] - own_px[None, rim]
     nearest = np.argmin((apart**2).sum(axis=2), axis=1)
@@ -108,7 +109,7 @@ def _felt_by(own_px: Array, rim: Indices, reach_px: float, side: Array) -> spars
 
 
 class Unfolding:
-    """A correction that prevents triangles from turning over, by moving them as a whole."""
+    """A correction of a moved mesh: triangles of skin that would turn over are moved as a whole."""
 
     def __init__(self, rest_px: Array, mesh: Mesh) -> None:
         self._rest, self._triangles = rest_px, mesh.triangles[mesh.skin]

@@ -1,8 +1,8 @@
 """The mouth's inside as seen between the lips of a photograph: teeth, tongue and darkness.
 
-Teeth and tongue are the twin's own (`lipsync/twin/parts.py`), drawn once as small pictures: the
-upper ones stay with the head, the lower ones and the tongue move with the jaw. They darken as the
-lips close, since less light enters.
+Teeth and tongue are those of the twin, the program's own head (`lipsync/twin/parts.py`), drawn once
+as small pictures: upper teeth stay with the head, lower teeth and the tongue move with the jaw. All
+darken as the lips close, since less light enters.
 """
 
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ SHADOW_MM = 2.2
 
 @dataclass(frozen=True, slots=True)
 class _Sprite:
-    """A small picture, (rows, columns, 4) with its coverage, and the position of its corner, px."""
+    """A small picture, (rows, columns, 4) with coverage; corner_px (3,): its place, with depth."""
 
     pixels: Pixels
     corner_px: Array
@@ -45,9 +45,9 @@ class _Sprite:
 
 @dataclass(frozen=True, slots=True)
 class SeenPart:
-    """A part of the twin in the photograph's own pose and light.
+    """A part of the twin (the program's own head) in the pose of a photograph, shaded.
 
-    places_px (n, 3), with depth. colours (n, 3): sRGB, 0 to 255. triangles: from the back.
+    places_px (n, 3), with depth. colours (n, 3): sRGB, 0 to 255. triangles: from back to front.
     """
 
     places_px: Array
@@ -58,9 +58,9 @@ class SeenPart:
 class MouthParts:
     """The parts behind the lips of one photograph. lips_px (n, 3): the inner rim as photographed.
 
-    upper: the upper teeth; lower: the lower teeth and the tongue. jaw_px: how far 1 of each target
-    moves the lower part. upper_rows, lower_rows: of the rim, from corner to corner, pair by pair.
-    hidden_px (n_pairs,): distance of each pair up to which nothing is seen between the lips.
+    upper: the upper teeth; lower: the lower teeth and the tongue. jaw_px: by target, how far the
+    amount 1 of it moves `lower`. upper_rows, lower_rows: rows of the rim, from corner to corner,
+    that face each other. hidden_px (n_pairs,): gap of each pair up to which nothing is seen inside.
     """
 
     def __init__(self, photo: PhotoFace, lips_px: Array) -> None:
@@ -114,7 +114,7 @@ class MouthInside:
         lips_px : Array
             (n, 3) pixels and depth, the inner rim as moved.
         turned : tuple[Array, Array]
-            Rotation and shift of the head, in pixels.
+            Rotation and shift of the head, in pixels, from `PhotoWarp.turn`.
         """
         import cv2
 
@@ -168,7 +168,10 @@ class MouthInside:
 
 
 class _Opening:
-    """The opening between the inner lips: the open share of each pixel, along the mouth's axis."""
+    """The opening between the inner lips, as seen by each pixel of a view of a picture.
+
+    hole: open share of each pixel, 0 to 1; cover: the same without the gap that shows nothing.
+    """
 
     def __init__(
         self,
@@ -204,7 +207,10 @@ class _Opening:
         self._along, self._is_upper = s, (t - top) < (bottom - t)
 
     def nearest_lip(self, rest_px: Array) -> tuple[Pixels, Pixels]:
-        """Return for each pixel the x and y, in the photograph, of the nearer lip's rim."""
+        """Return for each pixel the nearer lip's rim: its x and y in the photograph.
+
+        rest_px (n, 2): the inner rim in the photograph.
+        """
         found = []
         for axis in (0, 1):
             upper, lower = (
@@ -222,7 +228,10 @@ def _placed(
     low: NDArray[np.int_],
     shape: tuple[int, int],
 ) -> Pixels:
-    """Return a sprite's pixels, turned and moved, in a view of `shape` with its corner at `low`."""
+    """Return a sprite's pixels in a view of `shape` whose corner is at `low` in the picture.
+
+    It is moved by `moved_px` and then turned with the head, by rotation and shift.
+    """
     import cv2
 
     turn, shift = turned
@@ -236,7 +245,7 @@ def _placed(
 
 
 def _seen_part(photo: PhotoFace, part: Part, own: dict[str, float]) -> SeenPart:
-    """Return a part of the twin, shaded, in the pose of the photograph."""
+    """Return a part of the twin, shaded, in the photograph's pose; `own`: amounts by target."""
     places_mm = part.places_mm.copy()
     for name, moves in part.morphs.items():
         places_mm += own.get(name, 0.0) * moves

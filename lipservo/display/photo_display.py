@@ -1,4 +1,4 @@
-"""Drawing of a photograph with the face of a frame: layer on layer, as pixels of one picture.
+"""Drawing of a photograph with the mouth and expression of a frame, layer on layer.
 
 From the back: the still parts, the eyes and the skin, warped by `photo_warp.py`; the mouth's inside
 with tongue and teeth, seen through the lips. The skin is never painted: each of its pixels comes
@@ -59,7 +59,7 @@ class PhotoDisplay:
         return self._photo.own
 
     def model_moves_px(self, face: FaceModel, coefficients: Array) -> Array:
-        """Return how far the model's points are moved from their positions in the photograph.
+        """Return how far a mouth shape moves the model's points from where they are photographed.
 
         Parameters
         ----------
@@ -83,7 +83,7 @@ class PhotoDisplay:
         return width, height
 
     def draw(self, frame: Frame) -> Picture:
-        """Return the photograph with the face of a frame, (height, width, 3)."""
+        """Return the photograph with a frame's mouth and expression, (height, width, 3) RGB."""
         import cv2
 
         moved_px, depth_px = self.warp.moved(frame)
@@ -126,7 +126,7 @@ class PhotoDisplay:
         return maps
 
     def _coarse(self, moved_px: Array) -> NDArray[np.float32]:
-        """Return the map of the whole mesh, drawn for every fourth pixel and interpolated."""
+        """Return the map of `source_of` for all of the mesh, computed at every fourth pixel."""
         import cv2
 
         corner = np.array(self.corner_px)

@@ -1,9 +1,8 @@
 """A photograph of a face that a face model can move: the mean head fitted to its landmarks.
 
-The head of the twin is fitted to the landmarks, by a similarity and then, as a thin shell, through
-each of them; with it come the model's targets, lids, brows, smile, teeth and tongue
-(`lipsync/twin/twin.py`), in the proportions of this face. So a photograph is a twin whose skin has
-its pixels for a colour, and any drawing of a twin can draw it.
+The mean head is fitted to the landmarks, by a similarity and then, as a thin shell, through each of
+them. From it a twin is made (`lipsync/twin/twin.py`: a head with the model's motions, lids, brows,
+smile, teeth and tongue), in the proportions of this face, whose skin is coloured by the photograph.
 """
 
 from collections.abc import Mapping
@@ -104,7 +103,7 @@ class LipGaps:
 
 @dataclass(frozen=True, slots=True)
 class PhotoFace:
-    """A photograph with a head in it.
+    """A photograph with a head fitted to it.
 
     picture (height, width, 3). twin: the head, in mm; at coefficients `own` it is as photographed.
     matrix (3, 3), shift_px (3,): `places_mm @ matrix.T + shift_px` are pixels, x right, y down and
@@ -191,14 +190,14 @@ def photo_face(picture: Picture, landmarks_px: Mapping[int, Array], face: FaceMo
 
 
 def _with_depth(points: list[Array]) -> Array | None:
-    """Return the points as (n, 3), y up and z to the viewer; None if one has no depth."""
+    """Return the points as (n, 3), y up and z to the viewer; None if any has no depth."""
     if any(len(point) < 3 for point in points):
         return None
     return np.stack(points) * (1.0, -1.0, -1.0)
 
 
 def _check_size_and_pose(face_px: float, rotation: Array) -> None:
-    """Raise PhotoError for a face that is too small or turned too far."""
+    """Raise PhotoError for a face under 60 px (`face_px`), or turned more than 30 degrees."""
     if face_px < LEAST_FACE_PX:
         raise PhotoError(
             f"the face is {face_px:.0f} pixels wide, {LEAST_FACE_PX:.0f} are needed; take a larger "
@@ -222,7 +221,10 @@ def _worn(
     landmarks_px: Mapping[int, Array],
     back: tuple[Array, Array, Array],
 ) -> MeanFace:
-    """Return the mean head with landmarks moved to this face's, and all else following smoothly."""
+    """Return the mean head with its landmarks `numbers` at `own_mm`, the rest following smoothly.
+
+    landmarks_px: for the irises, which `back` (scale, rotation, shift) brings from pixels to mm.
+    """
     surface = head_surface(mean)
     still = np.flatnonzero(mean.behind > 2.0)
     held = np.concatenate([numbers, still])
@@ -241,7 +243,7 @@ def _worn(
 
 
 def lip_gaps(face: FaceModel) -> LipGaps:
-    """Return the lip gaps of a model; only its own gap if its layout has no inner lips."""
+    """Return the gaps along a model's lips; one gap in the middle if it has no inner lips."""
     landmarks = face.layout.landmarks
     found = [
         (n / (len(_LIP_PAIRS) + 1), landmarks.index(upper), landmarks.index(lower))
@@ -256,10 +258,10 @@ def lip_gaps(face: FaceModel) -> LipGaps:
 
 
 def _own_coefficients(face: FaceModel, gaps: LipGaps, worn: MeanFace) -> Array:
-    """Return the coefficients of the mouth in a photograph: rest, or as open as its inner lips are.
+    """Return the coefficients of the mouth in a photograph: rest if its lips are closed.
 
-    Of all mouths with these lip gaps it is the likeliest by the model's covariance; proportions
-    that differ from the speaker's are no motion.
+    worn: the head fitted to it. Otherwise, of all mouths with its lip gaps, the likeliest by the
+    model's covariance; proportions that differ from the speaker's are not counted as motion.
     """
     upper, lower = (list(each) for each in zip(*_LIP_PAIRS, strict=True))
     own_mm = worn.vertices_mm[upper, 1] - worn.vertices_mm[lower, 1]

@@ -37,9 +37,9 @@ Landmarks = Mapping[int, Array]
 
 
 def read_photo(path: Path) -> tuple[Picture, float]:
-    """Return a photograph, upright, RGB, at most 1920 px long, and its scale to the file.
+    """Return a photograph, upright, RGB, at most 1920 px long, and its scale.
 
-    The scale is the picture's width by the file's. Raises PhotoError, MissingExtraError.
+    The scale is its width by that in the file. Raises PhotoError, MissingExtraError.
     """
     check_extra("PIL", "reading a photograph")
     from PIL import Image, ImageOps
@@ -88,7 +88,10 @@ def _red_green_blue(image: Any) -> Any:
 
 
 def tracked(picture: Picture, tracker: FaceTracker, name: str) -> Landmarks:
-    """Return the landmarks of the one face in a picture. Raises PhotoError for none, or several."""
+    """Return the landmarks of the one face in a picture, in pixels.
+
+    Raises PhotoError for no face, or several; `name` is the picture's in the message.
+    """
     faces = tracker.faces(picture)
     if not faces:
         raise PhotoError(
@@ -104,8 +107,8 @@ def tracked(picture: Picture, tracker: FaceTracker, name: str) -> Landmarks:
 def read_landmarks(path: Path, share: float) -> Landmarks:
     """Read landmarks from a JSON file: `{"points_px": {"nose_tip": [x, y], ...}}`.
 
-    Names of `HAND_POINTS` or numbers of the 478-point face mesh, in pixels of the photograph's
-    file, z (away from the viewer) where it is known. share: the scale of the picture to that file,
+    Keys are names of `HAND_POINTS` or numbers of the 478-point face mesh; values are pixels of the
+    photograph's file, with z (away from the viewer) if known. share: the scale from `read_photo`,
     by which they are multiplied. Raises PhotoError.
     """
     try:
@@ -123,7 +126,10 @@ def read_landmarks(path: Path, share: float) -> Landmarks:
 
 
 def landmarks_of(points: object) -> Landmarks:
-    """Return the landmarks in the value of `points_px`. Raises PhotoError without a file's name."""
+    """Return landmarks from unchecked JSON, {name or number: [x, y] or [x, y, z]}.
+
+    Raises PhotoError, whose message names no file.
+    """
     try:
         named = dict(points)  # type: ignore[call-overload]
         found = {_number(name): np.array(place, dtype=np.float64) for name, place in named.items()}
@@ -148,7 +154,10 @@ def _no_points(error: Exception) -> str:
 def framed(
     picture: Picture, landmarks: Landmarks, size: tuple[int, int]
 ) -> tuple[Picture, Landmarks]:
-    """Cut and scale a picture and its landmarks to (width, height), the face in the middle."""
+    """Return a picture and its landmarks, cut and scaled to `size`, (width, height) px.
+
+    The face is in the middle, as far as the picture has room.
+    """
     import cv2
 
     height, width = picture.shape[:2]

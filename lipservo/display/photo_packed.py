@@ -1,4 +1,4 @@
-"""The warp of a photograph as bytes for a page: all that moves its mesh, but no pixel of it.
+"""The warp of a photograph as bytes for a web page: the mesh and what moves it, without pixels.
 
 A header and arrays, packed like those of a twin (`lipsync/twin/packed.py`). All lengths are in
 pixels of the photograph, x right, y down, z to the viewer, so that a page needs neither the head
@@ -26,8 +26,8 @@ from lipsync.twin.packed import Body
 def pack_photo(photo: PhotoFace, face: FaceModel) -> bytes:
     """Return mesh, targets, lip contact and the mouth's inside of a photograph as bytes for a page.
 
-    face: the model whose rest is shown first. lipservo/dashboard/static/show/photo_warp.js reads
-    them.
+    face: the model whose rest is shown first. lipservo/dashboard/static/show/photo_warp.js is the
+    reader.
     """
     warp, body = PhotoWarp(photo), Body()
     parts = MouthParts(photo, warp.own_px[warp.lips])

@@ -1,4 +1,4 @@
-"""The warp of a photograph: its flat mesh, whose vertices are moved by a frame.
+"""The warp of a photograph: a flat mesh, whose vertices are moved by a frame.
 
 From the back: rings round the face, which follow its rim; the eyes; the skin with the lips, moved
 by the model's targets. Lips touch where the model's do, and no triangle turns over
@@ -30,10 +30,10 @@ MOST = {"lid_left": (0.0, 1.0), "lid_right": (0.0, 1.0), "brow": (-0.4, 1.0), "s
 class PhotoWarp:
     """The mesh of one photograph, moved by frames.
 
-    places_mm (n_skin, 3) and targets: of the skin's vertices, the first of the mesh, on the head in
-    mm. lips, rim: rows of the skin's loops, from a corner of the mouth. eyes: for each eye, rows of
-    its loop. After the skin come the vertices of each eye, its loop and then its middle; the rings
-    are last.
+    The mesh's vertices are those of the skin, then of each eye its rim and its middle, then rings
+    round the face. places_mm (n_skin, 3): the skin's vertices on the head; targets: how far 1 of
+    each moves them, mm. lips, rim, eyes: rows of the skin's vertices round the inner lips (from a
+    corner), the face and each eye.
     """
 
     def __init__(self, photo: PhotoFace) -> None:
@@ -97,7 +97,7 @@ class PhotoWarp:
         return self._unfold.unfolded(np.vstack([skin[:, :2], *eyes, rings])), skin[:, 2]
 
     def turn(self, frame: Frame) -> tuple[Array, Array]:
-        """Return a frame's head rotation and shift, `px @ turn.T + shift`, about the pivot."""
+        """Return a frame's head rotation and shift about the neck, `px @ turn.T + shift`."""
         angles = pose_rad(frame)
         if not any(angles):
             return np.eye(3), np.zeros(3)
@@ -123,7 +123,10 @@ class PhotoWarp:
 
 
 def amounts_of(frame: Frame, components: tuple[str, ...]) -> dict[str, float]:
-    """Return the amount of each target in a frame, clipped; 0 for an expression that is not set."""
+    """Return the amount of each target in a frame; `components` name its coefficients.
+
+    Those of the expression are clipped to `MOST`, and 0 if they are not set.
+    """
     amounts = dict(zip(components, np.asarray(frame.coefficients).tolist(), strict=True))
     values = {each.name: getattr(frame.expression, each.name) for each in fields(frame.expression)}
     for name, (least, most) in MOST.items():
@@ -135,7 +138,7 @@ def amounts_of(frame: Frame, components: tuple[str, ...]) -> dict[str, float]:
 
 
 def pose_rad(frame: Frame) -> tuple[float, float, float]:
-    """Return pitch, yaw and roll of a frame's head in rad, limited to what a photograph shows."""
+    """Return pitch, yaw and roll of a frame's head in rad, limited to `MOST_POSE_DEG`."""
     expression = frame.expression
     angles_deg = (expression.neck_pitch_deg, expression.neck_yaw_deg, expression.neck_roll_deg)
     most = MOST_POSE_DEG.values()
@@ -165,7 +168,7 @@ def rotation(pitch: float, yaw: float, roll: float) -> Array:
 
 
 def _half_as_fine(triangles: Indices) -> Indices:
-    """Return the triangles before the last subdivision, one for each four."""
+    """Return the triangles before the last subdivision into four, (n, 3) -> (n / 4, 3)."""
     four = triangles.reshape(-1, 4, 3)
     return np.column_stack([four[:, 0, 0], four[:, 1, 1], four[:, 2, 2]])
 
@@ -182,7 +185,7 @@ def _loop(loops: list[Indices], start: Indices) -> Indices:
 
 
 def _fan(first: int, n: int) -> Indices:
-    """Return triangles from a loop of `n` vertices to its middle, the vertex after them."""
+    """Return triangles from a loop of `n` vertices from `first` on to its middle, the next one."""
     here = first + np.arange(n)
     return np.column_stack([here, np.roll(here, -1), np.full(n, first + n)])
 
@@ -195,7 +198,7 @@ def _band(inner: Indices, outer: Indices) -> Indices:
 
 
 def _smooth(moves: Array) -> Array:
-    """Return the moves averaged over neighbours on the rim, so that the rings do not cross."""
+    """Return the rim's moves (n, 2), averaged over neighbours, so that rings do not cross."""
     near = range(-RIM_NEIGHBOURS, RIM_NEIGHBOURS + 1)
     around = [np.roll(moves, shift, axis=0) for shift in near]
     return np.asarray(np.mean(around, axis=0))

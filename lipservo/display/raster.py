@@ -87,14 +87,17 @@ def covered(corners_px: Array, height: int, width: int) -> Covered:
 
 
 def _counted(counts: Indices, begin: Indices) -> tuple[Indices, Indices]:
-    """Return each index repeated `counts` times, and beside it begin, begin + 1, ..."""
+    """Return each index i repeated `counts[i]` times, and beside it begin[i], begin[i] + 1, ..."""
     which = np.repeat(np.arange(len(counts)), counts)
     before = np.cumsum(counts) - counts - begin
     return which, np.arange(len(which)) - np.repeat(before, counts)
 
 
 def _ends(x: Array, y: Array, of_span: Indices, row: Array) -> tuple[Array, Array]:
-    """Return the x where rows (n,) enter and leave their triangles; 0 and -1: it is not crossed."""
+    """Return the x at which rows (n,) enter and leave their triangles; 0 and -1 if they do not.
+
+    x, y (m, 3): corners of the triangles; of_span (n,): the triangle of each row.
+    """
     left, right = np.full(len(row), np.inf), np.full(len(row), -np.inf)
     for a, b in ((0, 1), (1, 2), (2, 0)):
         rise = y[:, b] - y[:, a]

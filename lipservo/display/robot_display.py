@@ -1,4 +1,4 @@
-"""A drawing of a robot from the front, at given servo angles: the page's drawing, as pixels.
+"""A drawing of a robot from the front at given servo angles: the dashboard's, as pixels.
 
 Geometry, directions and colours are those of lipservo/dashboard/static/live/robot_figure.js: horns
 of 8 mm at the lips, the jaw hinged 88 mm behind the incisors.
@@ -38,10 +38,10 @@ _BITS = 4
 
 
 class RobotDisplay:
-    """A display of a face's robot, for frames or for angles of its servos. Needs OpenCV."""
+    """A drawing of a face's robot, for frames or for angles of its servos. Needs OpenCV."""
 
     def __init__(self, face: Face, size: tuple[int, int], period_s: float) -> None:
-        """Prepare the drawing. period_s: time between two frames, which limits a head's speed."""
+        """Prepare the drawing. size: width, height in px; period_s: time between two frames."""
         check_extra("cv2", "drawing a robot")
         self._size = size
         self._rig = robot_rig(face.settings.servos)
@@ -90,7 +90,10 @@ class RobotDisplay:
 def moved_channels(
     rig: Mapping[str, RigServo], positions_deg: Mapping[str, float]
 ) -> dict[tuple[str, str], float]:
-    """Return the servos' angles in the drawing's directions, in degrees, by (channel, side)."""
+    """Return degrees by (channel, side), in the drawing's directions, from angles of servos.
+
+    A channel is a motion of the drawing, as `jaw`. Servos without one in `rig` are left out.
+    """
     found: dict[tuple[str, str], float] = {}
     for name, deg in positions_deg.items():
         servo = rig.get(name)
@@ -102,7 +105,7 @@ def moved_channels(
 
 
 class _Canvas:
-    """One picture of the robot, on which its parts are drawn."""
+    """A picture on which the robot is drawn. moved: degrees by (channel, side)."""
 
     def __init__(
         self,
@@ -122,7 +125,7 @@ class _Canvas:
         self._narrow = np.array([np.cos(np.radians(yaw)), 1.0])
 
     def head(self, has_eyes: bool) -> None:
-        """Draw neck, skull, nose, brows, and eyes if there are any."""
+        """Draw neck, skull, nose and brows, and eyes if `has_eyes`."""
         self._fill(_box(158, 330, 84, 88), _JAW, _LINE, "field")
         self._fill(np.array([[128, 408], [272, 408], [286, 430], [114, 430]]), _JAW, _LINE, "field")
         jaw_units = _UNIT * self._jaw_mm
@@ -206,7 +209,10 @@ class _Canvas:
         return self._moved.get((channel, side), 0.0)
 
     def _placed(self, points: Array, on: str) -> Array:
-        """Return the pixels of points given on the face's front, on its skull, or on the field."""
+        """Return the pixels of points in drawing units; `on`: they turn with `face` or `skull`.
+
+        On `field` they are still.
+        """
         at = np.asarray(points, dtype=np.float64)
         if on == "face":
             at = (at - (200.0, 0.0)) * self._narrow + (200.0, 0.0) + self._feature_shift

@@ -1,4 +1,4 @@
-"""The face shipped with the program: the twin's own picture, a photograph of no person."""
+"""The face shipped with the program: a picture of the twin, its own head, not of a person."""
 
 from importlib import resources
 from typing import Final
@@ -19,14 +19,14 @@ TWIN_AT_PX: Final = (479.5, 285.5)
 
 
 def twin_face(face: FaceModel, size: tuple[int, int]) -> PhotoFace:
-    """Return the twin's picture in a size (px), to be moved by a model. Raises TwinError."""
+    """Return the shipped picture, in `size` (px), to be moved by a model. Raises TwinError."""
     with resources.as_file(resources.files("lipservo.display") / "twin.jpg") as path:
         picture, _ = read_photo(path)
     return photo_face(*framed(picture, twin_landmarks(), size), face)
 
 
 def twin_landmarks() -> Landmarks:
-    """Return the landmarks in the shipped picture: of the shipped model's twin with closed lips."""
+    """Return the landmarks in the shipped picture, in px: of the default model's head at rest."""
     skin = (twin := make_twin(load_face())).parts[0]
     places = skin.places_mm[:N_SKIN].copy()
     for name, amount in zip(twin.components, twin.rest.tolist(), strict=True):

@@ -72,7 +72,10 @@ def labels(settings: FaceSettings) -> list[str]:
 
 
 def plain_values(settings: BaseModel) -> dict[str, object]:
-    """Return the settings that are numbers, flags or listed words, and the model, by name."""
+    """Return settings that are numbers, flags or words of a fixed list, and `model`, by name.
+
+    model: of a servo; left out for settings of anything else.
+    """
     values: dict[str, object] = {}
     for name, field in type(settings).model_fields.items():
         value = getattr(settings, name)
@@ -89,7 +92,7 @@ def examined(
     secrets: Sequence[str],
     examine: Callable[[FaceSettings], Iterator[Finding]],
 ) -> list[dict[str, str]]:
-    """Return the findings of `doctor`, scrubbed, with joints named by labels.
+    """Return the findings of `doctor`, scrubbed, with joints named servo_1, servo_2, ...
 
     secrets: texts to be removed. examine: yields findings; a BusError from it counts as one.
     """
@@ -112,7 +115,10 @@ def _finding(finding: Finding, secrets: Sequence[str]) -> dict[str, str]:
 
 
 def secrets_of(settings: FaceSettings, config: str) -> list[str]:
-    """Return texts of this face and computer that no report may contain, the longest first."""
+    """Return texts of this face and computer that no report may contain, the longest first.
+
+    They are names and paths. config: the face's name or YAML path.
+    """
     port = settings.servo_port or ""
     found = {port, os.path.realpath(port) if port else "", config, settings.name, platform.node()}
     found |= {os.environ.get(name, "") for name in ("USER", "LOGNAME", "HOME", "HOSTNAME")}
@@ -132,9 +138,9 @@ def scrubbed(text: str, secrets: Sequence[str]) -> str:
 
 
 def limp_loop(bus: ServoBus, rate_hz: float, seconds: float, clock: Clock) -> Report:
-    """Read and write limp servos for some seconds; return durations (ms) and counts of errors.
+    """Read and write limp servos for `seconds`; return durations (ms) and counts of errors.
 
-    Goals are the servos' present positions: no servo moves.
+    Goals are the servos' present positions: no servo moves. rate_hz: reads and writes a second.
     """
     goals_deg = bus.read().start_deg(bus.capabilities)
     has_place = bus.capabilities.place

@@ -76,7 +76,7 @@ class _Column:
 
 
 class _Counted:
-    """A converter of counts since a run began into counts since the previous record."""
+    """A converter of counts since a run of the face began into counts since the previous record."""
 
     def __init__(self) -> None:
         self._number: float = -1.0
@@ -88,7 +88,8 @@ class _Counted:
     ) -> Counter[tuple[str, str]]:
         """Return how much each count rose since the last record, by servo and quantity.
 
-        The first record of a log that begins in the middle of a run counts as no rise.
+        names: of the servos. number: of the record in its run, from 0. The first record of a log
+        that begins in the middle of a run counts as no rise.
         """
         now = {
             (name, key): value
@@ -155,7 +156,10 @@ def read_history(folders: Iterable[Path], days: int) -> History:
 def _read_lines(
     lines: Iterable[bytes], columns: dict[str, _Column], counted: _Counted
 ) -> tuple[int, int]:
-    """Add log lines to the columns of their servos; return (lines parsed, lines not parsed)."""
+    """Add log lines to `columns`, by servo; return (lines parsed, lines not parsed).
+
+    counted: converts counts since the run began into those of each line.
+    """
     good = bad = 0
     for line in lines:
         if not line.strip():
@@ -177,7 +181,10 @@ def _read_lines(
 
 
 def _parse(line: bytes) -> tuple[list[str], float, dict[str, list[float]]]:
-    """Parse a log line to (names, number, columns). Raises ValueError, TypeError, KeyError."""
+    """Parse a log line to (servo names, number in its run, values by quantity).
+
+    Raises ValueError, TypeError, KeyError, and what damaged JSON and numbers raise.
+    """
     raw = json.loads(line)
     names = raw["servos"]
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
@@ -266,7 +273,7 @@ def theil_sen_slope(times: NDArray[np.float64], values: NDArray[np.float64]) -> 
 
 
 def _troubles(name: str, days: Sequence[ServoDay]) -> list[str]:
-    """Return a sentence each for errors, restarts and unanswered requests of a servo lately."""
+    """Return a sentence each for recent errors, restarts and unanswered requests of a servo."""
     newest = days[-_FRESH_DAYS:]
     lines = []
     errors = 0
@@ -327,7 +334,10 @@ def _trends(name: str, days: Sequence[ServoDay], shared: Mapping[date, float]) -
 
 
 def _change(values: Mapping[date, float]) -> tuple[float, int] | None:
-    """Return (rise, days) of values by their linear trend; None where the rise may be chance."""
+    """Return (change, days it took) by the linear trend; None if the change may be chance.
+
+    Also None for too few days with a value.
+    """
     known = sorted((day.toordinal(), v) for day, v in values.items() if math.isfinite(v))
     if len(known) < _FEWEST_DAYS:
         return None

@@ -39,8 +39,8 @@ DAY_FILE = re.compile(r"\d{4}-\d\d-\d\d\.jsonl")
 def log_folder(face: str, port: str, environment: Mapping[str, str]) -> Path | None:
     """Return the folder for the readings of a face at a port; None: the user has no state folder.
 
-    A pseudo-terminal leads to simulated servos: these have a folder of their own, or a rehearsal
-    would spoil the figures of the real ones.
+    environment: the process's environment variables. A pseudo-terminal leads to simulated servos:
+    these have a folder of their own, or a rehearsal would spoil the figures of the real ones.
     """
     state = _own_state(environment)
     return None if state is None else state / "health" / _name_at(face, port)
@@ -84,7 +84,7 @@ def logged_faces(environment: Mapping[str, str]) -> dict[str, list[Path]]:
 
 
 def places_searched(environment: Mapping[str, str]) -> str:
-    """Return the folders searched, for the message that no log was found."""
+    """Return the folders in which logs are searched, for the message that no log was found."""
     own = _own_state(environment)
     if environment.get("LIPSERVO_STATE"):
         return f"{own}/health"
@@ -93,8 +93,9 @@ def places_searched(environment: Mapping[str, str]) -> str:
 
 
 def _own_state(environment: Mapping[str, str]) -> Path | None:
-    """Return $LIPSERVO_STATE, $XDG_STATE_HOME/lipservo, ~/.local/state/lipservo, or else None.
+    """Return the folder of this user's state; None if no variable names one.
 
+    The first of $LIPSERVO_STATE, $XDG_STATE_HOME/lipservo and $HOME/.local/state/lipservo.
     https://specifications.freedesktop.org/basedir-spec/latest/ : a relative path is ignored.
     """
     folder = environment.get("LIPSERVO_STATE")
@@ -122,7 +123,7 @@ class HealthLog:
         self._thread.start()
 
     def offer(self, now: tuple[ServoHealth, ...]) -> None:
-        """Queue one reading of all servos; drop it when the disk is a minute behind."""
+        """Queue one reading of all servos, `now`; drop it when the disk is a minute behind."""
         try:
             self._queue.put_nowait((self._wall_s(), now))
         except queue.Full:
@@ -165,7 +166,7 @@ class HealthLog:
 
 
 def health_log(face: str, port: str | None, environment: Mapping[str, str]) -> HealthLog | None:
-    """Return the log of a face whose servos are at `port`; None for servos in memory.
+    """Return the log of a face whose servos are at `port`; None for servos simulated in memory.
 
     Servos in memory never age, never warm up differently and are run in every rehearsal: readings
     of them would push out real ones. None, with an error logged, also without a state folder.
@@ -182,8 +183,8 @@ def health_log(face: str, port: str | None, environment: Mapping[str, str]) -> H
 def json_line(moment: datetime, number: int, servos: Sequence[ServoHealth]) -> bytes:
     """Return one reading of all servos as a line of JSON, with a list for each quantity.
 
-    Values never received are null. number: 0 begins a run, in which reboots and unanswered requests
-    count from 0.
+    Values never received are null. number: of the reading in its run; 0 begins a run, in which
+    reboots and unanswered requests count from 0.
     """
     record = {
         "time": f"{moment:%Y-%m-%dT%H:%M:%SZ}",
@@ -229,9 +230,10 @@ def append_line(path: Path, line: bytes) -> None:
 def prune(
     folder: Path, keep: str, most_days: int = MOST_DAYS, most_bytes: int = MOST_BYTES
 ) -> None:
-    """Remove the oldest day files beyond the bounds, never the file `keep` nor any of another name.
+    """Remove the oldest day files beyond the bounds, never the day file `keep`, nor other files.
 
     Days are counted, not dated: a clock that is wrong for a while costs one day, not all.
+    most_days: day files at most, `keep` included. most_bytes: of all of them.
     """
     others = sorted(
         name for name in os.listdir(folder) if DAY_FILE.fullmatch(name) and name != keep

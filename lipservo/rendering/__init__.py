@@ -1,1 +1,1 @@
-"""Lines of speech rendered to performances: the phonemes of a sound, and one line's motion."""
+"""Recorded speech rendered to performances, files of a line's motion with its sound."""

@@ -1,8 +1,8 @@
 """Head, eyes, lids and brows for a whole recorded line, as its face moves them live.
 
-Since the end of the line is known, the voice is compared with the whole line's own loudness and
-pitch, not with the part before; speech is over when its last phone is, not 0.3 s later; and the
-head is no later than a human one.
+Since the whole line is known, the voice is compared with the loudness and pitch of all of it, not
+of the part before; speech is over when its last phone is, not 0.3 s later; and the head follows
+the voice no later than a human one.
 """
 
 from collections.abc import Iterator, Sequence
@@ -99,7 +99,10 @@ def voice_frames(samples: NDArray[np.float32]) -> list[VoiceFrame]:
 
 
 def silent_s(events: Sequence[PhonemeEvent], n_frames: int) -> Iterator[float]:
-    """Yield every 10 ms the seconds of silence so far: 0 in speech and in short pauses."""
+    """Yield for each 10 ms the seconds since speech ended, plus 0.3; 0 in speech and short pauses.
+
+    Before the first phone of `events` the seconds count from the start of the sound.
+    """
     spoken = [event for event in events if event.phoneme != SILENCE]
     end_s = -np.inf  # of what was said so far
     ahead = iter(spoken)

@@ -23,8 +23,9 @@ from lipsync.offline.performance import RATE_HZ, Performance, performed_sound, w
 
 @dataclass(frozen=True, slots=True)
 class Rendering:
-    """Options of rendering lines. model, offline: files; None: the shipped ones.
+    """Options of rendering lines. strength: scale of the mouth's motion, 1 as the speaker's.
 
+    model, offline: files of the face model and of its offline model; None: the shipped ones.
     includes_sound: whether the sound is stored in the file, or only its name and checksum.
     expression: the face, by name or YAML, whose head and eyes are stored too; None: none are.
     """
@@ -49,7 +50,7 @@ class Rendered:
 
 
 def render(sound: Path, script: Script, output: Path, how: Rendering) -> Rendered:
-    """Render a sound to a performance file, whole or not at all; return the outcome.
+    """Render a sound to the performance file `output`, whole or not at all; return the outcome.
 
     Raises UserError with one line about a bad sound, script or model.
     """
@@ -59,7 +60,10 @@ def render(sound: Path, script: Script, output: Path, how: Rendering) -> Rendere
 
 
 def rendered_line(sound: Path, script: Script, how: Rendering) -> tuple[Performance, Rendered]:
-    """Render a line without writing it; `output` in the outcome is the sound. Raises UserError."""
+    """Return a sound's performance, not written, and the outcome, with the sound as `output`.
+
+    script: its phones or text, if known; how: options. Raises UserError.
+    """
     speaker = load_speaker(how.model, how.offline)
     line, heard_notes = spoken_line(sound, script)
     began_s = time.perf_counter()
@@ -111,9 +115,9 @@ def check_expression_of(face: str) -> None:
 
 @cache
 def load_speaker(model: Path | None, offline: Path | None) -> Speaker:
-    """Load the face model, its expectations and the offline model, once per process.
+    """Load the face model and the offline model from files, once per process; None: shipped ones.
 
-    Raises ModelError, and OfflineModelError for one that was made for another face.
+    Raises ModelError, and OfflineModelError for an offline model that was made for another face.
     """
     with open_model(model) as file:
         face = read_face(file)

@@ -32,7 +32,7 @@ class LineError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class Script:
-    """The known content of a sound. phones: a file of phones with times. text: its words.
+    """What is known of a sound's speech. phones: a file of phones with times. text: its words.
 
     With neither the recogniser finds the phonemes.
     """
@@ -42,7 +42,7 @@ class Script:
 
 
 def spoken_line(sound: Path, script: Script) -> tuple[Line, tuple[str, ...]]:
-    """Return the line of a sound file, its phones end to end, and notes for a person.
+    """Return the samples and phones of a sound file as a line, and notes for a person.
 
     Raises SoundError, LabelError, AlignmentError, PronunciationError, and LineError for a sound
     longer than `LONGEST_LINE_S` and for labels of another sound.
@@ -87,7 +87,10 @@ def spoken_line(sound: Path, script: Script) -> tuple[Line, tuple[str, ...]]:
 
 
 def given_text(text: str) -> str:
-    """Return the text, or the content of the file of that name. Raises LineError if unreadable."""
+    """Return `text`, or the content of the file that it names, if there is one.
+
+    Raises LineError if the file cannot be read.
+    """
     if not is_file(text):
         return text
     try:

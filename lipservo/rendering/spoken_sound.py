@@ -1,4 +1,4 @@
-"""The phonemes and frames of a sound file, as `replay` computes them."""
+"""The phonemes and mouth shapes of a sound file, as `lipservo replay` computes them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,9 +31,9 @@ from lipsync.textgrid import read_phonemes
 
 @dataclass(frozen=True, slots=True)
 class SpokenSound:
-    """A sound file, the source of its phonemes, and how they become motion.
+    """A sound file, the source of its phonemes, and the options by which they become motion.
 
-    script: a TextGrid, or None: the recogniser is used, and follows the text if there is one.
+    script: a TextGrid of them; None: the recogniser is used, and follows `text` if not empty.
     """
 
     path: Path
@@ -49,7 +49,7 @@ class SpokenSound:
         return FileSource(self.path).duration_s
 
     def events(self) -> list[PhonemeEvent]:
-        """Return the phonemes in order. Raises LabelError for a script, SoundError for a sound."""
+        """Return the phonemes in order. Raises LabelError, SoundError, PronunciationError."""
         if self.script is not None:
             return list(read_phonemes(self.script))
         recognizer = self._recognizer()
@@ -63,7 +63,7 @@ class SpokenSound:
         return recognizer
 
     def frames(self, times_s: Sequence[float] | Array) -> list[Frame]:
-        """Return the faces that the robot shows at given times of the sound.
+        """Return the mouth shapes that the robot shows at given times of the sound.
 
         Parameters
         ----------
@@ -102,7 +102,10 @@ class SpokenSound:
 def spoken_sound(
     sound: Path, script: Path | None, chosen: ChosenMotion, config: str, model: Path | None
 ) -> SpokenSound:
-    """Return a `SpokenSound` with the chosen motion, else the face YAML's. Raises UserError."""
+    """Return a `SpokenSound` with the motion in `chosen`, completed by the face YAML `config`.
+
+    Raises UserError.
+    """
     settings, folder = load_settings(config)
     return SpokenSound(
         sound, script, motion_options(chosen, settings.motion, folder), config, model

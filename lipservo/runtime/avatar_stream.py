@@ -26,10 +26,10 @@ _MOUTH = frozenset(MOUTH_NAMES)
 
 
 class AvatarStream:
-    """A `TickObserver` that sends frames as UDP datagrams, 60 frames a second at most.
+    """A `TickObserver` that sends the face's frames to screen avatars, 60 a second at most.
 
-    No send ever blocks. A receiver that is slow or absent loses frames; datagrams that the
-    operating system did not accept are counted in `n_failed`.
+    Frames are sent as UDP datagrams, and no send ever blocks. A receiver that is slow or absent
+    loses frames; datagrams that the operating system did not accept are counted in `n_failed`.
     """
 
     def __init__(
@@ -43,9 +43,10 @@ class AvatarStream:
     ) -> None:
         """Create the stream; nothing is sent yet.
 
-        rest: (n_components,), face coefficients of the closed mouth that is sent at the end. osc,
-        live_link: connected, non-blocking UDP sockets; None: that protocol is not sent. has_vowels:
-        OSC carries vowels instead of the mouth's ARKit shapes.
+        arkit: converts frames into ARKit blendshape weights. rest: (n_components,), face
+        coefficients of the closed mouth that is sent at the end. osc, live_link: connected,
+        non-blocking UDP sockets; None: nothing is sent in that protocol. has_vowels: OSC carries
+        vowels instead of the mouth's ARKit shapes.
         """
         self._arkit = arkit
         self._rest = rest
@@ -59,13 +60,14 @@ class AvatarStream:
         self.n_failed = 0
 
     def observe(self, tick: StreetTick) -> None:
-        """Send the frame that a tick showed, unless the last one was sent less than 1/60 s ago."""
+        """Send the frame shown in `tick`, unless a frame was sent less than 1/60 s before."""
         self.show(tick.report.time_s, tick.sound_s, tick.frame)
 
     def show(self, time_s: float, sound_s: float, frame: Frame) -> None:
-        """Send a frame, unless the last one was sent less than 1/60 s ago.
+        """Send `frame`, unless a frame was sent less than 1/60 s before.
 
-        time_s: monotonic seconds, ascending from call to call. sound_s: sound time of the frame.
+        time_s: monotonic time of display, ascending from call to call. sound_s: sound time of the
+        frame.
         """
         if time_s < self._due_s - _ROUNDING_S:
             return
@@ -84,13 +86,14 @@ class AvatarStream:
             self._hand_over(self._live_link, live_link_packet(values, SUBJECT, sound_s))
 
     def end(self) -> None:
-        """Send one frame with the closed mouth, which the avatars keep showing afterwards."""
+        """Send one frame with the closed mouth, which avatars keep showing; call it last."""
         self._send(self._sound_s, Frame(self._sound_s, self._rest))
 
     def _shapes(self, values: Array) -> list[tuple[str, float]]:
-        """Return the (name, value) pairs to send over OSC: vowels or mouth shapes, then the others.
+        """Return the (name, value) pairs to send over OSC, from all ARKit weights `values`.
 
         The mouth's shapes are always sent, any other ARKit shape once its value was ever above 0.
+        With `has_vowels`, vowels come first and replace the mouth's shapes.
         """
         pairs = list(zip(ARKIT_NAMES, values.tolist(), strict=True))
         self._sent_names.update(name for name, value in pairs if value > 0.0)
@@ -128,10 +131,10 @@ def avatar_stream(targets: AvatarTargets, model: Path | None = None) -> Iterator
 def entered_avatars(
     targets: AvatarTargets, model: Path | None, stack: ExitStack
 ) -> AvatarStream | None:
-    """Enter an avatar stream on `stack` and return it; None for no targets or unreachable ones.
+    """Enter an avatar stream on `stack` and return it; None for no target or an unreachable one.
 
-    Unreachable targets are logged, not raised, so that the caller speaks on without avatars. Raises
-    ModelError and MeasureError.
+    Unreachable targets are logged, not raised, so that the caller speaks on without avatars. model:
+    the face model's file; None: the shipped one. Raises ModelError and MeasureError.
     """
     if not targets.is_any:
         return None

@@ -57,12 +57,12 @@ def run_face(
     listener: socket.socket | None = None,
     synthesizer: Synthesizer | None = None,
 ) -> RunOutcome:
-    """Run a face on an open source until it ends or is stopped, then switch torque off.
+    """Run a face on an open source until the sound ends or a person stops it; switch torque off.
 
     live: draw the face in the terminal. endless: go on in silence when the source is over, and wait
     for a start command when a person has stopped the face. listener: bound socket to which voice
-    agents connect; None: no agents. synthesizer: used without any recogniser; None: recogniser and
-    synthesiser that the request's motion names. Returns summary, status, stop report and signal.
+    agents connect; None: no agents. synthesizer: used without any recogniser; None: both are made
+    as the request's motion names them. Returns summary, status, stop report and signal.
     """
     began_s = time.perf_counter()
     requested = RequestedFace(request)
@@ -129,7 +129,8 @@ def play(
     """Tick speech and servos until `is_over` or a stop ends the run, then until the face rests.
 
     While a stopped life cycle waits for a start command, sound is still read and dropped, so that
-    no backlog builds up. is_over: called with the monotonic time of each tick. tally, observers:
+    no backlog builds up. street: the pipeline from sound to servo goals. life: yields the ticks.
+    is_over: called with the monotonic time of each tick; True: the sound is over. tally, observers:
     get every tick.
     """
     for time_s, late in life.ticks():
@@ -147,7 +148,7 @@ def play(
 
 
 class _End:
-    """The end of a run: 0.5 s after the last of its sound, of whatever kind, has been shown."""
+    """The end of a run: 0.5 s after the face has shown the last of its sound."""
 
     def __init__(self, shown_s: float, playout: Playout | None) -> None:
         """Set the end. shown_s: monotonic time at which the last sound is shown; inf: not known.
@@ -228,6 +229,9 @@ class _Run:
         return observers
 
     def observe(self, _tick: StreetTick) -> None:
-        """Pass settings changed since the last tick from the command queue to the speech side."""
+        """Pass settings changed since the last tick from the command queue to the speech side.
+
+        Called once a tick, as for every `TickObserver`.
+        """
         if changes := self.commands.take_changes():
             self._speech.side.change(changes)

@@ -64,9 +64,10 @@ class MotionOptions:
     """The recogniser to begin with, the motion strategy by name, and the style of the motion.
 
     weights: name of shipped weights, or a file; checked here, since a live face would silently fall
-    back to a lesser recogniser. recognizer_latency_s: seconds until a phoneme is settled; shorter
-    is less accurate. performed: how the performance being played was rendered; if not empty, no
-    recogniser runs and no strategy plans anything. Raises WeightsError, StyleError, PluginError.
+    back to a lesser recogniser. recognizer_latency_s: seconds of sound after a phoneme before it is
+    final; fewer are less accurate. performed: how the performance being played was rendered; if not
+    empty, no recogniser runs and no strategy plans anything. Raises WeightsError, StyleError,
+    PluginError.
     """
 
     engine: str = DEFAULT_RECOGNIZER
@@ -91,7 +92,10 @@ class MotionOptions:
 
     @property
     def style_settings(self) -> dict[str, float]:
-        """The style settings of the strategy, by their names in the face YAML; may be empty."""
+        """The style settings of the strategy, by their names in the face YAML.
+
+        Empty while a performance is played, whose motion is rendered already.
+        """
         if self.performed:
             return {}
         style = self.style
@@ -100,7 +104,7 @@ class MotionOptions:
         return {name: round(named[name], 6) for name in STYLES_OF[self.strategy]}
 
     def live_settings(self) -> dict[str, Setting]:
-        """Return the style settings that may change while a face runs, by name, with limits."""
+        """Return the style settings that may change while a face runs: value and limits by name."""
         values = self.style_settings
         return {
             name: Setting(values[name], 0.0, most)
@@ -120,7 +124,7 @@ class MotionOptions:
 
 @dataclass(frozen=True, slots=True)
 class ChosenMotion:
-    """The motion options that a user typed on the command line; None: not typed."""
+    """The motion options typed on the command line; None: not typed, the face's YAML decides."""
 
     engine: str | None = None
     weights: str | None = None
@@ -137,8 +141,9 @@ def motion_options(
 ) -> MotionOptions:
     """Return the motion options: as typed, else as in the face's YAML, else the defaults.
 
-    folder: of the YAML, to which its weights file is relative; None: a shipped face. Raises
-    UserError for an option that the strategy ignores, WeightsError and StyleError.
+    chosen: typed on the command line. of_the_face: from the YAML. folder: of the YAML, to which its
+    weights file is relative; None: a shipped face. Raises UserError for an option that the strategy
+    ignores, WeightsError and StyleError.
     """
     strategy = chosen.strategy or of_the_face.strategy or DEFAULT_STRATEGY
     low_latency = chosen.low_latency or of_the_face.low_latency
@@ -203,7 +208,8 @@ def make_synthesizer(
 
     It is the live one of this project, or the published AnimPho method with one of its two
     selections. model_path: the model file that `face` was read from, None for the shipped one; only
-    the parts that the strategy needs are read. Raises ModelError, also if the file has changed.
+    the parts that the strategy needs are read. Raises ModelError, also if the file has changed
+    since `face` was read.
     """
     with open_model(model_path) as file:
         if read_face(file).checksum != face.checksum:

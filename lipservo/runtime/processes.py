@@ -40,7 +40,8 @@ class Handed:
     """The descriptors and the lifeline that a child process inherits from the supervisor.
 
     channel: descriptor of the socket that carries servo targets. board: of the shared memory of the
-    `StatusBoard`. live: of the `LiveBoard`, which watching programs may read.
+    `StatusBoard`. live: of the `LiveBoard`, which watching programs may read. lifeline: reports
+    that the child works, and shows when the supervisor has died.
     """
 
     channel: int
@@ -60,10 +61,10 @@ def run_bridge_process(
 ) -> int:
     """Drive the servos at the port by targets from a socket until stopped; return the exit status.
 
-    control: descriptor of the face's control socket. stopped: a person's stop that was in force
-    when the previous bridge process died. given_up: reasons for servos that stay limp, by servo
-    index. switched_off: indices of servos that a person switched off. Raises UserError without a
-    port, and BusError if port or servos cannot be used.
+    handed: inherited from the supervisor. control: descriptor of the face's control socket.
+    stopped: a person's stop that was in force when the previous bridge process died. given_up:
+    reasons for servos that stay limp, by servo index. switched_off: indices of servos that a person
+    switched off. Raises UserError without a port, and BusError if port or servos cannot be used.
     """
     from firmware_bridge.clock import MonotonicClock
     from firmware_bridge.loop.targets import SocketTargetChannel
@@ -113,7 +114,10 @@ def run_bridge_process(
 def _drive(
     driven: DrivenFace, lifeline: Lifeline, observers: Sequence[Callable[[TickReport], None]]
 ) -> None:
-    """Switch torque on and tick until stopped; report ready once all servos are settled."""
+    """Switch torque on and tick until stopped; report `ready` once the servos have started.
+
+    Started: each is driven, or its fault is reported. observers: get each tick's report.
+    """
     driven.life.start()
     began = False
     for time_s, late in driven.life.ticks():
@@ -130,9 +134,10 @@ def run_speech_process(
 ) -> None:
     """Recognise the request's sound and send servo targets through a socket until a signal arrives.
 
-    It also ends when the supervisor dies. agents: descriptor of the socket to which voice agents
-    connect. zero_s: monotonic time at which the sound first began, None for a first start; a sound
-    file is continued at the position that it has reached by now.
+    It also ends when the supervisor dies. handed: inherited from it. agents: descriptor of the
+    socket to which voice agents connect; None: no agents are served. zero_s: monotonic time at
+    which the sound first began, None for a first start; a sound file is continued at the position
+    that it has reached by now.
     """
     from firmware_bridge.clock import MonotonicClock, ticks
     from firmware_bridge.loop.targets import SocketTargetChannel
@@ -198,7 +203,8 @@ def run_speech_process(
 def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
     """Run the bridge and speech processes of a face until it is stopped; return the exit status.
 
-    agents: bound socket to which voice agents connect; it stays open when the speech process dies.
+    agents: bound socket to which voice agents connect, open even while no speech process runs;
+    None: no agents are served.
 
     Settings, sound, avatars or servos that cannot be used are refused before any torque is on.
     """

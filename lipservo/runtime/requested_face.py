@@ -1,4 +1,4 @@
-"""The face that a run request names, unpacked once, with what its processes make from it."""
+"""The face that a run request names, loaded once for each process, with the parts made from it."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -19,7 +19,7 @@ from lipsync.phonemes import PHONEMES
 
 
 class RequestedFace:
-    """The settings, model, control options and boards of the face that a run request names."""
+    """The settings, model, control options and live board of the face that a run request names."""
 
     def __init__(self, request: RunRequest) -> None:
         """Load the settings of the request's face. Raises SettingsError."""
@@ -68,13 +68,18 @@ class RequestedFace:
         *,
         waits: bool = False,
     ) -> ControlOptions:
-        """Return the options of the face's control socket, from arguments and request."""
+        """Return the options of the face's control socket, from arguments and request.
+
+        commands: queue that handles clients' commands. describe: makes the whole status from the
+        servo side's. board: memory that clients may watch. waits: once stopped, the face waits,
+        limp, for a start; False: its process ends.
+        """
         return ControlOptions(
             self.control_path, commands, describe, self.about, board.fileno(), waits
         )
 
     def live_board(self) -> LiveBoard:
-        """Create a live board with a layout for this face."""
+        """Create the shared memory for this face's present state, with records for its servos."""
         return LiveBoard.create(
             BoardLayout(
                 name=self.settings.name,
@@ -99,7 +104,10 @@ class RequestedFace:
         return self.request
 
     def trace_header(self, speech: SpeechStatus) -> dict[str, object]:
-        """Return the values for the first line of a trace: face, model, delay, strategy, ..."""
+        """Return the values for the first line of a trace: face, model, strategy, ...
+
+        speech: status of the speech side as the trace begins.
+        """
         return {
             "source": speech.sound,
             "face": self.settings.name,

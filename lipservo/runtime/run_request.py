@@ -30,8 +30,8 @@ class Sound:
 
     name: a file's path, a microphone by number or name, or the text to say. language: of that text.
     phonemes: a file with the phonemes of the sound file and their times. text: the English words of
-    the sound file, to be aligned with it. With neither of the two the sound is recognised. Raises
-    RequestError.
+    the sound file, to be aligned with it. With neither phonemes nor text the sound is recognised.
+    Raises RequestError.
     """
 
     kind: Literal["clip", "file", "microphone", "silence", "text"]
@@ -94,7 +94,7 @@ class AvatarError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """The host and port of an avatar's program. option: as the user typed it: `--osc HOST`."""
+    """The host and port of an avatar's program. option: as typed, `--osc HOST`."""
 
     option: str
     host: str
@@ -123,7 +123,7 @@ class AvatarTargets:
         self.addresses()
 
     def addresses(self) -> tuple[Address | None, Address | None]:
-        """Return the parsed addresses for (OSC, Live Link Face), None for one that is not used.
+        """Return the parsed addresses for (OSC, Live Link Face), None where no target is given.
 
         An address without a port gets the protocol's default port. Raises AvatarError.
         """
@@ -236,7 +236,8 @@ _KINDS: Final = {str: "text", bool: "true or false", float: "a number"}
 def _check_unchanged(given: Any, read: Any, where: str) -> None:
     """Raise RequestError if `given` lacks a field of `read`, or has a value of another type.
 
-    A whole number where a float is expected is allowed. where: path of the value, for the message.
+    given: parsed JSON. read: the request made from it, as JSON again. A whole number where a float
+    is expected is allowed. where: path of the value, for the message.
     """
     if isinstance(read, dict):
         for name, value in read.items():

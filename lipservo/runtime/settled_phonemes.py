@@ -1,4 +1,4 @@
-"""The phonemes of a sound source, each yielded once the recogniser has settled it."""
+"""The phonemes of a sound source, each yielded once the recogniser will not change it any more."""
 
 import math
 import time
@@ -20,10 +20,10 @@ _TAIL_S = 0.15
 
 
 def settled_events(source: AudioSource, recognizer: FallbackRecognizer) -> Iterator[PhonemeEvent]:
-    """Yield every phoneme of a source with its start and end, once its end is settled.
+    """Yield every phoneme of a source, with start and end, once the recogniser keeps it for good.
 
     A file is recognised to its end, as fast as the computer can; a microphone until the caller
-    stops iterating: its recogniser needs a clock.
+    stops iterating; its recogniser needs a clock.
     """
     length_s = source.duration_s
     sound = source if length_s is None else SilenceAfter(source)
@@ -47,7 +47,11 @@ def settled_events(source: AudioSource, recognizer: FallbackRecognizer) -> Itera
 def _settled(
     timeline: PhonemeTimeline, settled_until_s: float, length_s: float
 ) -> Iterator[PhonemeEvent]:
-    """Yield the timeline's final phonemes that end after `settled_until_s`, cut at `length_s`."""
+    """Yield the timeline's final phonemes that end after `settled_until_s`, cut at `length_s`.
+
+    settled_until_s: end of the last phoneme yielded before. length_s: length of the sound; inf: not
+    known.
+    """
     for event in timeline.events:
         end_s = min(math.inf if event.end_s is None else event.end_s, length_s)
         if end_s <= settled_until_s + 1e-9 or event.start_s >= length_s:

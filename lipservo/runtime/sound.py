@@ -39,10 +39,10 @@ _LOG: Final = logging.getLogger(__name__)
 
 
 def open_sound(sound: Sound, start_s: float = 0.0) -> AudioSource:
-    """Return the source of a file, clip, microphone or silence, not yet entered. Raises SoundError.
+    """Return the source of a file, clip, microphone or silence, not yet entered.
 
     start_s: the sound time at which a file starts; its blocks keep the file's times. A file is
-    checked here, in a time that does not depend on its length.
+    checked here, in a time that does not depend on its length. Raises SoundError.
     """
     if sound.kind == "microphone":
         return open_microphone(sound.name)
@@ -87,11 +87,12 @@ class QueueFullError(UserError):
 
 @dataclass(eq=False, slots=True)
 class Spoken:
-    """One item of speech: one stream, or several of which each is requested after the last.
+    """One item of speech to play: one stream of sound, or several, one after another.
 
     pieces: a generator; each `next` does a bounded piece of work and yields the stream it belongs
     to. streams: those not yet spoken, at first the first one alone. ahead_s: the work pauses while
-    more seconds than these wait to be spoken. duration_s: of the whole, or of the streams so far.
+    more seconds of sound than this wait to be spoken. duration_s: of all chunks where known
+    beforehand (a file), else of the streams made so far (a text).
     """
 
     pieces: Generator[PlayoutStream, None, None]
@@ -158,8 +159,8 @@ def spoken_file(
 ) -> Spoken:
     """Return speech for the queue that plays a sound file from `start_s` to its end.
 
-    name: of its stream; empty: the file's name. phonemes: a file of timed units, phonemes or words.
-    Raises SoundError, LabelError.
+    playout: plays it later. name: of its stream; empty: the file's name. phonemes: a file of timed
+    units, phonemes or words. Raises SoundError, LabelError.
     """
     checked = checked_sound(path)
     log_once(checked.warning)
@@ -179,6 +180,7 @@ def spoken_text(
 ) -> Spoken:
     """Return speech of a text for the queue; its first sentence is synthesised before returning.
 
+    language: empty: the speaker's. playout: plays it later. speaker: the synthesiser and voice.
     name: of the streams, one for each sentence. Raises SynthesisError and PluginError.
     """
     from lipsync.text_to_speech.synthesis import Voice
@@ -213,9 +215,9 @@ def spoken_text(
 
 
 def _tell(stream: PlayoutStream, units: SpokenText, language: str) -> None:
-    """Give a stream its words with their pronunciation; log a warning if one cannot be pronounced.
+    """Give a stream its spoken `units` (words) with their pronunciation; log any that has none.
 
-    Without pronunciation the stream's sound is recognised like any other.
+    If one has none, no pronunciation is given, and the stream's sound is recognised like any other.
     """
     from lipsync.text_to_speech.pronunciation import PronunciationError, pronounced_units
 
@@ -275,7 +277,7 @@ class SpeechQueue:
                 )
 
     def add(self, spoken: Spoken, name: str) -> None:
-        """Append an item, and request it from the playout. Raises QueueFullError.
+        """Append an item, and request its first stream from the playout. Raises QueueFullError.
 
         Does nothing once the queue is closed. name: of the item, for the message.
         """
@@ -316,7 +318,7 @@ class SpeechQueue:
                 self._finish(spoken)
 
     def _go_on(self, spoken: Spoken) -> bool:
-        """Do the next piece of an item's work; return False if there is none left or it failed."""
+        """Do the next piece of an item's work; return False if none is left or the piece failed."""
         try:
             stream = next(spoken.pieces, None)
         except UserError as error:

@@ -1,6 +1,6 @@
-"""The chain from sound to servos in one process, the street: one tick of it, and its making.
+"""The live pipeline from sound to servo goals in one process (the street): making and tick.
 
-Live running and `replay` share it; they differ in the clock and in the observers.
+Live running and `replay` use the same pipeline; they differ in the clock and in the observers.
 """
 
 from firmware_bridge.bus import ServoBus
@@ -16,25 +16,31 @@ from lipsync.phonemes import SILENCE, LiveRecognizer
 
 
 class Street:
-    """The speech side and the bridge in one process, joined by a target channel."""
+    """The live pipeline from sound to servo goals: speech side and bridge in one process."""
 
     def __init__(self, side: SpeechSide, bridge: Bridge, rest: Array) -> None:
-        """Join the parts; nothing starts. rest: the face (n_components,) of a mouth at rest."""
+        """Join both sides; nothing starts. rest: the face (n_components,) of a mouth at rest."""
         self.side = side
         self.speech = side.speech
         self.bridge = bridge
         self._rest = rest
 
     def begin(self, zero_s: float) -> None:
-        """Begin the sound at monotonic `zero_s`."""
+        """Begin the sound at monotonic `zero_s`, without waiting for servos."""
         self.side.begin(zero_s)
 
     def start(self, now_s: float) -> float:
-        """Begin when the servos get torque at monotonic `now_s`; return the sound's start time."""
+        """Begin as servos get torque at monotonic `now_s`; return the monotonic start of the sound.
+
+        Sound that can wait begins once all servos follow; see `SpeechSide.start`.
+        """
         return self.side.start(now_s)
 
     def tick(self, time_s: float, late: int) -> StreetTick:
-        """Advance speech and bridge to monotonic `time_s`; return the frame and servo report."""
+        """Advance speech and servos to monotonic `time_s`; return the frame and servo report.
+
+        late: ticks missed just before this one.
+        """
         self.side.advance(time_s)
         report = self.bridge.tick(time_s, late)
         feedback = self.bridge.feedback
@@ -47,7 +53,10 @@ class Street:
         )
 
     def rest(self, time_s: float, late: int) -> StreetTick:
-        """Tick only the bridge as a stopped face goes to rest; return its report, mouth closed."""
+        """Tick only the bridge as a stopped face goes to rest; return its report, mouth closed.
+
+        All speech that was not heard yet is dropped. late: ticks missed just before this one.
+        """
         self.side.fall_silent()
         report = self.bridge.tick(time_s, late)
         sound_s = self.speech.sound_time_s(time_s)
@@ -62,7 +71,10 @@ def make_street(
     recognizer: LiveRecognizer,
     synthesizer: Synthesizer,
 ) -> Street:
-    """Return the street from an entered source, through a recogniser, to an entered bus."""
+    """Return the live pipeline from an entered source, through a recogniser, to an entered bus.
+
+    rate_hz: ticks a second. Nothing starts yet.
+    """
     channel = MemoryTargetChannel()
     side = make_speech_side(
         face,

@@ -49,8 +49,9 @@ class Summary:
 
     latency: from the capture of a sound until the face made of it is due, that is the bus write
     that sends it plus the servos' delay from the calibration; measured, so it may exceed the
-    declared one; lateness: from a grid tick's time to the start of its work; speed: sound seconds
-    in a second; recognizer: the one in use last, after fallback_level others that had failed.
+    computed delay, latency_declared_ms; lateness: from a grid tick's time to the start of its work;
+    speed: seconds of sound in one second of the run; recognizer: the one in use last, after
+    fallback_level better ones had failed.
     """
 
     source: str
@@ -103,7 +104,7 @@ class Tally:
         self.first_command_s = 0.0
 
     def begin_tick(self, time_s: float) -> None:
-        """Count how late the work on grid time `time_s` begins."""
+        """Count how late the tick due at `time_s` is; call as its work begins."""
         self._lateness.add(self._clock.now() - time_s)
 
     def observe(self, tick: StreetTick) -> None:

@@ -29,7 +29,7 @@ class SupervisedTrace:
     """A trace of every tick of the bridge, from the first status of the speech side on."""
 
     def __init__(self, requested: RequestedFace, notes: StatusBoard, live: LiveBoard) -> None:
-        """Prepare the trace; it opens on entry. notes: contains the status of the speech side."""
+        """Prepare the trace. notes: has the speech side's status. live: has the frames shown."""
         self._requested = requested
         self._notes = notes
         self._live = live

@@ -36,7 +36,8 @@ _LOG = logging.getLogger(__name__)
 def bound_listener(listen: str | None, token_file: str | None) -> "socket.socket | None":
     """Return a socket on which voice agents can connect; None for `listen` = "none".
 
-    listen: HOST:PORT; None: the default port, or any free one where another face has it. Raises
+    listen: HOST:PORT; None: the default port, or any free one where another face has that.
+    token_file: the token that agents must send; None: agents on this computer need none. Raises
     UserError.
     """
     if listen == "none":
@@ -104,7 +105,10 @@ class _Spoken:
         self._queue = SpeechQueue(playout)
 
     def say(self, text: str, name: str) -> Spoken:
-        """Queue a text, return its speech. Raises SynthesisError, MessageError for a full queue."""
+        """Queue a text, and return its speech.
+
+        name: of its streams. Raises SynthesisError, and MessageError if the queue is full.
+        """
         self._check_room("text")
         spoken = spoken_text(text, "", self._playout, self._speaker, name)
         return self._added(spoken, "text")
@@ -112,7 +116,8 @@ class _Spoken:
     def play(self, file: str, name: str) -> Spoken:
         """Queue a sound file or performance below the allowed folder, and return its speech.
 
-        The file is checked first. Raises UserError, and MessageError if the queue is full.
+        The file is checked first. name: of its stream. Raises UserError, and MessageError if the
+        queue is full.
         """
         path = (self._folder / file).resolve()
         if not path.is_relative_to(self._folder):

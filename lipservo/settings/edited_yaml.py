@@ -26,12 +26,12 @@ _PLAIN_KEY: Final = re.compile("[a-z][a-z0-9_]*")
 
 
 class ChangedMeanwhileError(UserError):
-    """The file was changed after it was read, so it is not overwritten."""
+    """Error for a file that was changed after it was read, and so is not overwritten."""
 
 
 @dataclass(frozen=True, slots=True)
 class EditedYaml:
-    """A face YAML with changed values, checked, and not written yet."""
+    """A face YAML with changed values, checked, and not written yet. before: the file's text."""
 
     path: Path
     before: str
@@ -58,10 +58,10 @@ def read_face_text(path: Path) -> str:
 
 
 def edited(path: Path, values: Mapping[Place, float | str]) -> EditedYaml:
-    """Return the face YAML at `path` with these numbers or words set in it, not written yet.
+    """Return the face YAML at `path` with `values` set in it, not written yet.
 
-    Raises SettingsError if the file is no face YAML or would not be one with them, and UserError if
-    its form leaves no safe position for them.
+    Raises SettingsError if the file is no face YAML or would not be one with `values`, and
+    UserError if its form leaves no safe position for them.
     """
     before = read_face_text(path)
     wanted = _plain_mapping(parse_face(before, path.name))
@@ -84,7 +84,7 @@ def lines_by_hand(place: Place, value: float | str) -> str:
 
 
 def _written(value: float | str) -> str:
-    """Return a value as YAML text: words in quotes if they would be something else without."""
+    """Return a value as YAML text: words in quotes if they would parse as another type without."""
     if not isinstance(value, str):
         return f"{value:g}"
     try:
@@ -120,7 +120,10 @@ def _is_yaml(text: str) -> bool:
 
 
 def _with_value(text: str, place: Place, value: str) -> str | None:
-    """Return the text with `value` at `place`, added if absent; None if that cannot be done."""
+    """Return the text with `value` at `place`, a path of keys, replaced or added.
+
+    None: the text's form leaves no safe position.
+    """
     node = yaml.compose(text, Loader=yaml.SafeLoader)
     if not isinstance(node, yaml.MappingNode) or node.flow_style:
         return None
@@ -150,7 +153,10 @@ def _with_value(text: str, place: Place, value: str) -> str | None:
 
 
 def _block(keys: list[str], value: str, column: int, end: str) -> str:
-    """Return nested YAML lines for keys and a value; the first line has no indent."""
+    """Return nested YAML lines for keys and a value, at indent `column`, joined by `end`.
+
+    The first line has no indent.
+    """
     lines = [f"{' ' * (column + 2 * n)}{_key(each)}:" for n, each in enumerate(keys)]
     return f"{end.join(lines).lstrip(' ')} {value}"
 

@@ -29,10 +29,11 @@ _TENTHS: Final = 10.0
 
 
 def with_pulse_limit(path: Path, servo: str, limit: PulseLimit, pulse_us: float) -> EditedYaml:
-    """Return the face YAML with one pulse limit of a hobby servo changed, not written yet.
+    """Return the face YAML with `limit` of a hobby servo at `pulse_us`, not written yet.
 
-    The joint's `min_deg` and `max_deg` become what the pulses then allow. Raises SettingsError for
-    a servo without pulses or a pulse that cannot be this limit, and what `edited` raises.
+    The joint's `min_deg` and `max_deg` become those that the pulses then allow. Raises
+    SettingsError for a servo without pulses or a pulse that cannot be this limit, and what `edited`
+    raises.
     """
     settings = parse_face(read_face_text(path), path.name).servos.get(servo)
     pulse = None if settings is None else settings.pulse
@@ -42,7 +43,7 @@ def with_pulse_limit(path: Path, servo: str, limit: PulseLimit, pulse_us: float)
 
 
 def pulse_values(pulse: JointPulse, limit: PulseLimit, pulse_us: float) -> dict[str, float]:
-    """Return a servo's new pulse and angle limits, by YAML key, with one limit at `pulse_us`.
+    """Return a servo's pulse and angle limits, by YAML key, after `limit` is set to `pulse_us`.
 
     Raises SettingsError for a pulse out of range, or one that leaves neutral outside the limits or
     no range between them.
@@ -74,9 +75,9 @@ def pulse_values(pulse: JointPulse, limit: PulseLimit, pulse_us: float) -> dict[
 
 
 def range_values(least_deg: float, most_deg: float) -> dict[str, float]:
-    """Return `min_deg` and `max_deg` for a joint that a hand turned from least to most, by encoder.
+    """Return `min_deg` and `max_deg` for a joint that a hand turned to both extreme angles.
 
-    The limits lie `INSIDE_DEG` inside. Raises UserError for a joint that was not turned, or whose
+    The limits are `INSIDE_DEG` inside. Raises UserError for a joint that was not turned, or whose
     range does not include its neutral, 0.
     """
     if not most_deg - least_deg >= _LEAST_TURN_DEG:
@@ -93,10 +94,11 @@ def range_values(least_deg: float, most_deg: float) -> dict[str, float]:
 def turned_values(
     least_deg: float, most_deg: float, neutral_deg: float, zero_offset_deg: float
 ) -> dict[str, float]:
-    """Return a turned joint's limits from its neutral, and `zero_offset_deg` if neutral has moved.
+    """Return a turned joint's new `min_deg`, `max_deg`, and `zero_offset_deg` if it changes.
 
-    zero_offset_deg: of the YAML so far. Raises UserError for a joint that was not turned, or whose
-    range does not include its neutral.
+    least_deg, most_deg: extreme angles; neutral_deg: the angle that becomes 0. zero_offset_deg: of
+    the YAML so far. Raises UserError for a joint that was not turned, or whose range does not
+    include its neutral.
     """
     found = range_values(least_deg - neutral_deg, most_deg - neutral_deg)
     offset_deg = round(zero_offset_deg + neutral_deg, 1)
@@ -104,7 +106,7 @@ def turned_values(
 
 
 def with_ranges(path: Path, ranges: Mapping[str, Mapping[str, float]]) -> EditedYaml:
-    """Return the face YAML with these values of its servos, by servo and key, not written yet."""
+    """Return the face YAML with values of servos, {servo: {key: value}}, set; not written yet."""
     places: dict[Place, float] = {}
     for servo, values in ranges.items():
         places |= _places(servo, values)
@@ -122,7 +124,7 @@ def own_yaml(config: str) -> Path:
 
 
 def what_next(edit: EditedYaml) -> str:
-    """Return, for a person, when the new limits take effect, and whether to calibrate again."""
+    """Return words on when the limits in `edit` become valid, and whether to calibrate again."""
     before, after = (parse_face(each, edit.path.name) for each in (edit.before, edit.text))
     then = "counts from the next start"
     if before.calibration is not None and before.checksum != after.checksum:
@@ -135,7 +137,7 @@ def _places(servo: str, values: Mapping[str, float]) -> dict[Place, float]:
 
 
 def _inside(low_deg: float, high_deg: float) -> tuple[float, float]:
-    """Round limits inwards to 0.1 deg, within -180..180; + 0.0 turns a -0 into 0."""
+    """Return limits rounded inwards to 0.1 deg, and cut to -180..180."""
     low_deg, high_deg = max(low_deg, -180.0), min(high_deg, 180.0)
     slack = 1e-9  # 10.0 may be 9.999999999 of a division
     low_deg = math.ceil(low_deg * _TENTHS - slack) / _TENTHS + 0.0

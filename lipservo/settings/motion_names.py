@@ -1,7 +1,7 @@
 """The names and bounds that a person may choose for motion: strategies, recognisers, styles.
 
-They are apart from what they name, which takes long to load: the command line and the face YAML
-read them.
+They are a module of their own, since the modules with the strategies and recognisers are slow to
+load, and the command line and the face YAML need the names only.
 """
 
 from typing import Final, Literal, get_args

@@ -55,9 +55,9 @@ class SoundSettings(Strict):
 
     output, input: None = the system's default. output_offset_ms: by device name or part of it, how
     much later than the device reports the sound is audible; `lipservo calibrate audio` measures it.
-    synthesizer: speaks texts; voice: its name for one of its voices, a file beside the YAML or a
-    command among them, "": its own choice. language: of texts that name none, "": en-us. volume: 1
-    is as loud as the sound is, 0 silent.
+    synthesizer: speaks texts; voice: a voice's name, file beside the YAML or command, as the
+    synthesizer needs it, "": its default. language: of texts that name none, "": en-us. volume: a
+    factor, 0 is silent.
     """
 
     output: Text | None = None
@@ -87,7 +87,7 @@ Origin = Annotated[str, AfterValidator(_check_origin)]
 
 
 class AccessSettings(Strict):
-    """`access:` of a face YAML: which web pages may connect over TCP (docs/hardware.md).
+    """`access:` of a face YAML: connections over TCP (docs/hardware.md).
 
     origins: of web pages whose scripts may use the agent server and the dashboard's API; they need
     the token as all clients do. queue: a second voice agent waits until the first has finished;
@@ -106,7 +106,7 @@ class AccessSettings(Strict):
 class AvatarSettings(Strict):
     """`avatars:` of a face YAML: HOST or HOST:PORT of screen avatars that show the face, too.
 
-    osc: VMC protocol over OSC. live_link: Live Link Face of Unreal Engine.
+    osc: of a receiver of the VMC protocol over OSC. live_link: of Unreal Engine's Live Link Face.
     """
 
     osc: Text | None = None
@@ -134,10 +134,10 @@ _LONGEST_REST_S = 86_400.0
 
 
 class ServoExpression(Strict):
-    """`expression:` of a servo: the part of an expression it shows, and degrees for one unit.
+    """`expression:` of a servo. of: the part of an expression that it shows.
 
-    A unit is a degree, or 1 of lids, brow and smile; a negative number turns in the opposite
-    direction.
+    deg_per_unit: degrees for one degree, or for 1 of lids, brow and smile; a negative number turns
+    in the opposite direction.
     """
 
     of: ExpressionName
@@ -145,11 +145,12 @@ class ServoExpression(Strict):
 
 
 class ExpressionSettings(Strict):
-    """`expression:` of a face YAML. amount: 0 still, 1 as measured on people.
+    """`expression:` of a face YAML: head, eyes, lids and brows. amount: 0 still, 1 as of people.
 
     seed: of the spontaneous motion. eye_contact: share of the time in which the eyes are on the
-    partner. rest_after_s: after so long a silence torque is off until a person speaks. model:
-    learned from tracks (`lipservo learn expression`), a file from the folder of the YAML.
+    partner while the robot talks; None: as of people. rest_after_s: after so long a silence torque
+    is off until a person speaks. model: learned by `lipservo learn expression`, a file from the
+    folder of the YAML; None: the motion is generated.
     """
 
     amount: Annotated[float, within(0.0, LIVELIEST)] = 1.0
@@ -160,7 +161,10 @@ class ExpressionSettings(Strict):
 
 
 class PreventSettings(Strict):
-    """A limit on joints together: the sum of factor x angle stays at most `above`."""
+    """A rule of `prevent:`: the sum of factor x angle of `joints` stays at most `above`, degrees.
+
+    because: the reason, for people.
+    """
 
     joints: Mapping[JointName, Factor]
     above: Factor
@@ -172,7 +176,7 @@ class PreventSettings(Strict):
 
 
 class StaleSettings(Strict):
-    """`stale:` of a face YAML: seconds without a target until it holds, is neutral, is limp."""
+    """`stale:` of a face YAML: seconds without new goals until servos hold, are neutral, limp."""
 
     hold_s: Seconds = 0.1
     neutral_s: Seconds = 1.0
@@ -189,7 +193,7 @@ class StaleSettings(Strict):
 
 
 class TrackingSettings(Strict):
-    """`tracking:` of a face YAML: torque goes off on a servo this far from its goal for this long.
+    """`tracking:` of a face YAML: torque off for a servo `error_deg` off its goal for `after_s`.
 
     error_deg: None = by each joint's range (`firmware_bridge.gate.tracking`).
     """
@@ -201,9 +205,9 @@ class TrackingSettings(Strict):
 class MotionSettings(Strict):
     """`motion:` of a face YAML: how phonemes become motion; the command line has precedence.
 
-    Each may be absent. weights: `default`, `grid`, or a file, from the folder of the YAML. stage: 1
-    opens and rounds the mouth for viewers at 3 m. low_latency: for puppeteers, goals within 150 ms
-    of the sound, less precise.
+    None: the default. engine: the recogniser; weights: its network: `default`, `grid`, or a file,
+    from the folder of the YAML. stage: 1 opens and rounds the mouth for viewers at 3 m.
+    low_latency: for puppeteers, goals within 150 ms of the sound, less precise.
     """
 
     strategy: Strategy | None = None

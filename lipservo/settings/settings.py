@@ -52,7 +52,7 @@ BusName = Annotated[str, StringConstraints(pattern=BUS_NAME)]
 
 
 class ServoSettings(BusServo):
-    """A servo and the joint it drives, with the keys of its kind of bus (`face_schema`).
+    """A servo of a face YAML and the joint it drives; its bus's kind adds keys (`face_schema`).
 
     critical: if this servo fails, the whole face stops.
     """
@@ -88,7 +88,7 @@ class _UnknownBus(BusSettings):
 
 
 class FaceSettings(Strict):
-    """The settings of a face. The order of `servos` is the order of positions everywhere.
+    """The settings of a face: a whole face YAML. All arrays of servos are in the order of `servos`.
 
     The keys of `bus` and its servos depend on the kind of the bus: `model_validate` uses the schema
     from `face_schema`.
@@ -188,7 +188,7 @@ class FaceSettings(Strict):
 
     @property
     def servo_port(self) -> str | None:
-        """The port of the servos, for several buses a text of `port_names`; None: in memory."""
+        """The port of the servos, or `bus=port,...` for several; None: in memory, or not given."""
         if self.buses:
             ports = {name: face.servo_port for name, face in self.alone.items()}
             return ports_text({name: port for name, port in ports.items() if port is not None})
@@ -222,7 +222,7 @@ class FaceSettings(Strict):
 
     @property
     def capabilities(self) -> BusCapabilities:
-        """The capabilities of the face's servos, by their buses."""
+        """The abilities of the face's servos, such as reporting positions, by their buses."""
         if self.buses:
             can = {name: face.capabilities for name, face in self.alone.items()}
             return mixed_capabilities(can, self.bus_of)
@@ -230,13 +230,13 @@ class FaceSettings(Strict):
 
     @property
     def wiring(self) -> Wiring:
-        """The bus, joints, servos and rate of the face, from which a bus is opened."""
+        """The bus, joints, servos and rate, from which the face's one bus is opened."""
         return Wiring(self.bus, self.joints(), tuple(self.servos.values()), self.rate_hz)
 
     def at_port(self, port: str) -> Self:
-        """Return the face with its servos at `port`; for several buses a text of `port_names`.
+        """Return the face with its servos at `port`; for several buses `bus=port,...`.
 
-        Raises SettingsError for several buses if `port` names none.
+        Raises SettingsError if `port` does not name them so, or names an unknown bus.
         """
         if self.buses:
             return self._at_named_ports(port)
@@ -261,7 +261,7 @@ class FaceSettings(Strict):
 
     @property
     def checksum(self) -> str:
-        """16 hex digits over all that a calibration depends on: the mouth's joints and limits.
+        """A hash, 16 hex digits, of what a calibration depends on: the mouth's joints and limits.
 
         Speeds, ids and mounting (`sign`, `zero_offset_deg`) may change under a calibration, which
         contains joint angles only.
@@ -289,9 +289,10 @@ class FaceSettings(Strict):
 
 
 def face_schema(content: Mapping[Any, Any]) -> type[FaceSettings]:
-    """Return the schema for a YAML's content, with the keys of its kinds of bus and their servos.
+    """Return the schema for the content of a face YAML, with the keys of its kinds of bus.
 
-    For an unknown kind of bus, servos are checked as those of the default kind.
+    For an unknown kind, servos are checked as those of the default kind; for one of several buses,
+    their other keys are not checked.
     """
     buses = content.get("buses")
     if isinstance(buses, Mapping) and buses:
@@ -358,7 +359,7 @@ def _servos_of_several(kinds: _Kinds) -> Mapping[Any, type[BaseModel]]:
 
 @cache
 def _schema_of_several(kinds: _Kinds) -> type[FaceSettings]:
-    """Return the schema of a face with several buses, each bus and its servos by the bus's kind."""
+    """Return the schema of a face with several buses, each checked by its kind."""
     known = _servos_of_several(kinds)
 
     def servo_of(value: object) -> BaseModel:
@@ -386,7 +387,7 @@ def _schema_of_several(kinds: _Kinds) -> type[FaceSettings]:
 
 
 def _explaining(schema: type[FaceSettings], content: Mapping[Any, Any]) -> type[FaceSettings]:
-    """Return the schema of one content, with the keys allowed for each of its servos and buses."""
+    """Return `schema` with the keys of each servo and bus in `content`, for error messages."""
     buses, servos = content.get("buses"), content.get("servos")
     if not isinstance(buses, Mapping) or not isinstance(servos, Mapping):
         return schema
@@ -405,13 +406,13 @@ def _settings_of(kind: BusKind | None) -> type[BusSettings]:
 
 
 def bus_of(servo: object) -> str:
-    """Return the bus name in a servo's settings or unparsed content; empty if there is none."""
+    """Return the bus name in a servo's settings or its unchecked YAML value; empty if none."""
     bus_name = servo.get("bus") if isinstance(servo, Mapping) else getattr(servo, "bus", None)
     return bus_name if isinstance(bus_name, str) else ""
 
 
 def _kind_of(bus: object) -> BusKind | None:
-    """Return the kind of a bus, from settings or unparsed content; None if it is unknown."""
+    """Return the kind of a bus, from settings or its unchecked YAML value; None if unknown."""
     default = BusSettings().kind
     kind = bus.get("kind", default) if isinstance(bus, Mapping) else getattr(bus, "kind", default)
     try:
@@ -421,7 +422,7 @@ def _kind_of(bus: object) -> BusKind | None:
 
 
 def _no_bus(servo: Mapping[Any, Any], name: str, known: Sequence[str]) -> ValidationError:
-    """Return the error for a servo whose `bus` is missing or is not one of `known`."""
+    """Return the error for a servo whose `bus`, `name`, is missing or is not one of `known`."""
     buses = f"the buses of this face: {', '.join(known)}"
     bus_name = servo.get("bus")
     why = f"is missing; {buses}" if bus_name is None else f"{shown(bus_name)} is not one of {buses}"

@@ -81,7 +81,7 @@ _Loader.add_implicit_resolver(
 
 
 def read_mapping(text: str, file_name: str) -> dict[object, object]:
-    """Parse `text`, which came from `file_name`, as one mapping of plain values.
+    """Parse `text` as one mapping of plain values; `file_name` begins error lines.
 
     Raises SettingsError if the text is empty, not YAML, nested too deep, not a mapping, or gives a
     key twice, of which PyYAML would silently keep the last.
@@ -144,7 +144,10 @@ def _explain(error: Exception, file_name: str) -> str:
 
 
 def explain(error: ValidationError, schema: type[BaseModel], file_name: str) -> list[str]:
-    """Return a line for each error: path from the file down, what is wrong, what is allowed."""
+    """Return a line for each error: file and keys, what is wrong, what is allowed; 20 at most.
+
+    schema: the model that was validated, for the names of known keys.
+    """
     lines = [
         f"{_path(file_name, detail)}: {line}"
         for detail in error.errors(include_url=False)
@@ -189,7 +192,7 @@ def _nearest(key: str, known: list[str]) -> str:
 
 
 def _keys_at(path: tuple[int | str, ...], kind: object) -> list[str]:
-    """Return the settings known at `path` below `kind`: a model, or a mapping or tuple of them."""
+    """Return the keys known at `path` below `kind`, a model or a mapping or tuple of models."""
     if not (isinstance(kind, type) and issubclass(kind, BaseModel)):
         return _keys_at(path[1:], next(each for each in get_args(kind)[::-1] if each is not ...))
     if not path:

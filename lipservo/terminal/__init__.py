@@ -1,1 +1,1 @@
-"""The output to a person's terminal, and the keys read from it."""
+"""Output to a terminal or web page: text, progress, pictures, a live view; and keys read."""

@@ -1,6 +1,6 @@
-"""Keys and lines from a person at a terminal, or from a script on stdin.
+"""Keys and lines from stdin, a person's terminal or a script.
 
-`read_key` and `read_line` wait; `PressedKeys` gives keys while a program goes on.
+`read_key` and `read_line` wait; `PressedKeys` has a time limit, for programs that do other work.
 """
 
 import os
@@ -31,7 +31,7 @@ class NoAnswerError(UserError):
 
 
 def read_key() -> str:
-    """Wait for a key and return it; arrows as w, s, d, a; q at the end of the input."""
+    """Wait for a key and return it; arrows up, down, right, left as w, s, d, a; at the end q."""
     if sys.stdin.isatty():
         key = _terminal_key(sys.stdin.fileno())
     else:
@@ -56,7 +56,10 @@ def read_line(question: str) -> str:
 
 
 def _terminal_key(terminal: int) -> str:
-    """Read a key without Enter or echo; "" if the terminal is gone. Ctrl-C stays a signal."""
+    """Read a key, without Enter or echo, from a file descriptor; "" if the terminal is gone.
+
+    Ctrl-C stays a signal.
+    """
     before = termios.tcgetattr(terminal)
     try:
         tty.setcbreak(terminal, termios.TCSANOW)  # the default forgets keys typed ahead
@@ -71,10 +74,10 @@ def _terminal_key(terminal: int) -> str:
 
 
 class PressedKeys:
-    """Single keys without Enter or echo; a `with` block sets the terminal's mode and restores it.
+    """Single keys from stdin, without Enter or echo, inside a `with` block.
 
-    A script's keys come one at a time, line ends left out; at its end comes `end`. Keys of more
-    than one character, such as arrows, are ignored.
+    A script's keys come one at a time, line ends left out; at its end `end` comes as a key. Keys of
+    more than one character, such as arrows, are ignored.
     """
 
     def __init__(self, end: str = "q") -> None:
@@ -83,7 +86,10 @@ class PressedKeys:
         self._before: list[Any] | None = None
 
     def next_key(self, timeout_s: float, wake: Any = None) -> str | None:
-        """Return the next key in lower case; None after `timeout_s` or once `wake` is readable."""
+        """Return the next key in lower case.
+
+        None: none came in `timeout_s`, the file `wake` is readable, or the key is ignored.
+        """
         sources = [self._input] if wake is None else [self._input, wake]
         if self._input not in select.select(sources, [], [], timeout_s)[0]:
             return None

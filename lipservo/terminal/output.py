@@ -25,7 +25,7 @@ _CONTROLS: Final = dict.fromkeys(map(ord, "\a\b\v\f\r"))
 
 
 class _LazyConsole:
-    """A console of rich, created on first need: a plain line of `lipservo stop` needs none."""
+    """A console of rich that is created on first need; plain lines are written without rich."""
 
     def __init__(self, *, stderr: bool) -> None:
         self._stderr = stderr
@@ -101,7 +101,10 @@ def machine_class() -> str:
 
 @contextmanager
 def progress_bar(*, quiet: bool) -> Iterator[Advance]:
-    """Yield a function (what, how many are done, of how many) that draws bars on stderr."""
+    """Yield a function that draws bars on stderr: (label, number done, number in all).
+
+    quiet: it draws nothing.
+    """
     from rich.progress import Progress, TimeRemainingColumn
 
     columns = (*Progress.get_default_columns()[:-1], TimeRemainingColumn())

@@ -1,8 +1,8 @@
-"""The connection of a step with the web page that leads it: JSON lines on stdout and stdin.
+"""The connection of a command with the web page that leads it: JSON lines on stdout and stdin.
 
-The step writes events and reads orders. The page's server is another process, which may hang or die
-at any time. So a thread of its own writes, with a bounded queue, and another reads. The code that
-moves servos waits for neither.
+The dashboard starts the command, such as a calibration, which writes events and reads orders. The
+dashboard's process may hang or die at any time. So a thread writes, from a bounded queue, and
+another reads; the code that moves servos waits for neither.
 """
 
 import contextlib
@@ -25,7 +25,7 @@ _PATIENCE_S: Final = 1.0
 
 
 class PageLine:
-    """The connection of a step with the page that leads it: events to the page, orders from it."""
+    """The connection of a command with the web page that leads it: events out, orders in."""
 
     def __init__(self) -> None:
         self._pending_lines: queue.Queue[str] = queue.Queue(_MOST_WAITING)

@@ -22,14 +22,14 @@ class PictureError(UserError):
 def check_picture(path: Path, inputs: Iterable[Path] = ()) -> None:
     """Check before the work that a picture can be written to `path`; only a picture is replaced.
 
-    inputs: files that it must not overwrite. Raises MissingExtraError or OutputError.
+    inputs: files that `path` must not be. Raises MissingExtraError or OutputError.
     """
     check_extra("matplotlib", "drawing pictures")
     check_output(path, replaces=is_picture, kind="PNG picture", inputs=inputs)
 
 
 def check_folder(folder: Path, names: Iterable[str]) -> None:
-    """Check before the work that pictures of these names can be written to a folder, new or not.
+    """Check before the work that pictures `names` can be written to a folder, new or existing.
 
     Raises PictureError, MissingExtraError or OutputError.
     """

@@ -1,8 +1,8 @@
 """The live terminal view: the current phoneme, the mouth's opening, each servo's angle.
 
 The lips are a line drawing in Braille dots or plain characters: each lip marker's motion from rest
-is drawn on a mouth that is closed, straight and as wide on the left as on the right, since no
-speaker's own mouth is so, nor is a head held quite level.
+is added to a mouth that is closed, straight and symmetric, since a recorded speaker's own mouth at
+rest is not.
 """
 
 import threading
@@ -58,7 +58,7 @@ _LAST_PICTURE_S = 0.5
 def draw_mouth(
     markers_mm: Array, rest_mm: Array, layout: PointLayout, *, ascii_only: bool = False
 ) -> list[str]:
-    """Draw the lips from the front as text: both, or those that the layout has.
+    """Return the lips from the front, drawn as text: outer and inner, or those in the layout.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def draw_mouth(
 
 
 def lip_loops_mm(markers_mm: Array, rest_mm: Array, layout: PointLayout) -> list[Array]:
-    """Return the points of each lip that the layout has, outer first, as seen from the front.
+    """Return the loops of outer and inner lips, or those in the layout, as seen from the front.
 
     At rest the lips are drawn closed and symmetric; motion from rest is added.
 
@@ -107,9 +107,10 @@ def lip_loops_mm(markers_mm: Array, rest_mm: Array, layout: PointLayout) -> list
 
 
 def _neutral_lips(rest_mm: Array, layout: PointLayout) -> list[tuple[list[int], Array]]:
-    """Return each lip's markers and their positions drawn at rest, (n, 2) from the mouth's middle.
+    """Return the markers of each loop of the lips, and their drawn positions at rest, (n, 2) mm.
 
-    The mean of the mouth and its mirror image, with the inner lips in one straight line.
+    Positions are the mean of `rest_mm` and its mirror image, from the mouth's middle, with the
+    inner lips in one straight line.
     """
     around = [list(layout.group(name)) for name in (OUTER_LIP_GROUP, INNER_LIP_GROUP)]
     loops = [(points, _symmetric(rest_mm[points, :2])) for points in around if points]
@@ -151,7 +152,7 @@ def _ascii(cell: int) -> str:
 
 
 def _draw_line(canvas: Canvas, start: Array, end: Array) -> None:
-    """Draw a line into the canvas from start to end, (2,) mm from its middle, y up; clip it."""
+    """Draw a line into the canvas, clipped; start, end: (2,) mm from the middle, y up."""
     dots = np.stack([start, end]) * [1.0, -1.0] / _MM_PER_DOT + [MOUTH_COLUMNS, 2 * MOUTH_ROWS]
     n_steps = int(np.abs(dots[1] - dots[0]).max() * _STEPS_PER_DOT) + 2
     for x, y in np.floor(np.linspace(dots[0], dots[1], n_steps)).astype(int):
@@ -174,9 +175,9 @@ _ASCII = _Signs("#", ".", "-", "o")
 
 
 class TerminalView:
-    """A live view of the newest tick, which a thread of rich draws ten times a second.
+    """A live view of the newest tick of the live loop, drawn ten times a second by rich's thread.
 
-    At a regular end the last picture is the mouth at rest, to which the face has been moved.
+    If the `with` block ends without an error, the last picture is the mouth at rest.
     """
 
     def __init__(
@@ -186,7 +187,10 @@ class TerminalView:
         joints: Sequence[Joint],
         model: FaceModel,
     ) -> None:
-        """Prepare the view. status: returns the face's status; `observe` calls it once a second."""
+        """Prepare the view. status: returns the face's status; `observe` calls it once a second.
+
+        joints: those of all servos, in order.
+        """
         self._ask_status = status
         self._status = status()
         self._status_at_s = 0.0

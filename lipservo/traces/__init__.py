@@ -1,1 +1,1 @@
-"""Traces of a face's motion: written while it runs; then read, compared and drawn."""
+"""Traces, records of a face's motion: written while it runs; then read, compared and drawn."""

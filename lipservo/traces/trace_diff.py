@@ -1,7 +1,7 @@
 """The difference in motion between two traces: degrees of servos, mm of lips, ms; and a picture.
 
-Both are aligned by sound time, so that another delay alone is no difference. The picture needs
-matplotlib, the extra `plots`.
+Traces are aligned by sound time, so that two runs which differ in delay alone are equal. The
+picture needs matplotlib, the extra `plots`.
 """
 
 from dataclasses import dataclass
@@ -40,7 +40,10 @@ class IncomparableError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """A time of large difference. lips_mm: rms over lip markers; off_deg: of the servo named."""
+    """A time at which two traces, a and b, differ much. lips_mm: rms distance of lip markers.
+
+    phonemes, gaps_mm: of a and b. off_deg: b less a, of `servo`, which differs most.
+    """
 
     sound_s: float
     phonemes: tuple[str, str]
@@ -52,11 +55,12 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """What trace `b` does otherwise than `a`, over the time that both contain.
+    """How the motion of a trace b differs from that of a, over the sound time in both.
 
-    lips_mm: rms over the lip markers; gap_mm: of the inner lips' distance; servo_deg: (n_servos,)
-    largest and rms; all are the largest of any tick unless their names contain rms. lag_s: how much
-    later b moves as a whole; None if nothing moves. closure_shifts_s: of closures in both, how much
+    lips_mm: rms over the lip markers; gap_mm: of the inner lips' distance; servo_most_deg,
+    servo_rms_deg: (n_servos,); all are the largest of any tick unless their names contain rms.
+    lag_s: how much later b moves as a whole; None if one hardly moves or they hardly overlap.
+    closure_shifts_s: of closures in both, how much
     later each begins in b; lost_closures_s, new_closures_s: sound times at which those begin that
     only a, only b has. ends_apart_s: how much of the sound only one trace contains, beyond a tick.
     """
@@ -77,7 +81,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """The allowed difference: lips and gap in mm, servos in deg, lag and closures in seconds."""
+    """The allowed difference. mm: of lips and gap; deg: of servos; s: of lag and closures."""
 
     mm: float
     deg: float
@@ -86,7 +90,7 @@ class Tolerance:
 
 @dataclass(frozen=True, slots=True)
 class Overlay:
-    """Two traces at the first one's times within their overlap, n ticks; for numbers and pictures.
+    """Two traces sampled at the n ticks of the first within the sound time in both.
 
     gaps_mm: two (n,); lips_mm: (n,), rms over the lip markers of their distance; sent_deg: two (n,
     n_servos). own: sound times and lip gaps of each trace at its own ticks, (n_own,).
@@ -101,7 +105,10 @@ class Overlay:
 
 
 def overlay(a: Trace, b: Trace, models: tuple[FaceModel, FaceModel]) -> Overlay:
-    """Align two traces by sound time; models: of each. Raises IncomparableError with one line."""
+    """Return traces `a` and `b` aligned by sound time; `models`: the face model of each.
+
+    Raises IncomparableError with one line.
+    """
     if a.servos != b.servos:
         only = sorted(set(a.servos) ^ set(b.servos))
         what = f"only one of them has {only[0]}" if only else "in another order"
@@ -141,7 +148,8 @@ def overlay(a: Trace, b: Trace, models: tuple[FaceModel, FaceModel]) -> Overlay:
 def compare(a: Trace, b: Trace, laid: Overlay, *, margin_mm: float, n_worst: int = 5) -> Difference:
     """Return all figures of the difference between two traces.
 
-    laid: their overlay. margin_mm: a closure that the other trace misses by less is not lost.
+    laid: their overlay. margin_mm: a closure does not count as lost if lips are open by less in the
+    other trace. n_worst: number of times of large difference to list.
     """
     apart_deg = np.abs(laid.sent_deg[1] - laid.sent_deg[0])
     gap_a, gap_b = laid.gaps_mm
@@ -163,7 +171,7 @@ def compare(a: Trace, b: Trace, laid: Overlay, *, margin_mm: float, n_worst: int
 
 
 def excesses(servos: tuple[str, ...], found: Difference, tolerance: Tolerance) -> list[str]:
-    """Return a line for each figure that exceeds the tolerance; empty if none does."""
+    """Return a line for each figure of `found` that exceeds the tolerance; empty if none does."""
     lines = []
     if found.lips_mm > tolerance.mm:
         lines.append(f"lips are up to {found.lips_mm:.2f} mm apart, {tolerance.mm:g} allowed")
@@ -256,7 +264,10 @@ def _closures(times_s: Array, gaps_mm: Array) -> list[_Closure]:
 def _match_closures(
     laid: Overlay, margin_mm: float
 ) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
-    """Return the shifts of closures in both traces, and the starts of those in only one of them."""
+    """Return shifts of closures in both traces, and starts of those in only the first, second.
+
+    In s. margin_mm: one is missing in a trace whose lips stay open by more.
+    """
     span_s = laid.sound_s[0], laid.sound_s[-1]
     ours, theirs = (
         [each for each in _closures(*own) if span_s[0] <= each.start_s <= span_s[1]]
@@ -278,7 +289,10 @@ def _match_closures(
 
 
 def _open(own: tuple[Array, Array], closure: _Closure, margin_mm: float) -> bool:
-    """Return whether the lips stay open by more than `margin_mm` all through a closure."""
+    """Return whether lips stay open by over `margin_mm` during a closure of the other trace.
+
+    own: sound times and lip gaps of the trace that is examined.
+    """
     return bool(np.interp(closure.times_s, *own).min() > CLOSED_GAP_MM + margin_mm)
 
 
@@ -287,7 +301,10 @@ def _own_gaps(trace: Trace, model: FaceModel) -> tuple[Array, Array]:
 
 
 def _worst(a: Trace, laid: Overlay, apart_deg: Array, n_worst: int) -> tuple[Moment, ...]:
-    """Return the `n_worst` ticks of largest lip distance, then servo difference, 0.3 s apart."""
+    """Return the `n_worst` ticks at which two traces differ most, 0.3 s apart or more.
+
+    The lip distance in `laid` decides, then the servos' difference, `apart_deg` (n, n_servos).
+    """
     badness = laid.lips_mm + 1e-3 * apart_deg.max(axis=1)
     left = badness.copy()
     found: list[Moment] = []
@@ -309,7 +326,7 @@ def _worst(a: Trace, laid: Overlay, apart_deg: Array, n_worst: int) -> tuple[Mom
 
 
 def _ends_apart_s(a: Trace, b: Trace) -> float:
-    """Return by how many s starts or ends differ, beyond a tick; time before 0 does not count."""
+    """Return by how many s starts or ends of traces differ, less a tick; before 0 s is ignored."""
     tick_s = max(float(np.diff(trace.sound_s).min()) for trace in (a, b))
     starts_s, ends_s = (
         [max(0.0, float(trace.sound_s[end])) for trace in (a, b)] for end in (0, -1)
@@ -319,7 +336,7 @@ def _ends_apart_s(a: Trace, b: Trace) -> float:
 
 
 def _at(from_s: Array, values: Array, times_s: Array) -> Array:
-    """Interpolate values (n, k) linearly at other times."""
+    """Return values (n, k), known at times `from_s`, interpolated at `times_s` (m,) as (m, k)."""
     return np.stack([np.interp(times_s, from_s, column) for column in values.T], axis=1)
 
 
@@ -339,7 +356,10 @@ def _is_drawing(head: bytes) -> bool:
 
 
 def draw_difference(path: Path, first: Trace, second: Trace, laid: Overlay) -> None:
-    """Write a picture of lip gaps, lip distance and the most different servos over sound time."""
+    """Write a picture of two traces: lip gaps, lip distance, the three most different servos.
+
+    laid: their overlay.
+    """
     import matplotlib as mpl
 
     mpl.use("Agg")

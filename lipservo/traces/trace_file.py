@@ -1,4 +1,4 @@
-"""Trace files, with a line for every tick: JSON lines, one header, one line a tick, one last line.
+"""Trace files, JSON lines: a header, a line for every tick of the motion loop, a last line.
 
 The file gets its name when it is complete; until then it is `NAME.partial`. It contains no
 wall-clock time, so that two replays of one file give the same bytes. A file that is read may be
@@ -46,7 +46,7 @@ def is_trace(head: bytes) -> bool:
 
 
 class TraceFile:
-    """A trace file that each tick is written to at once: for `replay`, where no loop waits."""
+    """A trace file to which each tick is written at once; for `replay`, not for the live loop."""
 
     def __init__(self, path: Path, header: Mapping[str, object]) -> None:
         """Open the file and write `header`, what a reader needs first, such as the servo names.
@@ -67,7 +67,7 @@ class TraceFile:
         self._n_ticks += 1
 
     def close(self, dropped: int = 0) -> None:
-        """Complete the file and give it its name; `dropped` is the number of ticks not written.
+        """Complete the file and give it its name. dropped: number of ticks that were not written.
 
         Raises OutputError if that fails; does nothing to a closed or abandoned file.
         """
@@ -77,7 +77,7 @@ class TraceFile:
             self._write({"ticks": self._n_ticks, "dropped": dropped})
 
     def abandon(self) -> None:
-        """Remove the unfinished file, as it cannot be completed."""
+        """Remove the unfinished file; for one that cannot be completed."""
         with suppress(OutputError), self._whole:
             raise OutputError("abandoned")
 
@@ -101,9 +101,9 @@ class TraceFile:
 
 
 class BackgroundTrace:
-    """A trace written by a thread, so that a tick itself writes to no file.
+    """A trace file written by a thread, so that the live loop never waits for the disk.
 
-    When the disk is a minute behind, ticks are dropped, and the last line has their number.
+    When the disk is a minute late, ticks are dropped, and the last line has their number.
     """
 
     def __init__(self, file: TraceFile) -> None:
@@ -171,9 +171,10 @@ def _rounded(values: Sequence[float]) -> list[float]:
 class Trace:
     """The motion of one run, tick by tick, n ticks in order of time.
 
-    sound_s: (n,), sound time of the frame at each tick; coefficients: (n, n_components); sent_deg:
-    (n, n_servos); model: checksum of the face model. notes: cautions for a reader, such as that it
-    was cut short. complete: whether it has its last line.
+    face: the face's name; model: checksum of the face model; delay_s: of the motion behind the
+    arrival of sound. sound_s: (n,), sound time of the frame at each tick; coefficients: (n,
+    n_components); sent_deg: (n, n_servos). notes: cautions, such as that the file was cut short.
+    complete: whether it has its last line.
     """
 
     name: str
@@ -256,7 +257,7 @@ def _trace(
 
 
 def _lines(path: Path) -> list[bytes]:
-    """Return the file's non-empty lines, unpacked; a `.gz` file cut short gives those it has."""
+    """Return the file's non-empty lines, unpacked; of a `.gz` file cut short, those that remain."""
     try:
         if path.suffix != ".gz":
             return [line for line in path.read_bytes().split(b"\n") if line]

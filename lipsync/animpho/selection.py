@@ -1,12 +1,12 @@
 """Selection of the AnimPho for the next phoneme: the paper's two strategies, and a guided one.
 
-The paper's strategies do not look ahead. They keep no state: what they need to remember is in the
-`Choice` that they returned last, so that a choice can be undone.
+The paper's strategies use no later phonemes. They keep no state: what they need to remember is in
+the `Choice` that they returned last, so that a choice can be undone. They select a connected and
+smooth motion, and know of the mouth only through the phonemes.
 
-They ask for a connected and smooth motion, and know of the mouth only through the phonemes.
-`GuidedSelection` asks first for nearness to a target, which is given at five times of the rest of
-the phone. An AnimPho tells how the mouth moves and the target tells where: both are compared about
-their own means.
+`GuidedSelection` puts nearness to a target motion first, which is given at five times of the rest
+of the phone. An AnimPho shows how the mouth moves and the target where it is: both are compared
+about their own means.
 """
 
 from dataclasses import dataclass
@@ -26,9 +26,10 @@ Indices = NDArray[np.int64]
 class Choice:
     """The AnimPho selected for a phoneme p_t, after the AnimPho a_{t-1}.
 
-    animpho: its index. missed: it is not both in L(p_t), the phoneme's AnimPhos, and in T(a_{t-1}),
-    the successors; never so for a first phoneme. chain_lengths: (m,), the priorities v_i of eq.
-    (2), 0 outside L(p_t); empty for strategies without priorities.
+    animpho: its index. missed: whether it is outside L(p_t), the phoneme's AnimPhos, or outside
+    T(a_{t-1}), the successors; False for a first phoneme. chain_lengths: (m,), the priorities v_i
+    of Wei and Deng, eq. (2), of all m AnimPhos, 0 outside L(p_t); empty for strategies without
+    priorities.
     """
 
     animpho: int
@@ -44,14 +45,14 @@ class SelectionStrategy(Protocol):
         """The name of the strategy on the command line."""
 
     def first(self, units: AnimPhoUnits, phoneme: str) -> Choice:
-        """Return the choice for the first phoneme of a chain, which begins at the closed mouth."""
+        """Return the choice for `phoneme`, the first of a chain that begins at the closed mouth."""
 
     def following(self, units: AnimPhoUnits, phoneme: str, previous: Choice) -> Choice:
-        """Return the choice for the next phoneme of the chain, after the choice `previous`."""
+        """Return the choice for `phoneme`, the next of the chain, after the choice `previous`."""
 
 
 def smoothness_energy(units: AnimPhoUnits, previous: int, candidates: Indices) -> Array:
-    """Return ||E(a_{t-1}) - B(eta)|| for each candidate; lower is smoother. Wei and Deng, eq. (1).
+    """Return the jump to each candidate, ||E(a_{t-1}) - B(eta)||. Wei and Deng, eq. (1).
 
     Parameters
     ----------
@@ -72,7 +73,10 @@ def smoothness_energy(units: AnimPhoUnits, previous: int, candidates: Indices) -
 
 
 def nearest_to_rest(units: AnimPhoUnits, candidates: Indices) -> int:
-    """Return the candidate's index that starts nearest the closed mouth; the paper has no rule."""
+    """Return the index of the candidate that starts nearest the closed mouth, to begin a chain.
+
+    The paper has no rule for it.
+    """
     distance = np.linalg.norm(units.samples[candidates, 0] - units.rest, axis=1)
     return int(candidates[np.argmin(distance)])
 
@@ -107,9 +111,10 @@ def chain_lengths(units: AnimPhoUnits, candidates: Indices, previous: Array) -> 
 
 
 class NaiveSelection:
-    """Strategy: the smoothest AnimPho that belongs to the phoneme and follows the last AnimPho.
+    """Strategy: the smoothest of the phoneme's AnimPhos that follow the last AnimPho in training.
 
-    If there is none, the smoothest of all AnimPhos.
+    The smoothest has the smallest jump from the last AnimPho's end, eq. (1). Where none of the
+    phoneme's AnimPhos follows, it is the smoothest of all AnimPhos.
     """
 
     name = "naive"
@@ -119,7 +124,7 @@ class NaiveSelection:
         return Choice(nearest_to_rest(units, units.of_phoneme(phoneme)), False, np.empty(0))
 
     def following(self, units: AnimPhoUnits, phoneme: str, previous: Choice) -> Choice:
-        """Choose, by eq. (1), the smoothest AnimPho of the phoneme that follows `previous`.
+        """Choose, by eq. (1), the smoothest AnimPho of `phoneme` that is a successor of `previous`.
 
         If no AnimPho of the phoneme is a successor of `previous`, choose the smoothest of all
         AnimPhos, with `missed` set.
@@ -134,22 +139,26 @@ class NaiveSelection:
 
 
 class PrioritySelection:
-    """Strategy: the AnimPho that ends the longest chain which spells the phonemes so far.
+    """Strategy: the AnimPho that ends the longest recorded chain which spells the phonemes so far.
 
-    Among equals one that follows the last AnimPho in training, then the smoothest.
+    Among equals one that follows the last AnimPho in training, then the one with the smallest jump
+    from the last AnimPho's end.
     """
 
     name = "priority"
 
     def first(self, units: AnimPhoUnits, phoneme: str) -> Choice:
-        """Choose the phoneme's AnimPho that starts nearest the closed mouth; all priorities: 1."""
+        """Choose the AnimPho of `phoneme` that starts nearest the closed mouth.
+
+        The priorities are 1 for each AnimPho of the phoneme, else 0.
+        """
         candidates = units.of_phoneme(phoneme)
         lengths = np.zeros(len(units))
         lengths[candidates] = 1.0
         return Choice(nearest_to_rest(units, candidates), False, lengths)
 
     def following(self, units: AnimPhoUnits, phoneme: str, previous: Choice) -> Choice:
-        """Choose the AnimPho of the phoneme with the highest chain length v_i of eq. (2).
+        """Choose the AnimPho of `phoneme` with the highest chain length v_i of eq. (2).
 
         Among equals a successor of a_{t-1}, the AnimPho of `previous`; then the smoothest by eq.
         (1).
@@ -173,9 +182,10 @@ STRATEGIES: dict[str, SelectionStrategy] = {
 class SelectionCosts:
     """Weights of the costs that are added to a candidate's mean squared distance from the target.
 
-    position: of the squared distance between its start and the mouth's position now; speed_s2: of
-    the squared difference of their speeds, in s^2; unconnected: cost of not being in T(a_{t-1}), in
-    squared units of the components. Chosen on inner splits (decisions/0028).
+    position: of the squared distance between the candidate's start and the mouth's present
+    position; speed_s2: of the squared difference between their speeds, in s^2; unconnected: cost of
+    a candidate outside T(a_{t-1}), the successors of the last AnimPho, in squared units of the
+    components. Chosen on inner splits (decisions/0028).
     """
 
     position: float = 0.02
@@ -213,10 +223,10 @@ class _Candidates:
 
 
 class GuidedSelection:
-    """Selection of the AnimPho of a phoneme that costs least against a target motion.
+    """Selection of the AnimPho of a phoneme that fits a target motion at the least cost.
 
-    All costs are squares of what is linear in the samples x (5, n_components) of an AnimPho, so
-    their sum is x' M x + v x, with one M (5, 5) and one v for all candidates: two products.
+    All costs are squares of terms linear in the samples x (5, n_components) of an AnimPho, so their
+    sum is x' M x + v x, with one M (5, 5) and one v for all candidates: two matrix products.
     """
 
     def __init__(self, units: AnimPhoUnits, costs: SelectionCosts | None = None) -> None:
@@ -229,7 +239,7 @@ class GuidedSelection:
         self._candidates = {p: _candidates(units, p) for p in units.known_phonemes}
 
     def choose(self, phoneme: str, target: Array, joint: Joint) -> int:
-        """Return the index of the AnimPho of a phoneme that costs least for the rest of a phone.
+        """Return the index of the AnimPho of `phoneme` that costs least for the rest of a phone.
 
         Parameters
         ----------

@@ -44,8 +44,8 @@ _KEPT = 16
 class _Stretch:
     """One planned piece of motion, which another piece replaces at `until_s`.
 
-    until_s: sound time; infinite while the mouth rests: then the first known event that starts
-    after `after_s` ends the piece.
+    until_s: sound time; infinite while the mouth rests or is held: then the first known phoneme
+    that starts after `after_s` ends the piece.
     """
 
     trajectory: Trajectory
@@ -56,6 +56,8 @@ class _Stretch:
 class PublishedSynthesizer:
     """Wei and Deng's synthesis and blending over a revisable stream of phonemes.
 
+    units: the AnimPhos; strategy: selects one per phoneme, None: PrioritySelection;
+    longest_phone_s: a longer phoneme is held after this time, which is also the look-ahead.
     published_derivatives: keep eq. (5)'s derivative per sample spacing at a joint, so that the
     speed jumps when durations differ; by default the speed per second is continuous.
     """
@@ -136,11 +138,14 @@ class PublishedSynthesizer:
         return np.tile(frame.coefficients, (len(times_s), 1))
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
-        """Return the phoneme known now at a sound time, for displays; None if none is."""
+        """Return the phoneme known now at sound time `time_s`, for displays; None if unknown."""
         return self._timeline.event_at(time_s)
 
     def _end_of_plan_s(self) -> float:
-        """Return the sound time at which the next motion begins; inf while no event is known."""
+        """Return the sound time until which motion is planned: the start of the next motion.
+
+        inf while the mouth rests or is held and no later phoneme is known.
+        """
         newest = self._stretches[-1]
         if math.isfinite(newest.until_s):
             return newest.until_s
@@ -153,7 +158,8 @@ class PublishedSynthesizer:
     def _plan(self, start_s: float) -> None:
         """Append the motion from sound time `start_s` on, for the phoneme at that time.
 
-        A pause closes the mouth; a rest of a phoneme below 20 ms is held; else AnimPhos are played.
+        In a pause the mouth closes; where less than 20 ms of the phoneme is left it keeps its
+        position; else AnimPhos are played.
         """
         event = self._timeline.event_at(start_s)
         end_s = math.inf if event is None or event.end_s is None else event.end_s
@@ -173,13 +179,19 @@ class PublishedSynthesizer:
         return duration_s > PAUSE_S or SILENCE not in self._known
 
     def _rest(self, start_s: float, event: PhonemeEvent | None, position: Array) -> None:
-        """Append an easing to `position`, held until the first event that starts after `event`."""
+        """Append an easing to `position`, held until the first phoneme that starts after `event`.
+
+        event: the phoneme in which the mouth rests; None: no phoneme is known at `start_s`.
+        """
         after_s = -math.inf if event is None else event.start_s
         trajectory = ease(start_s, SETTLE_S, *self._state_at(start_s), position)
         self._stretches.append(_Stretch(trajectory, math.inf, after_s))
 
     def _speak(self, phoneme: str, start_s: float, duration_s: float) -> None:
-        """Append motion for a phoneme: its AnimPho, or its stand-ins' in equal shares of time."""
+        """Append the motion of a phoneme from `start_s` on: an AnimPho of it, `duration_s` long.
+
+        A phoneme without AnimPhos is replaced by similar ones, which share its time evenly.
+        """
         parts = stand_in(phoneme, self._known)
         share_s = duration_s / len(parts)
         for number, part in enumerate(parts):
@@ -208,5 +220,5 @@ class PublishedSynthesizer:
         self.misses += chosen.missed
 
     def _state_at(self, time_s: float) -> tuple[Array, Array]:
-        """Return position and velocity per second of the newest stretch at a sound time."""
+        """Return position and velocity per second of the newest stretch at sound time `time_s`."""
         return self._stretches[-1].trajectory.at(time_s)

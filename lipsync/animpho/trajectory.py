@@ -12,10 +12,10 @@ from lipsync.arrays import Array
 
 
 def choose_connected(units: AnimPhoUnits, previous: int, chosen: int) -> int:
-    """Return b_t: the AnimPho that follows a_{t-1} in training and moves most like a_t.
+    """Return b_t's index: the AnimPho that follows a_{t-1} in training and moves most like a_t.
 
     Wei and Deng, eq. (3). It is a_t (`chosen`) itself when that follows a_{t-1} (`previous`), or
-    when no AnimPho does (the last one of a sentence).
+    when no AnimPho does: a_{t-1} was the last one of a sentence.
     """
     followers = units.successors[previous]
     if len(followers) == 0 or chosen in followers:
@@ -25,7 +25,7 @@ def choose_connected(units: AnimPhoUnits, previous: int, chosen: int) -> int:
 
 
 def translate(animpho: Array, start: Array) -> Array:
-    """Return b'_t: the AnimPho moved so that it begins at `start`. Wei and Deng.
+    """Return an AnimPho moved as a whole so that it begins at `start`: b'_t of Wei and Deng.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def translate(animpho: Array, start: Array) -> Array:
 
 
 def left_samples(share: float) -> Array:
-    """Return weights that linearly resample the rest of an AnimPho, after a share of it has passed.
+    """Return weights that linearly resample the rest of an AnimPho of which a `share` has passed.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def left_samples(share: float) -> Array:
 
 
 def blend(connected: Array, chosen: Array, joined_by: float = 1.0) -> Array:
-    """Return m_t, which begins as b'_t and ends as a_t. Wei and Deng, eq. (4).
+    """Return samples that begin as the AnimPho b'_t and end as a_t: m_t of Wei and Deng, eq. (4).
 
     Parameters
     ----------
@@ -109,7 +109,8 @@ _ROUNDING_S = 1e-9
 class Trajectory:
     """Cubic Hermite curve through evenly spaced samples; after its end it rests at the last sample.
 
-    samples, derivatives: (n, n_components), derivatives per sample spacing; n >= 2.
+    start_s: sound time of the first sample; duration_s: from there to the last. samples,
+    derivatives: (n, n_components), derivatives per sample spacing; n >= 2.
     """
 
     start_s: float
@@ -128,7 +129,7 @@ class Trajectory:
         return self.duration_s / (len(self.samples) - 1)
 
     def at(self, time_s: float) -> tuple[Array, Array]:
-        """Return position and derivative at a time. Wei and Deng, Algorithm 1.
+        """Return position and derivative at sound time `time_s`. Wei and Deng, Algorithm 1.
 
         Parameters
         ----------
@@ -160,7 +161,7 @@ class Trajectory:
 def ease(
     start_s: float, duration_s: float, position: Array, velocity: Array, to: Array
 ) -> Trajectory:
-    """Return the trajectory from a moving position to rest at another one.
+    """Return the trajectory that brings a moving mouth smoothly from `position` to rest at `to`.
 
     Parameters
     ----------

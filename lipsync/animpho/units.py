@@ -27,9 +27,10 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class IndexLists:
-    """A list of indices for each of n rows, stored end to end (the 0/1 tables of the paper).
+    """Lists of indices, one for each of n rows, stored end to end: a table of zeros and ones.
 
-    starts: (n + 1,); indices: (starts[-1],), ascending within a row.
+    starts: (n + 1,), where each row begins in `indices`; indices: (starts[-1],), the columns with a
+    1, ascending within a row.
     """
 
     starts: Indices
@@ -37,7 +38,10 @@ class IndexLists:
 
     @classmethod
     def from_pairs(cls, rows: Indices, columns: Indices, n_rows: int) -> "IndexLists":
-        """Return the lists of a table's non-zero (row, column) pairs; duplicates are merged."""
+        """Return the lists of a table of `n_rows` rows with a 1 at each pair (row, column).
+
+        Duplicates are merged.
+        """
         pairs = np.unique(np.stack([rows, columns], axis=1), axis=0).astype(np.int64)
         starts = np.searchsorted(pairs[:, 0], np.arange(n_rows + 1)).astype(np.int64)
         return cls(starts, np.ascontiguousarray(pairs[:, 1]))
@@ -49,11 +53,11 @@ class IndexLists:
         return self.indices[self.starts[row] : self.starts[row + 1]]
 
     def transposed(self, n_rows: int) -> "IndexLists":
-        """Return the table with rows and columns swapped; n_rows: the new number of rows."""
+        """Return the table with rows and columns swapped; `n_rows`: the new number of rows."""
         return IndexLists.from_pairs(self.indices, self.rows(), n_rows)
 
     def rows(self) -> Indices:
-        """Return the row number of every stored index, (len(indices),)."""
+        """Return the row number of every stored index, shape (len(indices),)."""
         return np.repeat(np.arange(len(self)), np.diff(self.starts))
 
 
@@ -87,7 +91,7 @@ class AnimPhoUnits:
 
     @property
     def mean_successors(self) -> float:
-        """The mean number of AnimPhos that follow one; 3.45 in the paper."""
+        """The mean number of AnimPhos that may follow an AnimPho; 3.45 in the paper."""
         return len(self.successors.indices) / len(self.samples)
 
     @property
@@ -102,7 +106,7 @@ class AnimPhoUnits:
         return self.samples.reshape(-1, self.samples.shape[2])
 
     def of_phoneme(self, phoneme: str) -> Indices:
-        """Return L(p): the indices of the AnimPhos of a phoneme; empty if training had none."""
+        """Return L(p): the indices of the AnimPhos of `phoneme`; empty if training had none."""
         return self.phoneme_table[PHONEMES.index(phoneme)]
 
 
@@ -114,7 +118,7 @@ class FaceWithAnimPhos(FaceModel):
 
 
 def load_face_with_animphos(path: Path | None = None) -> FaceWithAnimPhos:
-    """Read the face and the AnimPhos of a model file; None: the shipped one. Raises ModelError."""
+    """Return face and AnimPhos of a model file; `path` None: the shipped one. Raises ModelError."""
     with open_model(path) as file:
         face = read_face(file)
         return FaceWithAnimPhos(**face_fields(face), animphos=read_animphos(file, face))

@@ -42,7 +42,10 @@ _LEAST_PEAK: Final = 0.001
 
 @dataclass(frozen=True, slots=True)
 class Delay:
-    """A measured delay in seconds: median over the clicks found, and the largest deviation."""
+    """A measured delay in seconds: median over the clicks found, and the largest deviation from it.
+
+    n_found: clicks found in the recording, of `n_played`.
+    """
 
     median_s: float
     spread_s: float
@@ -51,7 +54,7 @@ class Delay:
 
 
 def click_train(sample_rate_hz: int) -> Samples:
-    """Return the test signal of all clicks (n,) at `CLICKS_S`; it ends with the last click."""
+    """Return the test signal (n,) at this rate: a click at each of `CLICKS_S`, silence between."""
     click = _click(sample_rate_hz)
     train = np.zeros(round(CLICKS_S[-1] * sample_rate_hz) + len(click), dtype=np.float32)
     for begins_s in CLICKS_S:
@@ -61,7 +64,7 @@ def click_train(sample_rate_hz: int) -> Samples:
 
 
 def find_delay(recorded: Samples, expected_s: Seconds) -> Delay:
-    """Return how late the clicks are in a recording (n,) at 16 kHz.
+    """Return how much later than expected the clicks are heard in `recorded`, (n,) at 16 kHz.
 
     expected_s: (n_clicks,) times at which they would be heard without a delay, in seconds from the
     first sample. Raises SoundError, in one line, where no delay can be measured.
@@ -101,10 +104,10 @@ def _click(sample_rate_hz: int) -> Samples:
 
 
 def _matched(recorded: Samples) -> tuple[Seconds, Seconds]:
-    """Return two arrays (n,): a click's strength at each sample, and the likeness to a click.
+    """Return for each sample of `recorded` (n,), as a click's start, (strength, likeness).
 
-    The likeness is 0 to 1, whatever the level. An echo that stands alone is more like the click
-    than the click that it follows, but weaker. Polarity is of no account.
+    Two arrays (n,); the likeness is 0 to 1, whatever the level. A separate echo is more like a
+    click than the click before it, but weaker: so both are needed. Polarity has no influence.
     """
     click = _click(SAMPLE_RATE_HZ).astype(np.float64)
     click /= np.linalg.norm(click)
@@ -137,7 +140,8 @@ def _one_delay(
 ) -> float | None:
     """Return the delay in s of the click due at `expected_s`, within 12 ms of `coarse_s`.
 
-    None if the recording does not reach that far or no stretch there is like a click.
+    matched, likeness: the arrays of `_matched`; coarse_s: the delay that fits all clicks best. None
+    if the recording does not reach that far or no stretch there is like a click.
     """
     first = max(0, round((expected_s + coarse_s - _AROUND_S) * SAMPLE_RATE_HZ))
     window = matched[first : first + round(2.0 * _AROUND_S * SAMPLE_RATE_HZ)]
@@ -165,7 +169,7 @@ class Microphone(AudioSource, Protocol):
 
     @property
     def captured(self) -> tuple[float, float] | None:
-        """(monotonic seconds, sound time captured then), the newest; None before the first."""
+        """Newest stamp, (monotonic seconds, sound time captured then); None before the first."""
 
 
 def measure_delay(
@@ -174,11 +178,12 @@ def measure_delay(
     clock: Callable[[], float],
     sleep: Callable[[float], None],
 ) -> Delay:
-    """Play clicks and return how much later they are heard than the loudspeaker reports; takes 7 s.
+    """Play clicks and return how much later they are heard than the loudspeaker reports; lasts 7 s.
 
-    Both devices must be open. The error of the microphone's own time stamps is included, and the
-    sound's travel through the air: 3 ms a metre. Raises SoundError where the clicks are not heard
-    well enough, or the loudspeaker plays nothing, or the microphone delivers nothing.
+    clock: returns monotonic seconds; sleep: waits for seconds. Both devices must be open. The error
+    of the microphone's own time stamps is included, and the sound's travel through the air: 3 ms a
+    metre. Raises SoundError where the clicks are not heard well enough, or the loudspeaker plays
+    nothing, or the microphone delivers nothing.
     """
     train = np.concatenate((click_train(speaker.rate_hz), np.zeros(speaker.rate_hz, np.float32)))
     begun_s = clock()
@@ -213,8 +218,9 @@ def measure_delay(
 def _expected_s(left: Reports, captured: Reports) -> NDArray[np.float64]:
     """Return the microphone's sound time at which each click is heard if it is not late, (n,).
 
-    By the time stamps near each click alone: while it wakes up, a device may lose sound without
-    reporting it (a PulseAudio monitor 0.2 s of it).
+    left: (n, 2), the loudspeaker's reports of clock and position heard then; captured: (n, 2), the
+    microphone's of clock and sound time. Only the reports near each click count: while it wakes up,
+    a device may lose sound without reporting it (a PulseAudio monitor 0.2 s of it).
     """
     expected_s = []
     for click_s in CLICKS_S:
@@ -224,7 +230,7 @@ def _expected_s(left: Reports, captured: Reports) -> NDArray[np.float64]:
 
 
 def _zero_s(reports: Reports, distance_s: NDArray[np.float64]) -> float:
-    """Return the clock time of position 0 in s, the median over the reports near a click.
+    """Return the clock time in s of a device's position 0, the median over reports near a click.
 
     reports: (n, 2) clock and position; distance_s: (n,) of each from the click. Near is within 0.25
     s; if no report is, the nearest counts.

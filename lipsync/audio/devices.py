@@ -30,7 +30,8 @@ _CARD_NUMBER: Final = re.compile(r"\s*\(hw:\d+,\d+\)$")
 class SoundDevice:
     """A microphone or loudspeaker known to PortAudio; `sample_rate_hz` is its preferred rate.
 
-    n_channels: the most channels that it has in the direction of use.
+    index: PortAudio's number for it. n_channels: the most channels that it has in the direction of
+    use. is_default: whether the system uses it where none is named.
     """
 
     index: int
@@ -119,10 +120,10 @@ def sound_devices(direction: Direction) -> tuple[SoundDevice, ...]:
 
 
 def find_device(wanted: str | int | None, direction: Direction) -> SoundDevice:
-    """Return the device of this number, of this name, or of the one name that contains it.
+    """Return the device whose number or name is `wanted`, or the only one whose name contains it.
 
-    None: the system's default. Raises SoundError, which lists the devices, if none or several
-    match.
+    wanted: None for the system's default. Raises SoundError, which lists the devices, if none or
+    several match.
     """
     sounddevice = import_sounddevice()
     devices = sound_devices(direction)
@@ -144,21 +145,22 @@ def find_device(wanted: str | int | None, direction: Direction) -> SoundDevice:
 
 
 def is_number(device: str | int | None) -> bool:
-    """Return whether `device` is a number, which may be another device's after the next plug."""
+    """Return whether `device` is a number, which may be another device's after plugging."""
     return isinstance(device, int) or (device is not None and device.isdecimal())
 
 
 def offset_ms_of(device: str, offsets_ms: Mapping[str, float]) -> float:
-    """Return the offset, ms, that a face configures for a device; 0 if none fits.
+    """Return the configured ms by which the sound of `device` is heard later than it reports.
 
-    It is that of the longest name in `offsets_ms` which is the device's name or part of it.
+    device: its full name; offsets_ms: by name. The longest name counts that is the device's name or
+    part of it; 0 if there is none.
     """
     named = [name for name in offsets_ms if name in device]
     return offsets_ms[max(named, key=len)] if named else 0.0
 
 
 class _OpenStreams:
-    """The number of streams that this process has open: above 0 PortAudio must not be restarted."""
+    """The number of streams that this program has open: above 0 PortAudio must not be restarted."""
 
     def __init__(self) -> None:
         self.lock = threading.RLock()
@@ -181,7 +183,7 @@ def opening() -> Iterator[None]:
 def start_stream(stream: OpenStream) -> None:
     """Start a stream that was made within `opening` and count it as open; close it on failure.
 
-    Raises PortAudioError. Takes as long as the device takes: never call it in a tick.
+    Raises PortAudioError. It lasts as long as the device needs: never call it in the live loop.
     """
     with _STREAMS.lock:
         _STREAMS.n_open += 1
@@ -193,7 +195,7 @@ def start_stream(stream: OpenStream) -> None:
 
 
 def close_stream(stream: OpenStream) -> None:
-    """Close a started stream, even of a lost device, and uncount it. Never call it in a tick."""
+    """Close and uncount a started stream, even of a lost device; never call it in the live loop."""
     try:
         stream.abort()  # a device that is gone would be waited for until its buffers have drained
         stream.close()
@@ -205,7 +207,7 @@ def close_stream(stream: OpenStream) -> None:
 def list_anew() -> bool:
     """Restart PortAudio so that it lists the devices again; return whether it was restarted.
 
-    A restart ends every open stream of the process: while one is open, nothing is done.
+    A restart ends every open stream of this program: while any is open, nothing is done.
     """
     sounddevice = import_sounddevice()
     with _STREAMS.lock:
@@ -232,7 +234,7 @@ class DeviceWatch:
 
     `open_stream` finds the device by the names that exist now and starts a stream of it; it raises
     SoundError where that cannot be done. The stream's callback reports each of its calls to
-    `note_call`.
+    `note_call`. clock: returns monotonic seconds.
     """
 
     def __init__(self, open_stream: Callable[[], OpenStream], clock: Callable[[], float]) -> None:
@@ -265,7 +267,7 @@ class DeviceWatch:
             self._start()
 
     def start(self) -> None:
-        """Start a thread that calls `look` every 0.1 s until `close`."""
+        """Start a thread that calls `look`, the check for a loss, every 0.1 s until `close`."""
         self._ending.clear()
         self._thread = threading.Thread(target=self._run, name="sound device", daemon=True)
         self._thread.start()
@@ -279,11 +281,11 @@ class DeviceWatch:
         self._close()
 
     def note_call(self, now_s: float) -> None:
-        """Note that the callback was called at monotonic `now_s`. Any thread; never waits."""
+        """Record that the callback was called at monotonic `now_s`. Any thread; never waits."""
         self._called_s = now_s
 
     def look(self) -> None:
-        """Close the stream if its device is lost; reopen a lost one, at most once a second."""
+        """Close the stream if its device is lost; try to reopen a lost one, at most each second."""
         now_s = self._clock()
         stream = self._stream
         if stream is not None and self._has_stopped(stream, now_s):

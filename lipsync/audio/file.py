@@ -70,7 +70,8 @@ def open_sound(path: Path) -> soundfile.SoundFile:
 def promised_s(sound: soundfile.SoundFile) -> float | None:
     """Return the length in s that the header promises, if the file is cut short; otherwise None.
 
-    Detected for WAV and AIFF only; for other formats only decoding shows it.
+    Only WAV and AIFF files are examined whose header gives a length; None for all others, where
+    only decoding shows a cut.
     """
     found = _CUT_SHORT.search(sound.extra_info)
     if found is None:
@@ -164,7 +165,7 @@ def read_sound(path: str | PathLike[str]) -> tuple[Samples, int]:
 class CheckedSound:
     """A file's own sample rate, and its length in seconds, to the nearest sample at 16 kHz.
 
-    warning: a line where the file is shorter than its header promises, else empty.
+    warning: a line for the log where the file is shorter than its header promises, else empty.
     """
 
     sample_rate_hz: int
@@ -175,7 +176,8 @@ class CheckedSound:
 def checked_sound(path: Path) -> CheckedSound:
     """Decode and check a file's first 60 s; return its rate, length and warning.
 
-    Raises SoundError if it is damaged there, empty, silent as a whole, too short or too long.
+    The length of a longer file is that of its header. Raises SoundError if it is damaged in the
+    first 60 s, empty, silent as a whole, too short or too long.
     """
     n_frames, has_sound = 0, False
     with open_sound(path) as sound:
@@ -260,7 +262,7 @@ class FileSource:
         return -(-self._n_lost // BLOCK_SAMPLES)
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
-        """Return the blocks not returned before that end at or before sound time `until_s`."""
+        """Return the blocks, not returned before, that end at or before sound time `until_s`."""
         while self._chunks is not None and self._cutter.held_until_s < until_s:
             if self._n_left == 0:
                 self._chunks = None
@@ -281,7 +283,7 @@ class FileSource:
             log_once(f"{self._path}: {self._trouble}")
 
     def _speech_chunks(self, first: int) -> Iterator[Samples]:
-        """Yield pieces (n,) at 16 kHz from sample `first` on, then endless silence."""
+        """Yield pieces (n,) of the file at 16 kHz from sample `first` on, then endless silence."""
         with open_sound(self._path) as sound:
             yield from _resampled(self._played_chunks(sound, first), sound.samplerate, first)
         while True:
@@ -290,7 +292,8 @@ class FileSource:
     def _played_chunks(self, sound: soundfile.SoundFile, first: int) -> Iterator[Samples]:
         """Yield the file's sound mono (n,) at its own rate, until its end or the first damage.
 
-        Samples that are NaN or infinite become 0; these and all after damage are counted as lost.
+        It begins at the frame that `_first_frame` gives for `first`, a sample at 16 kHz. Samples
+        that are NaN or infinite become 0; these and all after damage are counted as lost.
         """
         try:
             _go_to(self._path, sound, _first_frame(sound.samplerate, first))
@@ -311,7 +314,10 @@ class FileSource:
 
 
 def _resampled(chunks: Iterator[Samples], rate_hz: int, first: int) -> Iterator[Samples]:
-    """Yield chunks, which begin at `_first_frame`, resampled to 16 kHz from sample `first` on."""
+    """Yield `chunks` of a file at `rate_hz` resampled to 16 kHz, from its sample `first` on.
+
+    The chunks begin at `_first_frame`; `first` counts samples at 16 kHz.
+    """
     if rate_hz == SAMPLE_RATE_HZ:
         yield from chunks
         return
@@ -332,7 +338,8 @@ def _resampled(chunks: Iterator[Samples], rate_hz: int, first: int) -> Iterator[
 def _first_frame(rate_hz: int, first: int) -> int:
     """Return the file's frame at which decoding must begin for sample `first` at 16 kHz.
 
-    It is 0.25 s early, for the resampler, and where a frame and a sample at 16 kHz coincide.
+    For a file of another `rate_hz` it is 0.25 s early, as its resampler has to settle, and at a
+    frame that coincides with a sample at 16 kHz.
     """
     if rate_hz == SAMPLE_RATE_HZ:
         return first
@@ -342,7 +349,7 @@ def _first_frame(rate_hz: int, first: int) -> int:
 
 
 def _go_to(path: Path, sound: soundfile.SoundFile, frame: int) -> None:
-    """Move the file's position so that the next sample decoded is number `frame`."""
+    """Move the position of `sound` so that the next sample decoded is number `frame`."""
     try:
         if sound.format in _SEEKS_EXACTLY:
             sound.seek(frame)
@@ -377,7 +384,7 @@ def _damaged(
 
 
 def _mono_chunks(path: Path, sound: soundfile.SoundFile) -> Iterator[Samples]:
-    """Yield the rest of a file mixed to mono (n,) in [-1, 1]; SoundError for NaN or inf samples."""
+    """Yield the undecoded rest of `sound` mono (n,) in [-1, 1]; SoundError for NaN or infinity."""
     n_read = 0
     chunks = _chunks(path, sound)
     for chunk in chunks:
@@ -426,7 +433,7 @@ def _refuse_nothing(path: Path, duration_s: float, has_sound: bool) -> None:
 
 
 def read_speech(path: Path) -> NDArray[np.float32]:
-    """Return a sound file as mono at 16 kHz. Raises SoundError for a file that is refused.
+    """Return a sound file as mono at 16 kHz. Raises SoundError for whatever `FileSource` refuses.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """A loudspeaker through PortAudio: it plays a timeline and reports which position is heard when.
 
-Samples wait in a ring between the live loop, which writes them, and the device, which takes them.
-Neither waits for the other and neither needs a lock: each counts its samples in a number that only
-it changes, and all counts are of the timeline's samples, from the first that was ever written.
+Samples wait in a ring between the live loop, which writes them, and the device, which reads them.
+Neither waits for the other and neither needs a lock: each counts its samples in a number that no
+other thread changes, and all counts are of the timeline's samples, from the first ever written.
 """
 
 import time
@@ -82,7 +82,7 @@ class SampleRing:
         self._n_written += len(samples)
 
     def take_into(self, frames: Samples) -> int:
-        """Fill frames (n, channels) with the next samples, equal on each channel, then with zeros.
+        """Fill `frames` (n, channels) with the next samples, the same on each channel, then with 0.
 
         Return how many samples of the timeline were taken.
         """
@@ -104,10 +104,10 @@ class SampleRing:
         return n
 
     def silence_rest(self, n_untouched: int) -> int:
-        """Replace the samples not taken yet by a fade-out and zeros; called by the writer.
+        """Replace the samples not taken yet by a fade-out and zeros; the writing thread calls it.
 
-        n_untouched: the next so many samples stay: the taker may be taking them just now. Return
-        the timeline's sample from which on it is silent.
+        n_untouched: as many of the next samples stay, because the device may be reading them.
+        Return the number of the timeline's sample from which on it is silent.
         """
         oldest = max(self._n_taken, self._n_written - len(self._ring))
         cut = min(oldest + n_untouched, self._n_written)
@@ -122,7 +122,7 @@ class SampleRing:
         return max(cut + n_fade, min(self._n_taken, self._n_written))
 
     def _parts(self, first: int, end: int) -> tuple[Samples, Samples]:
-        """Return a stretch as two views of the ring: up to its end, and from its beginning."""
+        """Return samples `first` to `end` as two views: up to the ring's end, from its start."""
         size = len(self._ring)
         n_here = min(end - first, size - first % size)
         return self._ring[first % size :][:n_here], self._ring[: end - first - n_here]
@@ -143,7 +143,8 @@ class PositionReport:
     def at(self, now_s: float) -> tuple[float, float]:
         """Return (monotonic seconds, timeline seconds heard then), as far as known at `now_s`.
 
-        After `ends_s` the position stays at the block's end, because the device has no more sound.
+        Until `ends_s` it is `leaves_s` with the block's first sample, even in the future; later it
+        is `now_s` with the block's end, because the device has no more sound.
         """
         if now_s > self.ends_s:
             return now_s, self.end_position_s
@@ -182,9 +183,11 @@ class LoudspeakerOutput:
         clock: Callable[[], float] = time.monotonic,
         is_watched: bool = True,
     ) -> None:
-        """Find the device, without opening it. volume: factor on samples, 0 to 1.
+        """Find the device, without opening it. `device` and `offsets_ms` are as in the class.
 
-        is_watched: False where the caller calls `watch.look` from time to time.
+        volume: factor on samples, 0 to 1. clock: returns monotonic seconds. is_watched: False where
+        no thread watches for the loss of the device, and the caller calls `watch.look` from time to
+        time.
         """
         self._sounddevice = import_sounddevice()
         with opening():
@@ -226,10 +229,11 @@ class LoudspeakerOutput:
 
     @property
     def latency_s(self) -> float:
-        """Seconds from the device's taking a sample to its being heard; the lead must be as long.
+        """Seconds from the device's request for a sample until the sample is heard.
 
-        With a shorter lead the device finds nothing written when it asks. The larger of the latency
-        that the device claims and that seen so far, plus a block of 10 ms and the offset.
+        Sound must be written at least so long before it is to be heard, else the device finds
+        nothing. It is the larger of the latency that the device claims and that seen so far, plus a
+        block of 10 ms and the offset.
         """
         stream = self.watch.stream
         claimed_s = 0.0 if stream is None else stream.latency
@@ -262,7 +266,7 @@ class LoudspeakerOutput:
 
     @property
     def n_lost_samples(self) -> int:
-        """The number of samples overwritten before they reached the device: over 2 s waited."""
+        """The number of samples overwritten before they reached the device, as over 2 s waited."""
         return self._ring.n_lost
 
     def write(self, samples: Samples) -> None:
@@ -315,7 +319,7 @@ class LoudspeakerOutput:
         return self._stream
 
     def _rate_and_channels(self, rates_hz: tuple[int, ...]) -> tuple[int, int]:
-        """Return the first rate in Hz that the device accepts, and the fewest channels there.
+        """Return the first of `rates_hz` that the device accepts, and the fewest channels there.
 
         Raises SoundError if it accepts none.
         """
@@ -336,9 +340,10 @@ class LoudspeakerOutput:
         raise _cannot_open(self._device, failure)
 
     def _play(self, frames: Samples, _n_frames: int, timing: "_Timing", status: "_Status") -> None:
-        """Fill frames (n, channels) with the next samples and note when they are heard.
+        """Fill `frames` (n, channels) with the next samples and record when they are heard.
 
-        PortAudio calls it in its own thread.
+        PortAudio calls it in its own thread. timing: when the frames leave the device; status:
+        whether an underrun came before them.
         """
         called_s, stream_s = self._clock(), self._stream.time
         position_s = self._ring.n_taken / self.rate_hz
@@ -352,11 +357,11 @@ class LoudspeakerOutput:
         self._report = PositionReport(leaves_s, position_s, ends_s, position_s + taken_s)
 
     def _ahead_of(self, stream_s: float, dac_s: float) -> float:
-        """Return the seconds from `stream_s` until the frames leave the device at `dac_s`.
+        """Return the seconds from `stream_s`, now, until the frames leave the device at `dac_s`.
 
-        The stream's clock is not the monotonic one (with ALSA it is the time of day, which may be
-        set): only a difference is used, to its reading at the beginning of the callback. Where the
-        clock makes no sense, the stream's claimed latency is returned.
+        Both are of the stream's clock, which is not the monotonic one (with ALSA it is the time of
+        day, which may be set), so that only their difference is used. Where it makes no sense, the
+        stream's claimed latency is returned.
         """
         ahead_s = dac_s - stream_s
         is_usable = dac_s > self._dac_s and 0.0 <= ahead_s < _FARTHEST_S

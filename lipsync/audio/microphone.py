@@ -56,9 +56,10 @@ class MicrophoneSource:
         clock: Callable[[], float] = time.monotonic,
         is_watched: bool = True,
     ) -> None:
-        """Find the device, without opening it.
+        """Find the device, without opening it. `device`: see the class; `clock`: monotonic seconds.
 
-        is_watched: False where the caller calls `watch.look` from time to time.
+        is_watched: False where no thread watches for the loss of the device, and the caller calls
+        `watch.look` from time to time.
         """
         self._sounddevice = import_sounddevice()
         with opening():
@@ -87,19 +88,19 @@ class MicrophoneSource:
 
     @property
     def is_lost(self) -> bool:
-        """Whether the device is gone, and being searched for."""
+        """Whether the device was lost and is being searched for, or was never opened."""
         return self.watch.is_lost
 
     @property
     def captured(self) -> tuple[float, float] | None:
-        """(monotonic seconds, sound time captured then) by the device's newest time stamp.
+        """The device's newest time stamp: (monotonic seconds, sound time captured then).
 
-        Of the sound that `blocks` has taken so far; None before the first.
+        Of the sound that `blocks` has processed so far; None before the first.
         """
         return self._captured
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
-        """Return the blocks not returned before that end at or before sound time `until_s`."""
+        """Return the blocks, not returned before, that end at or before sound time `until_s`."""
         now_s = self._clock()
         while self._captures:
             capture = self._captures[0]
@@ -158,7 +159,10 @@ class MicrophoneSource:
         return capture.stream
 
     def _rate_and_channels(self) -> tuple[int, int]:
-        """Return (16000, 1) if the device can, else its own rate with 1 or else all channels."""
+        """Return rate in Hz and channels to open the device with: (16000, 1) if it accepts these.
+
+        Else its preferred rate, with one channel if it accepts this, or with all channels.
+        """
         own_rate_hz, all_channels = self._device.sample_rate_hz, self._device.n_channels
         for rate_hz, n_channels in ((SAMPLE_RATE_HZ, 1), (own_rate_hz, 1)):
             try:
@@ -174,7 +178,10 @@ class MicrophoneSource:
         return own_rate_hz, all_channels
 
     def _take(self, capture: "_Capture", arrival: "_Arrival") -> None:
-        """Push the samples of one callback, after silence for those missing before them."""
+        """Add the samples of one callback, after silence for those lost before them, to the blocks.
+
+        capture: the opening of the device that delivered `arrival`.
+        """
         if capture.begins_s is None:
             if self.n_losses:  # the device was away
                 self._be_silent(arrival.called_s - len(arrival.samples) / capture.rate_hz)
@@ -190,11 +197,11 @@ class MicrophoneSource:
         self._captured = (arrival.captured_s, sound_s)
 
     def _end(self, capture: "_Capture") -> None:
-        """Push the last samples that the resampler of a lost device has held back."""
+        """Add the last samples that the resampler of `capture`, a lost device, has held back."""
         self._push(capture.rest())
 
     def _be_silent(self, until_s: float) -> None:
-        """Push silence for a device that is away, up to the clock time `until_s`."""
+        """Add silence to the blocks for a device that is away, up to the clock time `until_s`."""
         n = max(0, round((until_s - self._until_s) * SAMPLE_RATE_HZ))
         self._until_s += n / SAMPLE_RATE_HZ
         self._n_away += n
@@ -209,9 +216,9 @@ class MicrophoneSource:
 class _Arrival:
     """The samples that one callback of the device delivered.
 
-    first_sample: its number since this opening of the device, at the device's rate. captured_s,
-    called_s: when the first sample was captured, and when the callback came, on the monotonic
-    clock.
+    first_sample: number of the first one since this opening of the device, at the device's rate.
+    captured_s, called_s: when the first sample was captured, and when the callback came, on the
+    monotonic clock.
     """
 
     first_sample: int
@@ -230,7 +237,11 @@ class _Capture:
         clock: Callable[[], float],
         watch: DeviceWatch,
     ) -> None:
-        """Make the stream by `make_stream(callback=...)`, without starting it."""
+        """Make the stream by `make_stream(callback=...)`, without starting it.
+
+        rate_hz: the device's; clock: returns monotonic seconds; watch: is notified of each
+        callback.
+        """
         self.rate_hz = rate_hz
         self.arrived: deque[_Arrival] = deque(maxlen=round(QUEUE_S / BLOCK_S))
         #: The reader's: sound time of the first sample, and samples taken so far.
@@ -251,19 +262,20 @@ class _Capture:
         self.stream = make_stream(callback=self.hear)
 
     def begin(self, sound_s: float) -> None:
-        """Set the sound time of the first sample; called by the thread that reads."""
+        """Set the sound time of the device's first sample, when the reading thread comes to it."""
         self.begins_s = sound_s
 
     def sound_s(self, sample: int) -> float:
-        """Return the sound time of a sample by its number; `begin` must have been called."""
+        """Return the sound time of the sample with this number; `begin` must have been called."""
         assert self.begins_s is not None
         return self.begins_s + sample / self.rate_hz
 
     def hear(self, frames: Samples, n_frames: int, timing: "_Timing", status: "_Status") -> None:
-        """Queue a copy of the frames (n, channels) mixed to mono, in PortAudio's thread.
+        """Queue the frames (n, channels), mixed to mono; PortAudio calls it in its own thread.
 
-        Samples lost before them are counted. A full queue drops its oldest entry; the reader sees
-        the gap in the sample count.
+        timing: when the frames were captured; status: whether samples were lost before them, which
+        are then counted. A full queue drops its oldest entry; the reader sees the gap in the sample
+        count.
         """
         called_s, adc_s = self._clock(), timing.inputBufferAdcTime
         # The stream's clock is not the monotonic one: only a difference is used.
@@ -280,7 +292,7 @@ class _Capture:
         self._watch.note_call(called_s)
 
     def convert(self, samples: Samples) -> Samples:
-        """Return the next samples resampled to 16 kHz; some are held back until more come."""
+        """Return the next samples resampled to 16 kHz, except some held back until more come."""
         self.n_taken += len(samples)
         if self._resampler is None:
             return samples
@@ -296,9 +308,10 @@ class _Capture:
         return rest
 
     def _n_lost(self, adc_s: float, n_frames: int) -> int:
-        """Return how many samples were lost before a buffer captured at `adc_s`.
+        """Return how many samples were lost before a buffer of `n_frames` captured at `adc_s`.
 
-        One buffer's n_frames where the clock shows no gap or one above 10 s.
+        Counted from the gap in the device's clock; `n_frames` where it shows no gap or one above 10
+        s.
         """
         gap_s = 0.0 if self._next_adc_s is None else adc_s - self._next_adc_s
         return round(gap_s * self.rate_hz) if 0.0 < gap_s <= LONGEST_GAP_S else n_frames

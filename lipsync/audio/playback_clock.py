@@ -1,11 +1,12 @@
 """Conversion between the monotonic clock and sound time, the position in a sound.
 
-Sound time s is heard at `monotonic_s(s)`, and its face is shown there a declared delay later.
+Sound time s is heard at `monotonic_s(s)`, and its face is shown a constant declared delay later,
+the sum of what recognition, look-ahead and servos need.
 
-The sound of a device lags the clock (`ArrivalLag`): a card that claims 16 kHz delivers some 0.01 %
-more or less, a third of a second in an hour, and its first samples come a buffer late. Sound that
-stops briefly and then comes all at once is late only once: when for a second or two nothing has
-been as late any more, the lag goes back as quickly as it came.
+The sound of a device comes later than the clock says, by its lag (`ArrivalLag`): a card that claims
+16 kHz delivers some 0.01 % more or less, a third of a second in an hour, and its first samples come
+a buffer late. Sound that stops briefly and then comes all at once is late only once: when for a
+second or two nothing has been as late any more, the lag goes back as quickly as it came.
 """
 
 import math
@@ -80,17 +81,17 @@ class PlaybackClock(Protocol):
     def sound_s(self, now_s: float) -> float:
         """Return the sound time heard at monotonic `now_s`; negative before the sound begins.
 
-        It never decreases while `now_s` does not.
+        The sound time never decreases while `now_s` does not.
         """
 
     def monotonic_s(self, sound_s: float) -> float:
-        """Return when a sound time is heard, on the monotonic clock, as far as is known now."""
+        """Return when sound time `sound_s` is heard, on the monotonic clock, as known now."""
 
     def arrived(self, now_s: float, until_s: float) -> None:
-        """Note that at monotonic `now_s` the sound up to sound time `until_s` had arrived."""
+        """Record that at monotonic `now_s` the sound up to sound time `until_s` had arrived."""
 
     def captured_s(self, sound_s: float) -> float | None:
-        """Return the monotonic time at which a sound time was captured; None if it is not known."""
+        """Return the monotonic time at which sound time `sound_s` was captured; None: not known."""
 
 
 class SteadyClock:
@@ -108,14 +109,14 @@ class SteadyClock:
         return now_s - self._zero_s
 
     def monotonic_s(self, sound_s: float) -> float:
-        """Return when a sound time is heard, on the monotonic clock."""
+        """Return when sound time `sound_s` is heard, on the monotonic clock."""
         return self._zero_s + sound_s
 
     def arrived(self, now_s: float, until_s: float) -> None:
         """Do nothing: sound that no device captures is never late."""
 
     def captured_s(self, sound_s: float) -> float:
-        """Return when a sound time is heard: a file's sound counts as captured at that time."""
+        """Return when `sound_s` is heard: a file's sound counts as captured at that time."""
         return self.monotonic_s(sound_s)
 
 
@@ -133,24 +134,23 @@ class ArrivalClock:
         self._zero_s = zero_s
 
     def sound_s(self, now_s: float) -> float:
-        """Return the sound time at monotonic `now_s`: the clock's minus the smoothed lateness."""
+        """Return the sound time at monotonic `now_s`, by the smoothed lateness of the sound."""
         return now_s - (self._zero_s + self._lag.lag_s)
 
     def monotonic_s(self, sound_s: float) -> float:
-        """Return when a sound time is heard, on the monotonic clock, by the lateness known now."""
+        """Return when `sound_s` is heard, on the monotonic clock, by the lateness known now."""
         return self._zero_s + self._lag.lag_s + sound_s
 
     def arrived(self, now_s: float, until_s: float) -> None:
-        """Note that at monotonic `now_s` the sound up to sound time `until_s` had arrived."""
+        """Record that at monotonic `now_s` the sound up to sound time `until_s` had arrived."""
         self._lag.observe(now_s, now_s - self._zero_s - until_s)
         if not self._arrivals or self._arrivals[-1][0] < until_s:
             self._arrivals.append((until_s, now_s - until_s))
 
     def captured_s(self, sound_s: float) -> float | None:
-        """Return the monotonic time at which a sound time was captured; None if none so late was.
+        """Return the monotonic time at which `sound_s` was captured; None: it has not arrived.
 
-        A device is assumed to deliver the sound that it captured until then. Query in order of
-        time.
+        A device is assumed to deliver all that it has captured by then. Query in order of time.
         """
         while self._arrivals and self._arrivals[0][0] < sound_s:
             self._arrivals.popleft()
@@ -160,8 +160,8 @@ class ArrivalClock:
 class OwnPlaybackClock:
     """A `PlaybackClock` for sound that this program plays on a device that reports its position.
 
-    The recogniser gets the sound `lead_s` before it leaves the loudspeaker; with the declared delay
-    as the lead, lips and loudspeaker agree.
+    The recogniser gets the sound `lead_s` before it leaves the loudspeaker; with a lead as long as
+    the delay from the recogniser to the mouth, lips and loudspeaker agree.
     """
 
     def __init__(self, lead_s: float = 0.0) -> None:
@@ -182,7 +182,7 @@ class OwnPlaybackClock:
         self._since_s = self._queried_s = zero_s
 
     def played(self, now_s: float, position_s: float) -> None:
-        """Note that at monotonic `now_s` sound time `position_s` left the loudspeaker.
+        """Record the report that at monotonic `now_s` sound time `position_s` left the loudspeaker.
 
         Positions may be in error and reports may come late or out of order: a report counts from
         the last time that was queried, so that no earlier answer changes.
@@ -197,20 +197,20 @@ class OwnPlaybackClock:
         return now_s - (self._zero_s + self._lag_at(now_s))
 
     def monotonic_s(self, sound_s: float) -> float:
-        """Return when the recogniser gets a sound time, by the reports so far."""
+        """Return when, on the monotonic clock, the recogniser gets sound time `sound_s`."""
         return self._zero_s + self._lag_at(self._queried_s) + sound_s
 
     def arrived(self, now_s: float, until_s: float) -> None:
         """Do nothing: only the reported position of the loudspeaker counts."""
 
     def captured_s(self, sound_s: float) -> float:
-        """Return when the recogniser gets a sound time, as no device captures this sound."""
+        """Return when the recogniser gets sound time `sound_s`; no device captures this sound."""
         return self.monotonic_s(sound_s)
 
     def _lag_at(self, now_s: float) -> float:
-        """Return the lag in s at `now_s`, moving to the last report's lag at a bounded rate.
+        """Return how many s the sound is behind the clock at `now_s`, following the last report.
 
-        Near that lag it approaches it exponentially.
+        It changes at a bounded rate and, near the reported value, approaches it exponentially.
         """
         elapsed_s = max(0.0, now_s - self._since_s)
         missing_s = self._wanted_s - self._lag_s

@@ -1,11 +1,12 @@
 """What the robot says, on one timeline: streams of speech one after the other, silence between.
 
 The live loop requests blocks as sound time passes; a block is *committed* then: the recogniser gets
-it at once, the loudspeaker plays it a declared delay later. So the loudspeaker always holds that
-delay in sound, and lips and sound agree. Where a stream has nothing ready, silence is committed,
-and the stream continues when more has come.
+it at once, and the loudspeaker plays it later, by the declared delay that recogniser and servos
+need until its face is shown. So the loudspeaker always holds that delay in sound, and lips and
+sound agree. Where a stream has nothing ready, silence is committed, and the stream continues when
+more has come.
 
-Other threads only append to `requests` and take from `events`; all is decided in the loop.
+Other threads only append to `requests` and remove from `events`; all is decided in the loop.
 
 A microphone is listened to while the robot is silent (half duplex): while the robot speaks its
 mouth shows its own words, never those of the person it talks to, nor its own echo.
@@ -68,7 +69,7 @@ _MOST_ON_WAY: Final = 1000
 
 
 class ListenedMicrophone:
-    """A microphone whose sound is taken in blocks of 10 ms, one per call, at the caller's pace."""
+    """A microphone whose sound is read in blocks of 10 ms, one per call, at the caller's pace."""
 
     def __init__(self, microphone: AudioSource) -> None:
         """Create the queue of blocks. microphone: live, already entered as a context manager."""
@@ -87,7 +88,10 @@ class ListenedMicrophone:
         return self._microphone.lost_blocks
 
     def take(self) -> Samples | None:
-        """Return the next 10 ms (160,) at 16 kHz; None while too little has come."""
+        """Remove and return the next 10 ms (160,) at 16 kHz; None while 40 ms are being gathered.
+
+        They are gathered at the beginning, and again whenever the sound ran out.
+        """
         for block in self._microphone.blocks(float("inf")):
             if len(block.samples) == BLOCK_SAMPLES:
                 self._blocks.append(block.samples)
@@ -158,7 +162,7 @@ class Playout:
 
     @property
     def lost_blocks(self) -> int:
-        """The number of blocks that the microphone lost; 0 without one.
+        """The number of blocks that the microphone lost; 0 without a microphone.
 
         Blocks of speech are never lost: they are played later.
         """
@@ -181,7 +185,7 @@ class Playout:
 
     @property
     def committed_s(self) -> float:
-        """The timeline position in seconds up to which blocks have been committed."""
+        """The timeline position in seconds up to which blocks were handed out, and so are fixed."""
         return self._n_blocks * BLOCK_S
 
     @property
@@ -191,23 +195,26 @@ class Playout:
 
     @property
     def is_over(self) -> bool:
-        """Whether no stream plays or waits, and no request waits or was announced."""
+        """Whether speech is over: no stream plays or waits, none is requested or announced."""
         return not (self.announced or self.requests or self._playing)
 
     @property
     def speaking(self) -> str | None:
-        """The name of the first stream that plays or waits; None if there is none."""
+        """The name of the stream that plays, or else is next to play; None if none is queued."""
         return self._playing[0].stream.name if self._playing else None
 
     def n_played(self, stream: str) -> int | None:
-        """Return the samples of a stream, at its own rate, heard so far; None: it does not play."""
+        """Return how many samples of the stream of this name, at its own rate, were heard so far.
+
+        None if no stream of this name plays or waits.
+        """
         for playing in self._playing:
             if playing.stream.name == stream:
                 return playing.n_played(self._position_s)
         return None
 
     def begin(self, lead_s: float, quiet_s: float = 0.0) -> None:
-        """Begin the timeline now, so that it is played `lead_s` seconds after it was committed.
+        """Begin the timeline now, so that a block is heard `lead_s` seconds after it is committed.
 
         The part of the lead that the loudspeaker does not hold back by itself is filled with
         silence. quiet_s: no speech is played before this position of the timeline, in s.
@@ -225,10 +232,11 @@ class Playout:
         self._quiet_s = max(self._quiet_s, self.committed_s + for_s)
 
     def report(self) -> tuple[float, float] | None:
-        """Return (monotonic seconds, position on the timeline then), the newest that is known.
+        """Return the newest report of what is heard: (monotonic seconds, timeline seconds then).
 
         The report comes from the sender that plays the current speech itself, else from the
-        loudspeaker. None: no report is there.
+        loudspeaker. None: that one has reported nothing (a sender nothing new), or there is no
+        loudspeaker.
         """
         while self.reports:
             now_s, stream, n_samples = self.reports.popleft()
@@ -245,7 +253,10 @@ class Playout:
         return report[0], report[1] - self.preroll_s
 
     def stream_at(self, timeline_s: float) -> tuple[PlayoutStream, float] | None:
-        """Return the stream at a timeline position and the seconds since its start; None: none."""
+        """Return the stream at timeline position `timeline_s`, and the seconds since its start.
+
+        None where no stream is played.
+        """
         for playing in self._playing:
             for segment in playing.segments:
                 if segment.start_s <= timeline_s < segment.end_s:
@@ -255,9 +266,10 @@ class Playout:
         return None
 
     def advance(self, position_s: float) -> bool:
-        """Carry out the requests and append the events due; return whether streams were cut off.
+        """Carry out the requests and append the events that are due.
 
-        position_s: the timeline position in s that leaves the loudspeaker now.
+        position_s: the timeline position in s that leaves the loudspeaker now. Return whether
+        speech was cut off, by an interruption or a pause.
         """
         self._position_s = max(self._position_s, position_s)
         is_cut = False
@@ -278,14 +290,18 @@ class Playout:
         return is_cut
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
-        """Commit the timeline up to `until_s`; return the new blocks for the recogniser."""
+        """Commit the timeline up to `until_s` in s; return the new blocks for the recogniser.
+
+        Committed sound is written to the loudspeaker, to be heard later.
+        """
         return [block for block, _ in self.commit(until_s)]
 
     def commit(self, until_s: float) -> list[tuple[AudioBlock, AudioBlock]]:
-        """Commit the timeline up to `until_s`; return pairs of new blocks.
+        """Commit the timeline up to `until_s` in s; return pairs of new blocks.
 
-        The first of a pair is for the recogniser, the second is the sound as it is spoken. They
-        differ where phonemes are known: the recogniser gets silence there.
+        Committed sound is written to the loudspeaker, to be heard later. The first block of a pair
+        is for the recogniser, the second is the sound as it is spoken. They differ where phonemes
+        are known: the recogniser gets silence there.
         """
         return list(self._commit(int(samples_before(max(0.0, until_s))) // BLOCK_SAMPLES))
 
@@ -294,13 +310,13 @@ class Playout:
         return self._known.after(from_s)
 
     def take_words(self) -> list[StartedWords]:
-        """Remove and return the newly committed words of the streams, in timeline seconds."""
+        """Remove and return the words committed since the last call, in timeline seconds."""
         started = list(self._started_words)
         self._started_words.clear()
         return started
 
     def timed_words(self) -> tuple[tuple[str, ...], int] | None:
-        """Return the words around the one heard now, and that one's index among them.
+        """Return the words around the word heard now, and the index of that word among them.
 
         None where no stream is playing whose words have times.
         """
@@ -315,7 +331,10 @@ class Playout:
         return tuple(unit.label for unit in around), number - first
 
     def known_kind(self, timeline_s: float) -> Literal["phonemes", "visemes"] | None:
-        """Return the kind of units known at a timeline position; None if none, or nothing plays."""
+        """Return which units are known at timeline position `timeline_s`: phonemes or visemes.
+
+        None where neither is known, and where no stream is played.
+        """
         if not any(start_s <= timeline_s < end_s for start_s, end_s, _ in self._known.after(0.0)):
             return None
         if (found := self.stream_at(timeline_s)) is None:
@@ -339,7 +358,10 @@ class Playout:
             yield AudioBlock(heard, start_s), AudioBlock(spoken, start_s)
 
     def _next(self, start_s: float) -> tuple[Samples, Samples, Samples]:
-        """Return 10 ms of sound for the recogniser, the loudspeaker, and the prosody tracker."""
+        """Return 10 ms from `start_s` on, for the recogniser, the loudspeaker, the prosody tracker.
+
+        They come from the first stream that has sound, else from the microphone or silence.
+        """
         waiting = (each for each in self._playing if not each.stream.is_over)
         may_speak = start_s >= self._quiet_s and not self._is_paused
         playing = next(waiting, None) if may_speak else None
@@ -361,7 +383,10 @@ class Playout:
         return heard, played, block.heard
 
     def _tell_words(self, playing: PlayingStream, start_s: float) -> None:
-        """Queue the words of the stream that came since its last block, with timeline times."""
+        """Queue the words that a stream's sender added since its last block, in timeline seconds.
+
+        playing: the stream whose block begins at timeline position `start_s`.
+        """
         is_other = playing is not self._telling
         if is_other:
             self._forget_words()
@@ -388,10 +413,10 @@ class Playout:
         self._telling = None
 
     def _listened(self, start_s: float) -> Samples:
-        """Return 10 ms (160,) of the microphone.
+        """Return 10 ms (160,) of the microphone, for the recogniser, from `start_s` on; or silence.
 
         Silence without a microphone, while too little has come, while the robot speaks, and until
-        its echo is over.
+        the echo of its speech is over.
         """
         is_speaking = bool(self._playing) or self._position_s < self._quiet_from_s
         if self._microphone is None or is_speaking:
@@ -432,7 +457,7 @@ class Playout:
         return True
 
     def _pause(self) -> bool:
-        """Silence the loudspeaker and hold all streams; return whether any was held.
+        """Silence the loudspeaker and hold all streams; return False if there was none to hold.
 
         A block that has begun to be heard counts as heard: up to 10 ms of it never are.
         """
@@ -454,7 +479,7 @@ class Playout:
             self._tell_all("resumed")
 
     def _silenced(self) -> float:
-        """Silence the loudspeaker, report events until then, return the silence's position in s."""
+        """Silence the loudspeaker, append events until then, return where silence begins, in s."""
         if self.loudspeaker is not None:
             silent_s = self.loudspeaker.silence_rest() - self.preroll_s
             self._position_s = max(self._position_s, silent_s)
@@ -462,7 +487,7 @@ class Playout:
         return self._position_s
 
     def _note_silence(self, cut_s: float) -> None:
-        """Note that silence is heard from `cut_s` on, after an echo of 0.3 s."""
+        """Record that silence is heard from timeline position `cut_s`, after an echo of 0.3 s."""
         self._quiet_from_s = cut_s + _ECHO_S
         self._known.cut(cut_s)
         if cut_s < self.committed_s:
@@ -474,7 +499,7 @@ class Playout:
             self.events.append(PlayoutEvent(kind, name, self._position_s, n_played))
 
     def _clear(self) -> None:
-        """Drop all speech that is not committed; what is committed is still heard."""
+        """Drop all speech not committed to the loudspeaker yet; committed speech is heard."""
         for playing in self._playing:
             if playing.stream.is_over:
                 continue
@@ -519,7 +544,7 @@ def _start_sample(unit: SpokenUnit) -> int:
 
 
 def _is_ready(playing: PlayingStream) -> bool:
-    """Return whether a stream has enough sound to begin, or to continue after it ran dry."""
+    """Return whether a stream has enough sound to begin, or to continue after it had run out."""
     stream = playing.stream
     is_going_on = bool(playing.segments) and not playing.is_starved
     return is_going_on or stream.ended or stream.is_filled or stream.waiting_s >= _WAITING_S

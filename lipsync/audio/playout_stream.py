@@ -1,8 +1,8 @@
 """Streams of speech that the robot is to say, and their positions and phonemes on the timeline.
 
-Samples come at any rate and pace: the sender pushes them, the live loop takes blocks of 10 ms. All
-that costs time, resampling and cutting, is done by the sender in its own thread. The two exchange
-blocks through a deque: no lock, no waiting.
+Samples come at any rate and pace: the sender pushes them, the live loop removes blocks of 10 ms.
+All that costs time, resampling and cutting, is done by the sender in its own thread. The two
+exchange blocks through a deque: no lock, no waiting.
 """
 
 from collections import deque
@@ -30,7 +30,7 @@ LOWEST_RATE_HZ, HIGHEST_RATE_HZ = 4_000, 192_000
 
 
 class PlayoutFullError(ValueError):
-    """Error for pushed speech beyond what may wait; none of the pushed samples was accepted."""
+    """Error for pushing more than five minutes of waiting speech; no pushed sample was accepted."""
 
 
 #: Words of one stream that wait to be looked for; who says more tells them later.
@@ -43,10 +43,10 @@ class PlayoutTextError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class StartedWords:
-    """Words that come next in speech, with times in seconds of a timeline or of a stream.
+    """Words that come next in speech, with times in seconds: of their stream, or of the timeline.
 
-    is_new: they replace earlier words that were not spoken yet. behind_s: seconds of the sound of
-    these words that have passed already.
+    A stream gives out the former, the playout the latter. is_new: they replace earlier words that
+    were not spoken yet. behind_s: seconds of the sound of these words that have passed already.
     """
 
     kind: UnitKind
@@ -68,7 +68,7 @@ class PlayoutBlock:
 
 
 class PlayoutStream:
-    """A stream of speech: samples are pushed by one thread, blocks are taken by another.
+    """A stream of speech: samples are pushed by one thread, blocks are removed by another.
 
     name: the stream's id. phonemes: its phonemes, where they are known beforehand, in seconds from
     its first sample; empty: the recogniser finds them. played_elsewhere: the sender plays the sound
@@ -86,7 +86,8 @@ class PlayoutStream:
     ) -> None:
         """Create an empty stream. Raises ValueError for a sample rate that is not possible.
 
-        output_rate_hz: the loudspeaker's rate, a multiple of 100.
+        sample_rate_hz: of the samples pushed; output_rate_hz: the loudspeaker's rate, a multiple of
+        100.
         """
         if not LOWEST_RATE_HZ <= sample_rate_hz <= HIGHEST_RATE_HZ:
             allowed = f"{LOWEST_RATE_HZ} to {HIGHEST_RATE_HZ} Hz are possible"
@@ -121,7 +122,7 @@ class PlayoutStream:
 
     @property
     def waiting_s(self) -> float:
-        """Seconds of speech that wait to be taken, in whole blocks."""
+        """Seconds of speech that were pushed and not removed yet, in whole blocks."""
         return len(self._blocks) * BLOCK_S
 
     @property
@@ -172,7 +173,7 @@ class PlayoutStream:
         """Add units (words, phonemes, ...) of the speech, or replace earlier ones by them.
 
         Phonemes and visemes with times move the mouth; all else is aligned with the sound. words:
-        those of the text, with possible pronunciations, in seconds of the stream. Raises
+        those of `spoken`, with possible pronunciations, in seconds of the stream. Raises
         PlayoutTextError and SpokenTextError; then nothing was added. Ignored if the stream is over.
         """
         if self._ended and (self._dropped or not self._blocks):
@@ -223,7 +224,7 @@ class PlayoutStream:
             self.started_words.append(StartedWords(spoken.kind, tuple(words), is_new=False))
 
     def mark(self, name: str) -> None:
-        """Set a mark, to be reported when all samples pushed until now have been heard."""
+        """Set a mark `name`, to be reported when all samples pushed until now have been heard."""
         self._marks.append((self._n_received, name))
         self._is_marked = True
 
@@ -258,12 +259,12 @@ class PlayoutStream:
             self._blocks.appendleft(block)
 
     def drop(self) -> None:
-        """Drop all blocks not taken and end the stream; called by the thread that takes blocks."""
+        """Drop all blocks not removed yet and end the stream; the removing thread calls it."""
         self._dropped = self._ended = True
         self._blocks.clear()
 
     def marks_until(self, n_samples: int) -> list[str]:
-        """Remove and return the names of the marks at or before this many samples."""
+        """Remove and return the names of the marks up to sample `n_samples` of the stream."""
         reached = []
         while self._marks and self._marks[0][0] <= n_samples:
             reached.append(self._marks.popleft()[1])
@@ -280,7 +281,7 @@ class PlayoutStream:
 
 
 class _Resampled:
-    """A resampler: samples are pushed at one rate and taken at another."""
+    """A resampler: samples are pushed at one rate and removed at another."""
 
     def __init__(self, from_hz: int, to_hz: int) -> None:
         self.rate_hz = to_hz
@@ -366,7 +367,10 @@ KnownStretch = tuple[float, float, tuple[PhonemeEvent, ...]]
 
 @dataclass(slots=True)
 class Segment:
-    """A stretch of a stream played without a gap: in timeline seconds, and in its samples."""
+    """A stretch of a stream played without a gap: in timeline seconds, and in its samples.
+
+    n_before, n_end: the stream's samples before the stretch, and up to its end.
+    """
 
     start_s: float
     end_s: float
@@ -376,7 +380,11 @@ class Segment:
 
 @dataclass(slots=True)
 class PlayingStream:
-    """A stream that was queued to play, and the segments of the timeline at which it was played."""
+    """A stream that was queued to play, and the segments of the timeline at which it was played.
+
+    n_taken: its samples on the timeline so far. has_begun: its start was reported. is_starved: it
+    ran out of sound and waits for more. is_followed: some of its words were handed on.
+    """
 
     stream: PlayoutStream
     segments: list[Segment] = field(default_factory=list)
@@ -386,7 +394,7 @@ class PlayingStream:
     is_followed: bool = False
 
     def add(self, start_s: float, n_samples: int) -> None:
-        """Add the block of 10 ms that begins at timeline position `start_s`.
+        """Add the block of 10 ms that begins at timeline position `start_s` to the segments.
 
         n_samples: samples of the stream up to and including this block.
         """
@@ -398,7 +406,7 @@ class PlayingStream:
         self.n_taken = n_samples
 
     def take_back(self, start_s: float, n_before: int) -> None:
-        """Remove the block that was added last, at `start_s`; n_before: samples before it."""
+        """Remove the last block, added at `start_s`; `n_before`: the stream's samples before."""
         last = self.segments[-1]
         last.end_s, last.n_end = start_s, n_before
         if last.end_s - last.start_s < 1e-6:
@@ -421,7 +429,7 @@ class PlayingStream:
         return n
 
     def timeline_s(self, n_samples: int) -> float | None:
-        """Return the timeline position in s of a sample of the stream; None: not taken yet."""
+        """Return the timeline position in s of sample `n_samples`; None: it is not played yet."""
         for segment in self.segments:
             if segment.n_before <= n_samples <= segment.n_end:
                 n_more = n_samples - segment.n_before
@@ -429,7 +437,7 @@ class PlayingStream:
         return None
 
     def is_heard(self, position_s: float) -> bool:
-        """Return whether the stream is over and all of it was heard at `position_s`."""
+        """Return whether the stream is over and all of it is heard by timeline `position_s`."""
         return self.stream.is_over and (
             not self.segments or position_s >= self.segments[-1].end_s - 1e-6
         )
@@ -441,7 +449,10 @@ class PlayingStream:
         return last.start_s - last.n_before / self.stream.sample_rate_hz
 
     def known_from(self, start_s: float) -> list[KnownStretch]:
-        """Return stretches of known phonemes from `start_s` on, as if no other gap followed."""
+        """Return the stream's known phonemes as stretches of the timeline, from `start_s` on.
+
+        They assume that the stream plays on from there without another gap.
+        """
         shift_s = start_s - self.n_taken / self.stream.sample_rate_hz
         events = self.stream.phonemes
         if not events and (units := phonemes_or_visemes(self.stream)) is not None:
@@ -471,7 +482,7 @@ class PlayingStream:
 
 
 def phonemes_or_visemes(stream: PlayoutStream) -> SpokenText | None:
-    """Return the sender's phonemes with times, else its visemes with times, else None."""
+    """Return the phonemes with times that the sender gave, else visemes with times, else None."""
     for kind in ("phoneme", "viseme"):
         units = stream.spoken.get(kind)
         if units is not None and units.units and units.units[-1].start_sample is not None:
@@ -519,7 +530,10 @@ class KnownPhonemes:
             self._stretches.append((start_s, end_s, _SILENCE))
 
     def sounds(self, playing: PlayingStream | None, start_s: float) -> None:
-        """Add the known phonemes of the stream that plays from `start_s` on; None: none plays."""
+        """Add the known phonemes of the stream that plays from `start_s` on; called for each block.
+
+        playing: None where no stream plays; then the phonemes of the last stream end there.
+        """
         units = None if playing is None else phonemes_or_visemes(playing.stream)
         if playing is self._going_on and (
             units is None
@@ -544,7 +558,7 @@ class KnownPhonemes:
             self._going_on, self._units, self._looked_up_s = playing, units, start_s
 
     def cut(self, cut_s: float) -> None:
-        """Remove everything after `cut_s` from the stretches, because it will not be played."""
+        """Remove everything after timeline position `cut_s`, because it will not be played."""
         self._stretches = deque(
             (start_s, min(end_s, cut_s), events)
             for start_s, end_s, events in self._stretches

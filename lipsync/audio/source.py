@@ -29,14 +29,14 @@ class AudioSource(Protocol):
 
     @property
     def is_live(self) -> bool:
-        """Whether sound arrives by a clock of its own; `blocks(inf)` then returns all arrived."""
+        """Whether sound arrives by a clock of its own; `blocks(inf)` then returns all so far."""
 
     @property
     def lost_blocks(self) -> int:
         """The number of blocks that the device or the computer dropped (overruns)."""
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
-        """Return the blocks not returned before that end at or before sound time `until_s`."""
+        """Return the blocks, not returned before, that end at or before sound time `until_s`."""
 
     def __enter__(self) -> "AudioSource": ...
 
@@ -44,7 +44,7 @@ class AudioSource(Protocol):
 
 
 class Loudspeaker(Protocol):
-    """A loudspeaker that plays committed sound. Its time counts the samples written, in seconds.
+    """A loudspeaker that plays what is written. Its time counts the samples written, in seconds.
 
     Called by the live loop: nothing here may wait.
     """
@@ -87,7 +87,7 @@ class Loudspeaker(Protocol):
     def position(self) -> tuple[float, float] | None:
         """Return (monotonic seconds, timeline seconds that leave the loudspeaker then).
 
-        The newest report of the device; None before the first.
+        The newest report of the device; None before the first report.
         """
 
 
@@ -95,10 +95,10 @@ BLOCK_SAMPLES = round(BLOCK_S * SAMPLE_RATE_HZ)
 
 
 class BlockCutter:
-    """A cutter of samples into `AudioBlock`s of 10 ms, timed by the samples before each."""
+    """A cutter of samples into `AudioBlock`s of 10 ms; the samples before a block give its time."""
 
     def __init__(self, n_before: int = 0) -> None:
-        """Create a cutter. n_before: samples of the stream left out before the first block."""
+        """Create a cutter. `n_before`: samples of the stream left out before the first block."""
         self._waiting: NDArray[np.float32] = np.zeros(0, dtype=np.float32)
         self._n_out = n_before
 
@@ -158,7 +158,7 @@ class SilentSource:
         self._n_blocks = int(samples_before(start_s)) // BLOCK_SAMPLES
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
-        """Return the blocks not returned before that end at or before sound time `until_s`."""
+        """Return the blocks, not returned before, that end at or before sound time `until_s`."""
         first, end = self._n_blocks, int(samples_before(until_s)) // BLOCK_SAMPLES
         self._n_blocks = max(first, end)
         return [AudioBlock(_SILENCE, n * BLOCK_SAMPLES / SAMPLE_RATE_HZ) for n in range(first, end)]
@@ -171,15 +171,12 @@ class SilentSource:
 
 
 class SilenceAfter:
-    """A source with a known end, then endless silence, so that its last phones are recognised.
-
-    `duration_s` stays that of the source.
-    """
+    """A source with a known end, then endless silence, so that its last phones are recognised."""
 
     is_live = False
 
     def __init__(self, source: AudioSource, start_s: float = 0.0) -> None:
-        """Put silence after a source. Raises ValueError for a source without a known end.
+        """Put silence after `source`. Raises ValueError for a source without a known end.
 
         start_s: sound time at which `source` begins; past its end, the silence begins there.
         """
@@ -205,7 +202,7 @@ class SilenceAfter:
         return self._source.lost_blocks
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
-        """Return the blocks not returned before that end at or before sound time `until_s`."""
+        """Return the blocks, not returned before, that end at or before sound time `until_s`."""
         blocks = self._source.blocks(until_s)
         for silent in self._silence.blocks(max(0.0, until_s - self._end_s)):
             blocks.append(AudioBlock(silent.samples, silent.start_s + self._end_s))

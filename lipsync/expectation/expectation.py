@@ -70,11 +70,12 @@ def track_of(events: Iterable[PhonemeEvent]) -> PhonemeTrack:
 def context_at(
     track: PhonemeTrack, time_s: float, known_until_s: float
 ) -> tuple[list[int], list[float]]:
-    """Return the five phonemes around an instant, and six times in seconds, as far as known.
+    """Return the five phonemes around `time_s`, and six times in seconds, as far as known.
 
-    Phonemes: indices of the two before, the present one, the two after; UNKNOWN where there is
-    none. Times: since the starts of the first three; until the ends of the last three, NaN where
-    that end is not known.
+    Phonemes: indices of the two before, the present one, the two after; UNKNOWN where there is none
+    or none is known. Times: since the starts of the first three, infinite where there is no such
+    phoneme; until the ends of the last three, NaN where that end is not known at sound time
+    `known_until_s`.
     """
     limit_s = known_until_s + _ROUNDING_S
     at = bisect_right(track.starts_s, min(time_s + _ROUNDING_S, limit_s)) - 1
@@ -140,7 +141,7 @@ N_TIMING = 6 + 3 + 2 + 3 * len(_NEAR_S) + 3 + 1 + 3
 
 
 def timing_features(times_s: Array, lookahead_s: Array) -> Array:
-    """Return features of the times of contexts, between 0 and about 1.
+    """Return features of the times of contexts, between 0 and about 1, as input of the networks.
 
     Parameters
     ----------
@@ -169,7 +170,7 @@ def timing_features(times_s: Array, lookahead_s: Array) -> Array:
 
 
 def _pace(starts_s: Array) -> Array:
-    """Return the durations of two phonemes in units of 0.1 s, and their mean's logarithm, (n, 3).
+    """Return the speaker's pace (n, 3): two phonemes' durations in 0.1 s, their mean's logarithm.
 
     starts_s: (n, 3), times since these two and the next one began. By the logarithm half as fast is
     as far from usual as twice as fast.
@@ -187,7 +188,10 @@ _FEW = 4
 
 
 def timing_features_at(times_s: list[float], lookahead_s: float) -> list[float]:
-    """Return the N_TIMING `timing_features` of one context of six times, faster than by NumPy."""
+    """Return the N_TIMING `timing_features` of one context, faster than by NumPy.
+
+    times_s: six times of `context_at`; lookahead_s: seconds of sound known beyond the instant.
+    """
     known = [not math.isnan(time_s) for time_s in times_s]
     share = [
         min(max(time_s, 0.0), longest_s) / longest_s if is_known else 0.0
@@ -215,7 +219,7 @@ def timing_features_at(times_s: list[float], lookahead_s: float) -> list[float]:
 def window_shares(times_s: Array, lookahead_s: Array) -> Array:
     """Return which share of each window of 40 ms each phoneme of a context fills.
 
-    Phonemes not known, and the time beyond t + L, fill nothing.
+    Phonemes not known, and the time beyond the instant plus look-ahead L, fill nothing.
 
     Parameters
     ----------
@@ -239,7 +243,7 @@ def window_shares(times_s: Array, lookahead_s: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Stack:
-    """m networks with h1 and h2 hidden units, from their first layer's sums on.
+    """m networks with h1 and h2 hidden units; the phonemes' part of their first layer is not in it.
 
     timing: (N_TIMING + 1, m h1), the first layer for the timing features, its bias in the last row;
     hidden: (m, h1 + 1, h2), the second layer, its bias in the last row; output: (m h2 + 1,
@@ -252,7 +256,7 @@ class Stack:
     output: Array
 
     def faces(self, first: Array, timing: Array) -> Array:
-        """Return the networks' sum of faces, each divided by the number of all networks.
+        """Return the networks' part of the mean face: their outputs, already divided, added up.
 
         Parameters
         ----------
@@ -278,12 +282,12 @@ class Stack:
 
 @dataclass(frozen=True, slots=True)
 class Expectation:
-    """Two families of networks that err differently: their outputs are averaged.
+    """The learned map from a context to the face: two families of networks that err differently.
 
-    The first reads phonemes by their number in the sequence: slot_tables (SLOTS, 41, m h1), the
-    first layer for each slot and phoneme. The second reads them by their time: for each window of
-    40 ms, which share of it each phoneme fills; window_tables (N_WINDOWS, 41, m h1). The last row
-    of a table is for UNKNOWN.
+    Their outputs are averaged. The first reads phonemes by their number in the sequence:
+    slot_tables (SLOTS, 41, m h1), the first layer for each slot and phoneme. The second reads them
+    by their time: for each window of 40 ms, which share of it each phoneme fills; window_tables
+    (N_WINDOWS, 41, m h1). The last row of a table is for UNKNOWN.
     """
 
     slot_tables: Array
@@ -347,7 +351,7 @@ class Expectation:
         return self.slots.faces(by_slot, timing) + self.windows.faces(by_window, timing)
 
     def faces_after(self, track: PhonemeTrack, times_s: Array, known_until_s: float) -> Array:
-        """Return the expected faces at times, by the phonemes known until one instant.
+        """Return the expected faces at times, by the phonemes known until one and the same instant.
 
         Parameters
         ----------
@@ -434,9 +438,9 @@ def expectation_of(arrays: dict[str, Array]) -> Expectation:
 
 
 def constant_expectation(faces: Array) -> Expectation:
-    """Return an expectation by the present phoneme only, for corpora too small to train one.
+    """Return an expectation by the present phoneme only, for corpora too small to train networks.
 
-    Exact: each phoneme has two rectifiers a component.
+    It returns exactly a row of `faces`: each phoneme has two rectifiers a component.
 
     Parameters
     ----------
@@ -472,7 +476,7 @@ EXPECTATION_PART = "expectation"
 def read_expectation(file: ModelFile, n_components: int) -> Expectation:
     """Return the expectation of an open model file. Raises ModelError if it is missing or unfit.
 
-    n_components: number of components of the face that it moves.
+    n_components: number of components of the face that the expectation moves.
     """
 
     def assemble(arrays: Mapping[str, NDArray[np.generic]]) -> Expectation:

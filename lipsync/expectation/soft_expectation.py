@@ -48,7 +48,10 @@ _ROUNDING_S = 1e-6
 
 
 class BelievedFrames:
-    """The newest posteriors of each of the last 256 frames, from a recogniser's several heads."""
+    """The newest posteriors of each of the last 256 frames, from a recogniser's several heads.
+
+    A head with a longer delay estimates a frame later, and its posteriors replace the earlier ones.
+    """
 
     def __init__(self) -> None:
         self._rows = np.zeros((_KEPT, len(PHONEMES)), np.float32)
@@ -125,7 +128,7 @@ def window_means(rows: Array32) -> Array32:
 
 
 def shares_of(rows: Array32) -> Array:
-    """Return the soft face's share of the motion: larger where the posteriors are in doubt.
+    """Return the share in the motion of the face by posteriors: larger where these are in doubt.
 
     Parameters
     ----------
@@ -145,7 +148,7 @@ def shares_of(rows: Array32) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class SoftExpectation:
-    """The learned map from posteriors to a face; d = n_windows k.
+    """The learned map from posteriors to a face; d = n_windows k inputs.
 
     looks: (n_phonemes, k), features of each phoneme. frequencies (d, n_cosines) and phases of the
     cosines; first (d + 1, h1) and second (h1 + 1, h2), layers of rectifiers with their biases last.
@@ -202,7 +205,7 @@ class SoftExpectation:
         times_s: Array,
         known_until_s: float,
     ) -> Array:
-        """Return the faces of decided phonemes mixed with the soft ones, by `shares_of`.
+        """Return the faces by decided phonemes mixed with those by posteriors, by `shares_of`.
 
         Parameters
         ----------
@@ -259,7 +262,7 @@ def softened_line(
     posteriors: FramePosteriors,
     times_s: Array,
 ) -> Array:
-    """Return the faces of a whole recognised line, mixed with the soft ones by its posteriors.
+    """Return the faces of a whole recognised recording, mixed with those by its posteriors.
 
     Parameters
     ----------
@@ -302,7 +305,10 @@ _NAMES = tuple(field.name for field in fields(SoftExpectation))
 
 
 def read_soft_expectation(file: ModelFile, n_components: int) -> SoftExpectation | None:
-    """Return the soft expectation of an open model file; None if it has none. Raises ModelError."""
+    """Return the expectation by posteriors of a model file; None if it has none. Raises ModelError.
+
+    n_components: number of components of the face that the expectation moves.
+    """
     if not file.has(SOFT_PART):
         return None
 

@@ -42,16 +42,16 @@ _WIDEST_PERCENT = 99.0
 
 
 class MeasureError(UserError):
-    """Error for a face layout that lacks a landmark for measuring the mouth; one line."""
+    """Error for a layout of points that lacks a landmark for measuring the mouth; one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class LipMeasures:
     """The linear map from faces to the distances `MEASURES`, in mm from the mouth at rest.
 
-    per_face: (n_components, n_measures). rest: (n_components,). rest_gap_mm: of the mouth at rest.
-    highest_mm, lowest_mm: (n_measures,), the 99th and the 1st percentile of the recorded faces.
-    spread_mm: (n_measures,), their standard deviation.
+    per_face: (n_components, n_measures). rest: (n_components,), the face at rest. rest_gap_mm: its
+    lip gap. highest_mm, lowest_mm: (n_measures,), the 99th and the 1st percentile of the recorded
+    faces. spread_mm: (n_measures,), their standard deviation.
     """
 
     per_face: Array
@@ -78,7 +78,7 @@ class LipMeasures:
 
 
 def lip_measures(model: FaceWithAnimPhos) -> LipMeasures:
-    """Return the measures of a model, with their ranges over the recorded faces of its AnimPhos.
+    """Return the map to measures of a model's mouth, with their ranges over its recorded faces.
 
     Raises MeasureError for a layout that lacks one of the landmarks.
     """
@@ -93,7 +93,7 @@ def lip_measures(model: FaceWithAnimPhos) -> LipMeasures:
 
 
 def _weights(model: FaceModel, name: str) -> Array:
-    """Return weights (3 n_points,) whose dot product with a face's points is the named measure."""
+    """Return weights (3 n_points,) whose dot product with a face's points is the measure `name`."""
     weights = np.zeros((model.layout.n_points, 3))
     if name == GAP:
         weights[model.layout.upper_lip, _UP] += 1.0
@@ -152,7 +152,7 @@ class ArkitMap:
         self._narrowest_mm = -(self._lowest("corner_left") + self._lowest("corner_right"))
 
     def values(self, frame: Frame) -> Array:
-        """Return the ARKit blendshapes of a frame.
+        """Return the 52 ARKit blendshapes of a frame: the mouth's, and those of its expression.
 
         Parameters
         ----------
@@ -251,7 +251,7 @@ def _share(value: float, full: float) -> float:
 
 
 def _add_expression(found: Array, expression: Expression) -> None:
-    """Set eyes, lids and brows in `found` (52,) from the expression's values that are not None."""
+    """Set eyes, lids and brows in the blendshapes `found` (52,), but no values that are None."""
     values = {
         "eyeBlinkLeft": expression.lid_left,
         "eyeBlinkRight": expression.lid_right,

@@ -44,7 +44,7 @@ def centiseconds(time_s: float) -> int:
 
 
 def joined(cues: Iterable[MouthCue]) -> list[MouthCue]:
-    """Return the cues in order, neighbours of equal shape merged, those of no length left out."""
+    """Return the cues, in order, with neighbours of equal shape merged and empty cues left out."""
     found: list[MouthCue] = []
     for cue in cues:
         if cue.end_cs <= cue.start_cs:
@@ -65,7 +65,7 @@ def overwritten(cues: Sequence[MouthCue], new: MouthCue) -> list[MouthCue]:
 def cues_tsv(cues: Sequence[MouthCue]) -> str:
     """Return the cues as text, a line `start TAB shape` each, then the sound's end with shape X.
 
-    Raises ValueError for no cues.
+    Times are in seconds. Raises ValueError for no cues.
     """
     if not cues:
         raise ValueError("no mouth cues")
@@ -74,7 +74,10 @@ def cues_tsv(cues: Sequence[MouthCue]) -> str:
 
 
 def cues_json(cues: Sequence[MouthCue], sound_name: str, duration_s: float) -> str:
-    """Return the cues as JSON text: an object of `metadata` and `mouthCues`, one cue per line."""
+    """Return the cues as JSON text: an object of `metadata` and `mouthCues`, one cue per line.
+
+    sound_name, duration_s: the metadata, the sound file's name and the sound's length.
+    """
     rows = (
         f'    {{ "start": {_seconds(cue.start_cs)}, "end": {_seconds(cue.end_cs)}, '
         f'"value": "{cue.shape}" }}'
@@ -89,7 +92,10 @@ def cues_json(cues: Sequence[MouthCue], sound_name: str, duration_s: float) -> s
 
 
 def cues_xml(cues: Sequence[MouthCue], sound_name: str, duration_s: float) -> str:
-    """Return the cues as XML text: `rhubarbResult` with `metadata` and `mouthCues`."""
+    """Return the cues as XML text: `rhubarbResult` with `metadata` and `mouthCues`.
+
+    sound_name, duration_s: the metadata, the sound file's name and the sound's length.
+    """
     rows = "".join(
         f'    <mouthCue start="{_seconds(cue.start_cs)}" end="{_seconds(cue.end_cs)}">'
         f"{cue.shape}</mouthCue>\n"
@@ -160,7 +166,7 @@ _TWEENS: Mapping[tuple[str, str], tuple[Shape, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class _MouthSpan:
-    """A span of time, all or part of a phone, with the shapes that the mouth may have in it."""
+    """A span of time, all or part of a phone, with the shapes (letters) that the mouth may have."""
 
     shapes: str
     start_cs: int
@@ -233,7 +239,10 @@ def _of_phone(phone: str, start_cs: int, end_cs: int) -> list[_MouthSpan]:
 
 
 def _shapes_of(phone: str, duration_cs: int) -> tuple[str, ...]:
-    """Return the shapes that a phone of this length may have, as letters, for each of its parts."""
+    """Return the shapes, as letters, that a phone of this length may have, for each of its parts.
+
+    duration_cs: in hundredths of a second. Two parts for a diphthong, else one.
+    """
     if phone in _STOPS:
         return (_STOPS[phone][0],)
     if phone in _DIPHTHONGS:
@@ -262,7 +271,11 @@ def _nearest(shape: Shape, allowed: str) -> Shape:
 
 
 def _animated(spans: Sequence[_MouthSpan]) -> list[MouthCue]:
-    """Return the cues of spans: the allowed shape nearest to the one before; vowels begin early."""
+    """Return the cues of spans: of each span's shapes the nearest to the relaxed shape before it.
+
+    A vowel with only one shape begins early: spans up to 0.2 s before it get the shape nearest to
+    it.
+    """
     shapes: list[Shape] = []
     reference: Shape = "X"
     anticipated = -1
@@ -288,7 +301,7 @@ def _animated(spans: Sequence[_MouthSpan]) -> list[MouthCue]:
 def _without_pauses(cues: Sequence[MouthCue]) -> list[MouthCue]:
     """Return the cues with each inner pause X replaced: a short one holds the shape before it.
 
-    A longer pause relaxes that shape, and one above 0.35 s stays X.
+    Short is below 0.12 s. A longer pause relaxes that shape, and one above 0.35 s stays X.
     """
     found = list(cues)
     for i in range(1, len(cues) - 1):
@@ -312,7 +325,7 @@ def _pause_shape(before: Shape, after: Shape, duration_cs: int) -> Shape:
 
 
 def _with_long_closures(cues: Sequence[MouthCue]) -> list[MouthCue]:
-    """Return the cues with short closures A begun up to 60 ms earlier, if the cue before allows."""
+    """Return the cues with closures A below 80 ms begun up to 60 ms earlier, if there is room."""
     found = list(cues)
     for i in range(len(found) - 1, 0, -1):
         cue, before = found[i], found[i - 1]
@@ -327,7 +340,7 @@ def _with_long_closures(cues: Sequence[MouthCue]) -> list[MouthCue]:
 
 
 def _without_short_shapes(cues: Sequence[MouthCue]) -> list[MouthCue]:
-    """Return the cues with open shapes below 70 ms given to the open cue after, else before them.
+    """Return the cues with open shapes below 70 ms replaced by the open shape after, else before.
 
     An open mouth between two closures stays, however short: else the closures would be one.
     """

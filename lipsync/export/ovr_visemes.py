@@ -53,7 +53,10 @@ _CLOSING = (*BILABIALS, *LABIODENTALS)
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """A viseme from start to end. full_s: when its weight must be 1; None: at no certain time."""
+    """A viseme from start to end, in s.
+
+    full_s: when its weight must be 1, because its lips are closed; None: at no certain time.
+    """
 
     viseme: str
     start_s: float
@@ -62,7 +65,7 @@ class _Part:
 
 
 def viseme_weights(events: Iterable[PhonemeEvent], times_s: Array, tightest_s: Array) -> Array:
-    """Return the weights of the 15 Oculus visemes over time.
+    """Return the weights of the 15 Oculus visemes over time, for an avatar's mouth.
 
     Neighbours fade into each other around their border. Where lips close, the viseme's weight is 1
     when the lips are shut. Before and after the phonemes: `sil`.

@@ -37,8 +37,8 @@ _PAUSE_CS = 35
 class ShapePrototypes:
     """Recorded mouths, one for each shape, with which a mouth is compared.
 
-    places: (7, n_measures), of A and of the shapes that phones draw, in standard deviations of the
-    recorded faces.
+    measures: of the face model. places: (7, n_measures), measures of A and of the shapes that
+    phones draw, in standard deviations of the recorded faces.
     """
 
     measures: LipMeasures
@@ -64,6 +64,8 @@ def motion_cues(
     prototypes: ShapePrototypes, coefficients: Array, shut: NDArray[np.bool_], duration_s: float
 ) -> list[MouthCue]:
     """Return the sequence of mouth shapes nearest to a motion, none shorter than `SHORTEST_CS`.
+
+    A sound shorter than that gets one shape.
 
     Parameters
     ----------
@@ -136,7 +138,7 @@ def sampling_times_s(duration_s: float) -> Array:
 
 
 def _scale(measures: LipMeasures) -> Array:
-    """Return the standard deviations (n_measures,) of the measures, 1 where one is 0."""
+    """Return the standard deviations (n_measures,) of the measures, with 1 in place of any 0."""
     scale: Array = np.where(measures.spread_mm > 0.0, measures.spread_mm, 1.0)
     return scale
 
@@ -144,7 +146,7 @@ def _scale(measures: LipMeasures) -> Array:
 def _segments(costs: Array, shortest: int) -> Sequence[tuple[int, int, int]]:
     """Return the cheapest stretches (shape, start, end) that cover the rows of costs (n, n_shapes).
 
-    Every stretch has `shortest` rows at least, where there are as many. Dynamic programming over
+    Every stretch has at least `shortest` rows, where there are as many. Dynamic programming over
     stretches, as of a hidden semi-Markov model with a shortest duration.
     """
     n, n_shapes = costs.shape
@@ -176,7 +178,7 @@ def _segments(costs: Array, shortest: int) -> Sequence[tuple[int, int, int]]:
 
 
 def _is_pause(cue: MouthCue, n: int) -> bool:
-    """Return whether a cue A is longer than 0.35 s, or begins at 0, or ends at `n` centiseconds."""
+    """Return whether a cue A is a pause: over 0.35 s long, or at 0, or until `n` centiseconds."""
     is_long = cue.end_cs - cue.start_cs > _PAUSE_CS
     return cue.shape == "A" and (is_long or cue.start_cs == 0 or cue.end_cs == n)
 

@@ -35,7 +35,8 @@ _ROTATIONS = ("HeadYaw", "HeadPitch", "HeadRoll", "LeftEyeYaw", "LeftEyePitch", 
 class WeightTrack:
     """Named weights over time at a frame rate, for an avatar.
 
-    kind: arkit or ovr. names: (k,). times_s: (n,), ascending. values: (n, k), from 0 to 1.
+    kind: arkit or ovr. rate_hz: frames a second. names: (k,), of the weights. times_s: (n,),
+    ascending. values: (n, k), from 0 to 1.
     """
 
     kind: str
@@ -133,7 +134,7 @@ _DEVICE_ID = b"6c697073-6572-766f-8000-000000000001"
 
 
 def live_link_packet(values: Array, subject: str, time_s: float) -> bytes:
-    """Return one frame in the format of Live Link Face; the angles of head and eyes are 0.
+    """Return the datagram of one frame for Live Link Face; the angles of head and eyes are 0.
 
     Parameters
     ----------
@@ -183,7 +184,7 @@ def osc_message(address: str, *arguments: str | float) -> bytes:
 def vmc_packets(shapes: Iterable[tuple[str, float]]) -> list[bytes]:
     """Return OSC datagrams that set blendshapes by name; the last one ends with the Apply message.
 
-    One datagram, unless the shapes are too many for its 1452 bytes.
+    shapes: (name, weight) each. One datagram, unless they are too many for its 1452 bytes.
     """
     packets = [_BUNDLE_HEAD]
     messages = [osc_message(_VALUE, name, value) for name, value in shapes]

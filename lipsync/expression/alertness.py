@@ -16,11 +16,12 @@ _FURTHEST_YAW_DEG, _FURTHEST_PITCH_DEG = 60.0, 40.0
 class Alertness:
     """The state of the conversation from the newest cue, smoothed, for all expression generators.
 
-    awake: 1 in conversation, 0 idle. talking: 1 while the robot speaks. is_idle, is_speaking: these
-    two states without smoothing. wants_rest: no person has spoken or moved for `rest_after_s`.
-    partner_deg: (yaw, pitch) of the person to look at; straight ahead where there is none.
-    has_turned: in this cue that person appeared, left, or moved by more than 2 degrees. turn_ended:
-    speech has just ended.
+    awake: 1 in conversation, 0 in idle. talking: 1 while the robot speaks. is_idle, is_speaking:
+    these two states without smoothing; idle comes after `idle_after_s` of silence. wants_rest: for
+    `rest_after_s` there was no speech and no person moved. partner_deg: (yaw, pitch) of the person
+    to look at; straight ahead where there is none. has_turned: in this cue that person appeared,
+    left, or moved by more than 2 degrees. turn_ended: in this cue the robot's speech ended, or a
+    person's pause reached 0.3 s.
     """
 
     def __init__(self, idle_after_s: float, rest_after_s: float) -> None:
@@ -41,7 +42,7 @@ class Alertness:
         self.turn_ended = False
 
     def hear(self, cue: ExpressionCue) -> None:
-        """Update the state by the next cue, 10 ms after the last."""
+        """Update the state by the next cue, 10 ms after the last cue."""
         silent_s = 0.0 if cue.is_speaking else bounded(cue.silent_s, 0.0, 1e9)
         self.turn_ended = (self.is_speaking and not cue.is_speaking) or (
             not cue.is_speaking and self._silent_s < _HEARER_PAUSE_S <= silent_s
@@ -82,7 +83,7 @@ _HEARER_PAUSE_S = 0.3
 
 
 def _seen(look_at_deg: tuple[float, float] | None) -> tuple[float, float] | None:
-    """Return a target's (yaw, pitch) bounded to what is in reach; None for None or a NaN."""
+    """Return a target's (yaw, pitch) clipped to what is in reach; None for no target or a NaN."""
     if look_at_deg is None:
         return None
     yaw_deg, pitch_deg = look_at_deg

@@ -25,8 +25,8 @@ _NO_BLINK_DEG, _ALL_BLINK_DEG, _MOST_BLINKING = 5.0, 28.0, 0.97
 class Blinks:
     """A generator of blinks: spontaneous at log-normal intervals, at ends of speech, with saccades.
 
-    The interval is drawn anew after any of these. It is counted in mean intervals, so that the rate
-    may change while it passes.
+    The interval is drawn anew after each blink, in units of the mean interval, so that the rate may
+    change while it passes.
     """
 
     def __init__(self, random: Random) -> None:
@@ -36,10 +36,11 @@ class Blinks:
         self._until_end_blink_s = math.inf
 
     def step(self, rate_per_min: float, speech_ended: bool, saccade_deg: float) -> float:
-        """Advance by one cue; return how far blinking shuts the lids, 0 to 1.
+        """Advance by one cue, 10 ms; return how far blinking shuts the lids, 0 to 1.
 
-        rate_per_min: of spontaneous blinks; 0: no blink at all begins. saccade_deg: size of a
-        saccade that begins now, else 0.
+        rate_per_min: of spontaneous blinks; 0: no blink at all begins. speech_ended: whether speech
+        ends in this cue, after which a blink may come. saccade_deg: size of a saccade that begins
+        now, else 0.
         """
         self._since_s += CUE_PERIOD_S
         self._left -= rate_per_min / 60.0 * CUE_PERIOD_S
@@ -82,8 +83,9 @@ WIDEST, _SLEEPIEST = -0.4, 0.65
 def lid_position(eye_pitch_deg: float, offset: float, size: float, blink: float) -> float:
     """Return the position of a lid: 0 open, 1 shut, below 0 wider than at rest.
 
-    offset: by arousal. size: factor of all but the blink, 0 to 1. blink: 0 to 1, closes that share
-    of what is open, so that 1 is shut and neither end has a corner.
+    eye_pitch_deg: the lid follows the eye up and down. offset: by arousal. size: factor of these
+    two, 0 to 1. blink: 0 to 1, closes that share of what is open, so that 1 is shut and neither end
+    has a corner.
     """
     if eye_pitch_deg < 0.0:
         follow = min(_MOST_DOWN, -_PER_DEG_DOWN * eye_pitch_deg)
@@ -120,7 +122,11 @@ class BrowFlashes:
         self._flash = 0.0
 
     def step(self, voice: VoiceFrame, is_speaking: bool, is_idle: bool) -> float:
-        """Advance by one cue; return how far brows are raised, 0 to 1. No flash begins in idle."""
+        """Advance by one cue, 10 ms; return how far brows are raised, 0 to 1.
+
+        voice: its pitch counts while `is_speaking`, the robot speaks. No flash begins while
+        `is_idle`.
+        """
         self._since_s += CUE_PERIOD_S
         if is_speaking and voice.is_speech and voice.pitch_hz > 0.0:
             pitch = bounded(voice.pitch_z, -MOST_Z, MOST_Z)

@@ -12,21 +12,21 @@ from lipsync.prosody.voice_frame import SILENT_VOICE, VoiceFrame
 
 
 def bounded(value: float, least: float, most: float) -> float:
-    """Return the value clipped to both limits, infinities included; 0 for NaN."""
+    """Return `value` clipped to `least` and `most`, infinities included; 0 for NaN."""
     if value != value:
         return 0.0
     return least if value < least else most if value > most else value
 
 
 def smoothstep(share: float) -> float:
-    """Return 3 u^2 - 2 u^3 for a share u clipped to 0 to 1: slope 0 at both ends, at most 1.5."""
+    """Return 3 u^2 - 2 u^3 for a `share` u clipped to 0 to 1: slope 0 at both ends, at most 1.5."""
     if share <= 0.0:
         return 0.0
     return 1.0 if share >= 1.0 else share * share * (3.0 - 2.0 * share)
 
 
 def toward(value: float, goal: float, step: float) -> float:
-    """Return the value moved by one step towards a goal, never beyond the goal."""
+    """Return `value` moved by one `step` towards `goal`, never beyond the goal."""
     return min(goal, value + step) if value < goal else max(goal, value - step)
 
 
@@ -77,15 +77,16 @@ _ARRIVED = 1e-3
 
 
 class DampedFollower:
-    """A critically damped filter: x'' = w^2 (target - x) - 2 w x', solved exactly for each cue.
+    """A critically damped filter that moves as a mass does: x'' = w^2 (target - x) - 2 w x'.
 
-    The error is cut off at 2 `most_per_s` / w, at which the filter's final speed is `most_per_s`:
-    it is never exceeded, and nowhere is more acceleration than 4 w `most_per_s`. The filter does
-    not overshoot: x stays between the least and the greatest target that it has had.
+    It is solved exactly for each cue, 10 ms. The error is cut off at 2 `most_per_s` / w, at which
+    the filter's final speed is `most_per_s`, which is never exceeded; no acceleration is more than
+    4 w `most_per_s`. The filter does not overshoot: x stays between the least and the greatest
+    target that it has had.
     """
 
     def __init__(self, frequency_hz: float, most_per_s: float) -> None:
-        """Create a filter at 0. frequency_hz: w / 2 pi, at which a target is halved.
+        """Create a filter at 0. `frequency_hz`: w / 2 pi; a target's swing at it is halved.
 
         most_per_s: limit of the speed.
         """
@@ -96,7 +97,7 @@ class DampedFollower:
         self._most_error = 2.0 * most_per_s / self._w
 
     def follow(self, target: float) -> float:
-        """Advance by one cue with this target; return the new value."""
+        """Advance by one cue, 10 ms, with this target; return the new value."""
         error, speed_per_s, w = self.value - target, self._speed_per_s, self._w
         if -_ARRIVED < error < _ARRIVED and abs(speed_per_s) < _ARRIVED * w:
             self.value, self._speed_per_s = target, 0.0

@@ -31,12 +31,12 @@ def drawn_direction_rad(random: Random) -> float:
 
 
 def duration_s(magnitude_deg: float) -> float:
-    """Return the seconds that a saccade of this size takes."""
+    """Return the seconds that a saccade of `magnitude_deg` lasts."""
     return _SHORTEST_S + _S_PER_DEG * magnitude_deg
 
 
 class Saccade:
-    """One movement of gaze from (yaw, pitch) to (yaw, pitch), degrees, along a straight line."""
+    """One straight movement of gaze from `start_deg` to `aim_deg`, (yaw, pitch) each."""
 
     def __init__(self, start_deg: tuple[float, float], aim_deg: tuple[float, float]) -> None:
         self.aim_deg = aim_deg
@@ -46,7 +46,7 @@ class Saccade:
         self._elapsed_s = 0.0
 
     def step(self) -> tuple[float, float]:
-        """Advance by one cue; return gaze as (yaw, pitch) in degrees, the aim once it is over."""
+        """Advance by one cue, 10 ms; return gaze as (yaw, pitch) in degrees, at the end the aim."""
         self._elapsed_s += CUE_PERIOD_S
         share = smoothstep(self._elapsed_s / self._duration_s)
         if share >= 1.0:
@@ -78,12 +78,14 @@ _LEAST_SHARE, _MOST_SHARE = 0.05, 0.98
 
 @dataclass(frozen=True, slots=True)
 class GazeHabit:
-    """Lengths of fixations on the partner and away, mean and deviation, and the partner's share.
+    """How long gaze stays on the partner and away, and the partner's share of the time.
 
-    The durations are those of SmartBody's model of "Eyes Alive", in seconds (its frames are 1/30 s,
-    and what its table calls a standard deviation is one). They do not agree with its shares (they
-    give 77 and 95 % on the partner, not 41 and 75), so that the share is what is set, and a period
-    away is made of as many fixations as it takes.
+    mutual_share: share of the time on the partner; mutual_mean_s, mutual_sd_s: mean and standard
+    deviation of gaze on the partner; away_mean_s, away_sd_s: of one fixation away. These durations
+    are those of SmartBody's model of "Eyes Alive", in seconds (its frames are 1/30 s, and what its
+    table calls a standard deviation is one). They would give shares of 77 and 95 % on the partner,
+    where the model has 41 and 75, so that the share is what is set, and a period away is made of as
+    many fixations as it needs.
     """
 
     mutual_share: float
@@ -102,7 +104,7 @@ class GazeHabit:
     def returning(self) -> float:
         """Return the probability that gaze returns to the partner after a fixation away.
 
-        It is the mean fixation's length over the mean period away, 1 at most.
+        It is the mean length of such a fixation over that of a whole period away, 1 at most.
         """
         share = self.mutual_share
         away_s = self.mutual_mean_s * (1.0 - share) / share if share < 1.0 else 0.0
@@ -115,7 +117,7 @@ class GazeHabit:
         return _gamma(random, self.mutual_mean_s, self.mutual_sd_s)
 
     def drawn_away_s(self, random: Random) -> float:
-        """Return a random length in s of a fixation away, shortened where the share requires it."""
+        """Return a random length in s of one fixation away, shorter where the share requires it."""
         share = self.mutual_share
         away_s = self.mutual_mean_s * (1.0 - share) / share
         shrunk = min(1.0, away_s / self.away_mean_s)
@@ -125,7 +127,7 @@ class GazeHabit:
 def _gamma(random: Random, mean_s: float, sd_s: float) -> float:
     """Return a random duration in s with this mean and standard deviation, at least 0.2 s.
 
-    It is gamma-distributed above that shortest fixation.
+    What exceeds these 0.2 s, the shortest fixation, is gamma-distributed.
     """
     above_s = mean_s - _SHORTEST_FIXATION_S
     shape = (above_s / sd_s) ** 2
@@ -133,12 +135,12 @@ def _gamma(random: Random, mean_s: float, sd_s: float) -> float:
 
 
 def talking_habit(mutual_share: float = 0.41) -> GazeHabit:
-    """Return the gaze habit of a person who talks, with this share of time on the partner."""
+    """Return the gaze habit of a talking person; `mutual_share`: of the time, on the partner."""
     return GazeHabit(mutual_share, 93.9 / 30, 94.9 / 30, 27.8 / 30, 24.0 / 30)
 
 
 def listening_habit(mutual_share: float = 0.75) -> GazeHabit:
-    """Return the gaze habit of a person who listens, with this share of time on the partner."""
+    """Return the gaze habit of a listening person; `mutual_share`: of the time, on the partner."""
     return GazeHabit(mutual_share, 237.5 / 30, 47.1 / 30, 13.0 / 30, 7.1 / 30)
 
 
@@ -148,8 +150,8 @@ STRAIGHT_AHEAD: Final = (0.0, 0.0)
 class Gaze:
     """The direction of gaze in the robot's frame, (yaw, pitch) degrees, moved by saccades.
 
-    direction_deg: the present one. aim_deg: the target of the last saccade. saccade_deg: the size
-    of a saccade that has just begun, else 0. is_mutual: whether gaze is on the partner.
+    direction_deg: the present direction. aim_deg: the target of the last saccade. saccade_deg: the
+    size of a saccade that begins in this cue, else 0. is_mutual: whether gaze is on the partner.
     """
 
     def __init__(self, random: Random, talking: GazeHabit, listening: GazeHabit) -> None:
@@ -167,10 +169,10 @@ class Gaze:
         self.saccade_deg = 0.0
 
     def step(self, partner_deg: tuple[float, float], pace: float, size: float) -> None:
-        """Advance gaze by one cue; `partner_deg`: the partner's (yaw, pitch).
+        """Advance gaze by one cue, 10 ms; `partner_deg`: the partner's (yaw, pitch).
 
-        pace: factor of the rate of fixations, 1 as measured. size: factor of the offsets away from
-        the partner; 0: gaze stays on the partner.
+        pace: factor of the rate of fixations, 1 as measured on people. size: factor of the offsets
+        away from the partner; 0: gaze stays on the partner.
         """
         self._left_s -= pace * CUE_PERIOD_S
         if self._left_s <= 0.0:
@@ -215,7 +217,7 @@ class Gaze:
     def _drawn_offset_deg(self) -> tuple[float, float]:
         """Return a random offset (yaw, pitch) from the partner, one saccade from the last offset.
 
-        One outside of the range is drawn again; after eight draws the last offset is halved.
+        An offset out of range is drawn again; after eight draws the last offset is halved.
         """
         for _ in range(_TRIES):
             magnitude_deg = drawn_magnitude_deg(self._random)
@@ -243,8 +245,8 @@ class Gaze:
     def _is_worth_it(self, wanted_deg: tuple[float, float]) -> bool:
         """Return whether a saccade to `wanted_deg` begins now.
 
-        A new decision is carried out at once; a partner who moves is followed in steps of over 1
-        degree, at least 0.2 s apart.
+        Yes at once after a decision to change between partner and away; a partner in motion is
+        followed in steps of over 1 degree, at least 0.2 s apart.
         """
         if self._is_due:
             return wanted_deg != self.aim_deg
@@ -264,7 +266,7 @@ _SMALL_DEG, _LARGE_DEG = 10.0, 40.0
 
 
 def head_part_deg(aim_deg: tuple[float, float]) -> tuple[float, float]:
-    """Return the head's (yaw, pitch) for a direction of gaze: a larger share the further out it is.
+    """Return the head's (yaw, pitch) for gaze at `aim_deg`: a larger share the further out it is.
 
     People turn the head little for what the eyes reach with ease, and nearly all of the rest of the
     way beyond that (Stahl, Experimental Brain Research 126, 1999).
@@ -281,10 +283,10 @@ def head_part_deg(aim_deg: tuple[float, float]) -> tuple[float, float]:
 def eyes_deg(
     direction_deg: tuple[float, float], head_yaw_deg: float, head_pitch_deg: float
 ) -> tuple[float, float]:
-    """Return (yaw, pitch) of the eyes in the head, so that gaze keeps its direction in the world.
+    """Return (yaw, pitch) of the eyes in the head, so that gaze keeps `direction_deg` in the world.
 
-    The vestibulo-ocular reflex, to first order: gaze - head. Roll turns the eyes about the line of
-    sight and is left out; at 3 degrees of it, eyes 10 degrees off centre miss by half a degree.
+    The vestibulo-ocular reflex, to first order: gaze minus head. Roll turns the eyes about the line
+    of sight and is left out; at 3 degrees of it, eyes 10 degrees off centre miss by half a degree.
     """
     return (
         bounded(direction_deg[0] - head_yaw_deg, -MOST_EYE_YAW_DEG, MOST_EYE_YAW_DEG),

@@ -40,9 +40,9 @@ MOST_Z = 4.0
 class ProsodyAccents:
     """A generator of head pitch from prosody: a nod to an accent, and the course of the phrase.
 
-    Prominence is loudness + pitch / 2, in standard deviations; an accent is where its fast average
-    leaves its slow one behind. The head lags prosody by some 30 ms in people (Fotedar and Ghosh,
-    Interspeech 2017), so that nothing need be known beforehand.
+    Prominence is loudness + pitch / 2, in standard deviations; an accent is where the fast average
+    of prominence leaves its slow average behind. The head is some 30 ms later than prosody in
+    people (Fotedar and Ghosh, Interspeech 2017), so that nothing need be known beforehand.
     """
 
     def __init__(self, random: Random) -> None:
@@ -57,7 +57,10 @@ class ProsodyAccents:
         self._nod_deg = 0.0
 
     def step(self, voice: VoiceFrame, is_speaking: bool) -> float:
-        """Advance by one cue; return degrees of pitch, positive upwards."""
+        """Advance by one cue, 10 ms; return the head's pitch in degrees, positive upwards.
+
+        voice: counts only while `is_speaking`, the robot speaks.
+        """
         prominence = 0.0
         if is_speaking and voice.is_speech:
             loudness = bounded(voice.loudness_z, -MOST_Z, MOST_Z)
@@ -84,10 +87,11 @@ _LISTENING_SHARE = 0.5
 
 
 class HeadDrift:
-    """An Ornstein-Uhlenbeck process for each axis, do = -o/tau dt + sigma sqrt(2/tau) dW.
+    """Slow random motion of the head: an Ornstein-Uhlenbeck process for each axis.
 
-    Stepped exactly (Gillespie, Physical Review E 54, 1996, eq. 1.9), at standard deviation 1, so
-    that its size may change at any time without a jump.
+    An angle o changes by do = -o/tau dt + sigma sqrt(2/tau) dW, stepped exactly (Gillespie,
+    Physical Review E 54, 1996, eq. 1.9), at standard deviation 1, so that its size may change at
+    any time without a jump.
     """
 
     def __init__(self, random: Random) -> None:
@@ -97,7 +101,10 @@ class HeadDrift:
         self._at = (0.0, 0.0, 0.0)
 
     def step(self, talking: float) -> tuple[float, float, float]:
-        """Advance by one cue; return pitch, yaw and roll in degrees. talking: 0 to 1."""
+        """Advance by one cue, 10 ms; return pitch, yaw and roll in degrees.
+
+        talking: how far the robot is talking, 0 to 1; at 0 the motion is half as large as at 1.
+        """
         (pitch, yaw, roll), (kept_0, kept_1, kept_2) = self._at, self._kept
         new_0, new_1, new_2 = self._new
         gauss = self._random.gauss
@@ -128,7 +135,7 @@ _SETTLING_S = 2.0
 
 
 class _Axis:
-    """One angle of the head that rests or moves to a goal, and the travel that it has saved up."""
+    """One angle of the head that rests or moves to a goal, and its unspent travel, `saved_deg`."""
 
     def __init__(self) -> None:
         self.angle_deg = 0.0
@@ -155,7 +162,7 @@ class _Axis:
         return self.angle_deg
 
     def affordable(self, way_deg: float) -> float:
-        """Return `way_deg` reduced to what the saved travel allows, there and back."""
+        """Return `way_deg`, a way to go, reduced to what the saved travel allows there and back."""
         return math.copysign(min(abs(way_deg), self.saved_deg / 2.0), way_deg)
 
     def pays(self, travel_deg: float) -> bool:
@@ -176,7 +183,7 @@ class IdlePosture:
         self._is_turned = False
 
     def step(self, turn_deg: tuple[float, float]) -> tuple[float, float, float]:
-        """Advance by one cue of idle; return pitch, yaw and roll in degrees.
+        """Advance by one cue, 10 ms, of idle; return pitch, yaw and roll in degrees.
 
         turn_deg: (yaw, pitch) of the head's part of gaze away from the partner.
         """
@@ -196,11 +203,11 @@ class IdlePosture:
         return self.follow()
 
     def follow(self) -> tuple[float, float, float]:
-        """Advance by one cue; return pitch, yaw and roll in degrees. No new move begins."""
+        """Advance by one cue, 10 ms; return pitch, yaw and roll in degrees. No new move begins."""
         return self._pitch.step(), self._yaw.step(), self._roll.step()
 
     def settle(self) -> None:
-        """Start a move to the middle, whatever the budget is; call it once, then `follow`."""
+        """Start a move to the middle, whatever travel was saved up; then call `follow` alone."""
         self._breath_left_s = 0.0
         self._is_turned = False
         for axis in self._axes:
@@ -231,10 +238,10 @@ class IdlePosture:
             self._pitch.go(self._pitch.home_deg, _OUT_S)
 
     def _turn(self, turn_deg: tuple[float, float]) -> None:
-        """Start a turn of the head by `turn_deg`, as far as the budget allows there and back.
+        """Start a turn of the head by `turn_deg` (yaw, pitch), as far as the saved travel allows.
 
-        So the head never stays turned for lack of budget. A turn that is too small is left to the
-        eyes.
+        The way back is paid for at once, so that the head never stays turned. A turn that is too
+        small is left to the eyes.
         """
         yaw_deg, pitch_deg = self._yaw.affordable(turn_deg[0]), self._pitch.affordable(turn_deg[1])
         if math.hypot(yaw_deg, pitch_deg) < _LEAST_TURN_DEG:
@@ -274,13 +281,13 @@ class HeadPose:
         self._aim_deg = self._aim_part_deg = self._partner_part_deg = STRAIGHT_AHEAD
 
     def settle(self) -> None:
-        """Start moving the small offsets of idle motion back to 0, because rest begins."""
+        """Start moving the small offsets of idle motion back to 0, as the face goes to rest."""
         self._idle.settle()
 
     def step(
         self, cue: ExpressionCue, alertness: Alertness, gaze: Gaze, amount: float, gain: float
     ) -> tuple[float, float, float]:
-        """Advance by one cue; return (pitch, yaw, roll) of the head in degrees.
+        """Advance by one cue, 10 ms; return (pitch, yaw, roll) of the head in degrees.
 
         amount: size of all motion, 0 to 1.5. gain: further factor of the drift, by arousal.
         """
@@ -306,7 +313,7 @@ class HeadPose:
         )
 
     def _turn_deg(self, gaze: Gaze) -> tuple[float, float]:
-        """Return (yaw, pitch) of the head's part of gaze, beyond its part for the partner."""
+        """Return (yaw, pitch) of the head's part of gaze, less its part for the partner."""
         if gaze.aim_deg is not self._aim_deg:
             self._aim_deg = gaze.aim_deg
             self._aim_part_deg = head_part_deg(gaze.aim_deg)

@@ -100,8 +100,8 @@ class LiveExpression:
     def step(self, cue: ExpressionCue) -> Expression:
         """Return the expression at the cue's time; call it once for each cue, every CUE_PERIOD_S.
 
-        `is_resting` is then whether the face is at neutral and stays there until a person speaks or
-        moves: then torque may be released without a jump.
+        After the call `is_resting` is whether the face is at neutral and stays there until a person
+        speaks or moves, so that torque may be released without a jump.
         """
         alertness = self._alertness
         alertness.hear(cue)
@@ -131,7 +131,11 @@ class LiveExpression:
         return expression
 
     def _look(self, arousal: float, amount: float) -> float:
-        """Advance gaze by one cue; return how far blinking shuts the lids, 0 to 1."""
+        """Advance gaze and blinks by one cue, 10 ms; return how far a blink shuts the lids, 0 to 1.
+
+        arousal: -1 to 1, changes their pace. amount: size of all motion; 0: no blink, gaze on the
+        partner.
+        """
         alertness, gaze = self._alertness, self._gaze
         gaze.turn(alertness.is_speaking)
         if alertness.has_turned:

@@ -48,9 +48,9 @@ class Frame:
 class FaceWindow:
     """A frame and the faces that are expected after it, so that joints may start in time.
 
-    times_s: (k,), seconds after the frame, ascending from 0. faces: (k, n_components), the first is
-    the frame's. closed: (k,), whether lips must touch each other, or the teeth, by then. shut:
-    (n_components,), the frame with its lips pressed together, as for a P.
+    times_s: (k,), seconds after the frame, ascending from 0. faces: (k, n_components), at these
+    times, first the frame's. closed: (k,), whether by then lips must touch each other, or the lower
+    lip the teeth. shut: (n_components,), the frame with its lips pressed together, as for a P.
     """
 
     times_s: Array
@@ -74,7 +74,7 @@ class Motion(Protocol):
 
     @property
     def phonemes_planned(self) -> int:
-        """The number of phonemes that have moved the mouth."""
+        """The number of phonemes that have moved the mouth since the last `reset`."""
 
     @property
     def lookahead_s(self) -> float:
@@ -87,17 +87,20 @@ class Motion(Protocol):
         """Apply a revision to the known phonemes; frames already computed are not changed."""
 
     def frame_at(self, time_s: float) -> Frame:
-        """Return the frame at a sound time; equal times give equal frames.
+        """Return the frame at sound time `time_s`; equal times give equal frames.
 
         Times ascend, except for a step back of half a second at most.
         """
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
-        """Return the phoneme known now at a sound time, for displays; None if none is."""
+        """Return the phoneme known now at sound time `time_s`, for displays; None if unknown."""
 
 
 class Synthesizer(Motion, Protocol):
     """A `Motion` that can also return the faces expected after a frame."""
 
     def window_after(self, frame: Frame) -> FaceWindow:
-        """Return the faces expected after the newest frame by known phonemes; decide nothing."""
+        """Return `frame`, the newest, and the faces expected after it by the phonemes known.
+
+        The call changes no later frame.
+        """

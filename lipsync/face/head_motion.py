@@ -16,7 +16,7 @@ _ROUNDS = 10
 def fit_similarity(points: Array, reference: Array) -> tuple[Array, Array, Array]:
     """Return the similarities that fit each frame's points to the reference by least squares.
 
-    Umeyama, eqs. (40)-(42): `scale * points @ rotation.T + translation`.
+    Umeyama, eqs. (40)-(42): the fitted points are `scale * points @ rotation.T + translation`.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def fit_similarity(points: Array, reference: Array) -> tuple[Array, Array, Array
 
 
 def apply_similarity(points: Array, scale: Array, rotation: Array, translation: Array) -> Array:
-    """Return `scale * points @ rotation.T + translation`, frame by frame.
+    """Return each frame's points moved: `scale * points @ rotation.T + translation`.
 
     Parameters
     ----------
@@ -71,7 +71,9 @@ def apply_similarity(points: Array, scale: Array, rotation: Array, translation: 
 
 
 def refine_mean(points: Array, scale_mm: tuple[int, int, float]) -> Array:
-    """Return the mean bone-fixed shape of all frames, refined from the first frame on.
+    """Return the mean shape of a head's bone-fixed points over all frames, without its motion.
+
+    Frames are fitted to the mean and averaged anew, from the first frame on.
 
     Parameters
     ----------

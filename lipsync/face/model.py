@@ -45,7 +45,8 @@ class ModelError(UserError):
 class ModelFile:
     """An open model file, of which single parts are read.
 
-    name: for messages. about: the file's description of itself. layout: the points of its face.
+    name: the file's, for error messages. about: the file's description of itself. layout: the
+    points of its face.
     """
 
     def __init__(self, name: str, archive: ArrayArchive) -> None:
@@ -114,7 +115,7 @@ class ModelFile:
 
 @contextmanager
 def open_model(path: Path | None = None) -> Iterator[ModelFile]:
-    """Open the model file at a path, as a context manager; None: the one that is shipped.
+    """Open the model file at `path`, as a context manager; None: the shipped file.
 
     Raises ModelError for a file that is missing, damaged, foreign or of another version.
     """
@@ -143,7 +144,7 @@ def open_model(path: Path | None = None) -> Iterator[ModelFile]:
 def write_model(
     path: Path, layout: PointLayout, about: Mapping[str, object], parts: Mapping[str, Arrays]
 ) -> None:
-    """Write a model file whole or not at all.
+    """Write a model file whole or not at all: an error leaves an existing file as it was.
 
     Parameters
     ----------
@@ -178,7 +179,7 @@ def write_model(
 
 
 def is_model(head: bytes) -> bool:
-    """Return whether a file with this beginning seems to be a model: a zip archive with `about`."""
+    """Return whether a file that begins with `head` seems a model: a zip archive with `about`."""
     return head.startswith(b"PK") and b"about.npy" in head
 
 
@@ -251,7 +252,8 @@ class FaceModel:
     def lips_touching_mm(self) -> Array:
         """The vector from lower to upper point of the lip gap when the lips touch.
 
-        0 on the inner lips. On outer ones it is the height of both lips: that of the mouth at rest.
+        0 where these points lie on the inner lips. On outer lips it is the height of both lips:
+        that of the mouth at rest.
 
         Returns
         -------
@@ -310,7 +312,7 @@ class FaceModel:
 
 
 def load_face(path: Path | None = None) -> FaceModel:
-    """Return the face part alone of a model file; None: the shipped one. Raises ModelError."""
+    """Return the face alone of a model file; `path` None: the shipped file. Raises ModelError."""
     with open_model(path) as file:
         return read_face(file)
 

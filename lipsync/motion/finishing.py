@@ -1,10 +1,10 @@
 """The finishing step of every motion: AnimPhos, strength, rest in pauses, and lips that must touch.
 
-It is applied alike to live motion, the paper's method and scripted lines, in this order, in one
-frame. A closure requires that the inner lips come within a distance, for certain phonemes. The face
-is moved by the change that is likeliest to go with such a change of the gap in the recordings (the
-conditional mean of a Gaussian, Bishop, "Pattern Recognition and Machine Learning", 2006, eq. 2.81),
-and only as far as needed.
+It is applied alike to live motion, the paper's method and scripted lines (known speech with its
+motion), in this order, in one frame. A closure requires that the inner lips come within a distance,
+for certain phonemes. The face is moved by the change that is likeliest to go with such a change of
+the gap in the recordings (the conditional mean of a Gaussian, Bishop, "Pattern Recognition and
+Machine Learning", 2006, eq. 2.81), and only as far as needed.
 """
 
 import math
@@ -51,8 +51,8 @@ _CORNER_MM = 0.2
 class LipGap:
     """The vector from lower to upper inner lip, linear in the face, and the face's response to it.
 
-    at_mean_mm: (3,); per_face: (n_components, 3); response: (3, n_components), the change of the
-    face that goes with a change of the gap.
+    at_mean_mm: (3,), the vector of the mean face; per_face: (n_components, 3); response: (3,
+    n_components), the change of the face that goes with a change of the vector.
     """
 
     at_mean_mm: Array
@@ -60,7 +60,7 @@ class LipGap:
     response: Array
 
     def begin_to_touch(self, faces: Array) -> NDArray[np.bool_]:
-        """Return for each face of a motion whether the lips touch in it but not in the one before.
+        """Return for each face of a motion whether the lips touch in it but not in the face before.
 
         Parameters
         ----------
@@ -92,7 +92,7 @@ class LipGap:
         return self.narrowed(face, BILABIAL_GAP_MM, 1.0)
 
     def narrowed(self, face: Array, distance_mm: float, amount: float) -> Array:
-        """Return the face with its gap brought to at most `distance_mm`.
+        """Return the face with its lip gap brought to at most `distance_mm`.
 
         The result depends on face, distance and amount without a jump in value or speed.
 
@@ -160,10 +160,12 @@ def planned(
     time_s: float,
     known_until_s: float,
 ) -> Amount:
-    """Return the closure's amount from `time_s` on; a closure that has begun is completed first.
+    """Return the plan for a lip closure, an amount from 0 (open) to 1, from `time_s` on.
 
-    tightest_s: for each closing phoneme, by its index, s from its onset until its lips are nearest.
-    track: the phonemes, known until `known_until_s`. `now` is returned if its goal is unchanged.
+    now: the plan so far, returned if its goal is unchanged, with a new time of the last touch while
+    the lips are held closed. A closure that has begun is completed first. tightest_s: for each
+    closing phoneme, by its index, s from its onset until its lips are nearest. track: the phonemes,
+    known until `known_until_s`.
     """
     if now.goal == 1.0 and time_s < now.start_s + now.duration_s:
         return now
@@ -183,7 +185,10 @@ def _is_due(
     time_s: float,
     known_until_s: float,
 ) -> bool:
-    """Return whether the lips should be closing or closed at `time_s`, by the phonemes known."""
+    """Return whether the lips should be closing or closed at `time_s`, by the phonemes known.
+
+    touched_s, tightest_s, track, known_until_s: as in `closures`.
+    """
     return any(
         from_s - CLOSING_S <= time_s + _ROUNDING_S and time_s < until_s - _ROUNDING_S
         for from_s, until_s in closures(touched_s, tightest_s, track, time_s, known_until_s)
@@ -197,10 +202,11 @@ def closures(
     time_s: float,
     known_until_s: float,
 ) -> Iterator[tuple[float, float]]:
-    """Yield (from, until) when the lips touch, for each closing phoneme around or after `time_s`.
+    """Yield (from, until) in s when lips touch, for each closing phoneme around or after `time_s`.
 
     touched_s: when the lips touched last. tightest_s: for each closing phoneme, by its index, s
-    from its onset until its lips are nearest. track: the phonemes, known until `known_until_s`.
+    from its onset until its lips are nearest. track: the phonemes, known until `known_until_s`. A
+    phoneme for which the lips have not touched yet keeps them closed until its end.
     """
     # A tightest moment is at most so far from its onset, before or after.
     first = bisect_right(track.starts_s, time_s) - 2
@@ -223,7 +229,10 @@ def closures(
 
 
 def closed_share(spans_s: Sequence[tuple[float, float]], time_s: float) -> float:
-    """Return how far lips are expected to be closed: 1 within a closure, 0 apart from all spans."""
+    """Return how far lips are expected to be closed at `time_s`, 0 to 1.
+
+    spans_s: (from, until) of closures; 1 within any of them, 0 at 60 ms and more from all.
+    """
     share = 0.0
     for from_s, until_s in spans_s:
         apart = max((from_s - time_s) / CLOSING_S, (time_s - until_s) / PARTING_S, 0.0)
@@ -256,10 +265,10 @@ class Style:
     """The settings of the motion that the user may change. Raises StyleError beyond their limits.
 
     lookahead_s: how much later than its sound a face may be shown, so that what follows is known;
-    strength: 0 keeps the mouth closed, 1 moves as the speaker did, 1.5 is the most; smoothness: 0
-    follows at once, 1 is the slowest. unit_share: of AnimPhos in the motion, where a synthesiser
-    has any: 0 plays the expectation, 1 AnimPhos alone. stage: 1 opens and rounds the mouth for
-    viewers at 3 m.
+    strength: 0 keeps the mouth closed, 1 moves as the recorded speaker did, 1.5 is the most;
+    smoothness: 0 follows at once, 1 is the slowest. unit_share: share of AnimPhos in the motion,
+    where a synthesiser has any: 0 plays the expectation, 1 AnimPhos alone. stage: 1 opens and
+    rounds the mouth for viewers at 3 m, 0 does not.
     """
 
     lookahead_s: float = DEFAULT_LOOKAHEAD_S
@@ -294,7 +303,7 @@ class TrackedSynthesizer(Motion, Protocol):
         """The phonemes as they are known now, joined end to end."""
 
     def faces_after(self, frame: Frame, times_s: Array) -> Array:
-        """Return the faces expected after the newest frame.
+        """Return the faces expected at times after the newest frame, by the phonemes known.
 
         Parameters
         ----------
@@ -312,7 +321,7 @@ class TrackedSynthesizer(Motion, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class _Finish:
-    """The amounts decided for one tick: rest, closed lips, lip at the teeth, and round lips."""
+    """The plans decided for one tick, 10 ms: rest, closed lips, lip at the teeth, round lips."""
 
     rest: Amount = AT_REST
     bilabial: Amount = OPEN
@@ -335,7 +344,7 @@ class FinishedSynthesizer:
         unit_share: float = DEFAULT_UNIT_SHARE,
         stage: float = 0.0,
     ) -> None:
-        """Wrap the synthesiser `inner`. strength: 0 keeps the mouth at rest, 1 changes nothing.
+        """Wrap the synthesiser `inner`. `strength`: 0 keeps the mouth at rest, 1 changes nothing.
 
         known_s: how many seconds of sound beyond its tick a decision may use; None for what the
         look-ahead of `inner` allows. adjust_inner: functions that set the settings of `inner`, by
@@ -384,7 +393,7 @@ class FinishedSynthesizer:
 
     @property
     def phonemes_planned(self) -> int:
-        """The number of phonemes that have moved the mouth."""
+        """The number of phonemes that have moved the mouth since the last `reset`."""
         return self._inner.phonemes_planned
 
     @property
@@ -406,11 +415,11 @@ class FinishedSynthesizer:
         self._inner.push(update)
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
-        """Return the phoneme known now at a sound time, for displays; None if none is."""
+        """Return the phoneme known now at sound time `time_s`, for displays; None if unknown."""
         return self._inner.event_at(time_s)
 
     def adjust(self, name: str, value: float) -> None:
-        """Change a setting from the newest face on, eased in over `ADJUSTING_S`.
+        """Set the setting `name` to `value` from the newest face on, eased in over `ADJUSTING_S`.
 
         Faces already shown are not changed. Raises StyleError for a setting that cannot be
         adjusted, or a value beyond its limits.
@@ -421,7 +430,7 @@ class FinishedSynthesizer:
         self._adjust[name](value)
 
     def smile(self, valence: float) -> None:
-        """Set the smile of the speaking mouth, -1 (sad) to 1 (glad), from the newest face on."""
+        """Set the smile of the speaking mouth from the newest face on: -1 (sad) to 1 (glad)."""
         self._changing(self._valence)(valence)
 
     def frame_at(self, time_s: float) -> Frame:
@@ -444,7 +453,10 @@ class FinishedSynthesizer:
         return replace(frame, coefficients=face)
 
     def window_after(self, frame: Frame) -> FaceWindow:
-        """Return the faces expected after the newest frame by known phonemes; decide nothing."""
+        """Return `frame`, the newest, and the faces expected after it by the phonemes known.
+
+        The call changes no later frame.
+        """
         now_s, finish = frame.time_s, self._ticks.newest
         until_s = now_s + self._known_s
         track, lips, teeth = self._inner.track, finish.bilabial, finish.labiodental
@@ -484,7 +496,8 @@ class FinishedSynthesizer:
     def _cornered(self, face: Array, strength: float, rounding: float, smile: float) -> Array:
         """Return the face (n_components,) with its mouth's corners moved.
 
-        rounding: 0 to 1 moves them together; smile: -1 (together) to 1 (apart).
+        strength: below 1, moves them less. rounding: 0 to 1 moves them together; smile: -1
+        (together) to 1 (apart).
         """
         if self._width is None:
             return face
@@ -492,7 +505,10 @@ class FinishedSynthesizer:
         return self._width.smiling(self._width.rounded(face, moved * rounding), moved * smile)
 
     def _mixed(self, face: Array, units: "UnitMotion", time_s: float) -> Array:
-        """Return the face (n_components,) with AnimPhos mixed in, more in finer components."""
+        """Return the face (n_components,) with the motion of AnimPhos mixed in, at `time_s`.
+
+        Components beyond the first four get twice the share of AnimPhos.
+        """
         departure = units.at(time_s, self._inner.track)
         share = self._unit_share.at(time_s)
         if departure is None or share == 0.0:
@@ -500,7 +516,10 @@ class FinishedSynthesizer:
         return face + np.minimum(1.0, share * self._shares) * departure
 
     def _decide(self, time_s: float, last: _Finish) -> _Finish:
-        """Return rest and closures of the tick that ends at `time_s`, from what is known then."""
+        """Return rest and closures of the tick that ends at `time_s`, from what is known then.
+
+        last: those of the tick before.
+        """
         track, begin_s, until_s = self._inner.track, time_s - TICK_S, time_s + self._known_s
         context = context_at(track, time_s, until_s)
         return _Finish(

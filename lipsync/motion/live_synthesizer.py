@@ -56,7 +56,7 @@ _SLOWEST_S = 0.04
 class _Tick:
     """The motion of a tick of 10 ms between two grid points: a cubic; speeds are per tick.
 
-    rest: how far a pause has brought the mouth to rest.
+    start, end: faces (n_components,). rest: how far a pause has brought the mouth to rest.
     """
 
     start: Array
@@ -73,7 +73,10 @@ class _Tick:
 
 
 class ExpectedMotion:
-    """Motion by the learned expectation over a revisable stream of phonemes, not yet finished."""
+    """Motion by the learned expectation over a revisable stream of phonemes, before finishing.
+
+    Lip closures, strength and AnimPhos are left to `FinishedSynthesizer`.
+    """
 
     def __init__(
         self,
@@ -86,8 +89,9 @@ class ExpectedMotion:
     ) -> None:
         """Create the motion of a closed mouth, `rest` (n_components,), at sound time 0.
 
-        lookahead_s: seconds of sound needed after a frame. smoothness: from 0 to 1, as in `Style`.
-        soft: the expectation by posteriors; None: phonemes move the mouth as they are decided.
+        expectation: the face by phonemes. lookahead_s: seconds of sound needed after a frame.
+        smoothness: from 0 to 1, as in `Style`. soft: the expectation by posteriors; None: phonemes
+        move the mouth as they are decided.
         """
         self._expectation = expectation
         self._soft = soft
@@ -143,7 +147,7 @@ class ExpectedMotion:
         return Frame(time_s, tick.at(min(1.0, max(0.0, share))))
 
     def faces_after(self, frame: Frame, times_s: Array) -> Array:
-        """Return the faces expected at later times; decide nothing.
+        """Return the faces expected at later times; the call changes no later frame.
 
         Parameters
         ----------
@@ -161,7 +165,7 @@ class ExpectedMotion:
         return self._softened(self.decided_at(times_s, known_until_s), times_s, known_until_s)
 
     def decided_at(self, times_s: Array, known_until_s: float) -> Array:
-        """Return the faces expected by phonemes known until an instant.
+        """Return the faces expected by decided phonemes alone, those known until an instant.
 
         Parameters
         ----------
@@ -182,11 +186,14 @@ class ExpectedMotion:
         self._smoothness.change(self._ticks.decided_until_s, smoothness)
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
-        """Return the phoneme known now at a sound time, for displays; None if none is."""
+        """Return the phoneme known now at sound time `time_s`, for displays; None if unknown."""
         return self._timeline.event_at(time_s)
 
     def _decide(self, time_s: float, last: _Tick) -> _Tick:
-        """Return the motion of the tick that ends at `time_s`, from what is known then."""
+        """Return the motion of the tick that ends at `time_s`, from what is known at that time.
+
+        last: the motion of the tick before.
+        """
         begin_s = time_s - TICK_S
         context = context_at(self._track, time_s, time_s + self.known_s)
         rest = planned_rest(last.rest, *context, begin_s, self.known_s)
@@ -203,10 +210,10 @@ class ExpectedMotion:
         return _Tick(last.end, last.end_speed, self._wanted, end_speed, rest)
 
     def _expected(self, time_s: float, *, at_rest: bool) -> Array:
-        """Return the face (n_components,) expected a tick later, or at once without look-ahead.
+        """Return the face (n_components,) expected a tick after `time_s`; at it without look-ahead.
 
-        At rest it is the rest face: motion sets out from rest itself, not from the mean of
-        silences.
+        At rest (`at_rest`) it is the rest face: motion sets out from rest itself, not from the mean
+        of silences.
         """
         if at_rest:
             return self._rest
@@ -251,7 +258,7 @@ class LiveSynthesizer(FinishedSynthesizer):
         units: "AnimPhoUnits | None" = None,
         soft: SoftExpectation | None = None,
     ) -> None:
-        """Create the motion of a model's mouth; style: None for the defaults.
+        """Create the motion of a model's mouth; `style` None: the default settings.
 
         soft: the expectation by posteriors, mixed in; None: decided phonemes alone. units: AnimPhos
         to choose from; None: the expectation alone, whatever `unit_share` is.

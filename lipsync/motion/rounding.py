@@ -76,7 +76,7 @@ class LipWidth:
         return np.asarray(face - min(amount, 1.0) * soft_mm * self.response)
 
     def smiling(self, face: Array, valence: float) -> Array:
-        """Return the face with corners 4 mm times the valence farther apart.
+        """Return the face with the mouth's corners 4 mm times `valence` farther apart.
 
         Parameters
         ----------
@@ -113,9 +113,9 @@ def lip_width_of(model: FaceModel) -> LipWidth | None:
 
 
 def is_rounded(track: PhonemeTrack, time_s: float, known_until_s: float) -> bool:
-    """Return whether lips should be rounding or round at a time, by the phonemes known.
+    """Return whether lips should be rounding or round at `time_s`, by the phonemes of `track`.
 
-    known_until_s: sound time until which phonemes are known.
+    known_until_s: sound time until which these are known.
     """
     known_until_s += _ROUNDING_ERROR_S
     until_s = min(time_s + ROUNDING_S + _ROUNDING_ERROR_S, known_until_s)
@@ -128,9 +128,10 @@ def is_rounded(track: PhonemeTrack, time_s: float, known_until_s: float) -> bool
 
 
 def planned_rounding(now: Amount, track: PhonemeTrack, time_s: float, known_s: float) -> Amount:
-    """Return the amount of rounding from `time_s` on; `now` if its goal is unchanged.
+    """Return the plan for rounding, an amount from 0 to 1, from `time_s` on.
 
-    known_s: how many seconds after `time_s` phonemes are known.
+    now: the plan so far, returned if its goal is unchanged. known_s: how many seconds after
+    `time_s` the phonemes of `track` are known.
     """
     goal = float(is_rounded(track, time_s, time_s + known_s))
     return now if goal == now.goal else Amount(time_s, ROUNDING_S, *now.at(time_s), goal)

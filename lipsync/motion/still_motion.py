@@ -1,4 +1,4 @@
-"""A mouth that does not move: a performance is played on it where no recogniser listens."""
+"""A mouth that stays at rest unless a performance (a rendered line) plays: without a recogniser."""
 
 import numpy as np
 
@@ -14,10 +14,10 @@ HELD_S = 0.2
 
 
 class StillMotion:
-    """A `Synthesizer` that keeps the mouth at rest and only records and counts phonemes."""
+    """A `lipsync.face.frame.Synthesizer` that keeps the mouth at rest and only counts phonemes."""
 
     def __init__(self, rest: Array) -> None:
-        """Create the motion. rest: (n_components,) coefficients of a face at rest."""
+        """Create the motion; `rest` is the coefficients (n_components,) of the face at rest."""
         self._rest = np.array(rest, dtype=np.float64)
         self.reset()
 
@@ -28,21 +28,21 @@ class StillMotion:
 
     @property
     def lookahead_s(self) -> float:
-        """Seconds of sound that the loudspeaker buffers, 0.2; no recognition needs them."""
+        """Seconds of sound that the loudspeaker buffers ahead of a frame, always 0.2."""
         return HELD_S
 
     def reset(self) -> None:
-        """Forget all phonemes and set their count to 0."""
+        """Forget all phonemes, set their count to 0; a new stream begins at sound time 0."""
         self._timeline = PhonemeTimeline()
         self._n_shown = 0
         self._newest_s = -1.0
 
     def push(self, update: PhonemeUpdate) -> None:
-        """Add the phonemes of an update to the timeline, for displays and for the count."""
+        """Apply the phonemes of an update to the timeline that `event_at` and the count read."""
         self._timeline.apply(update)
 
     def frame_at(self, time_s: float) -> Frame:
-        """Return a frame with the mouth at rest; count the phoneme at `time_s` if it is new."""
+        """Return a frame at rest for sound time `time_s`; count the phoneme there, each once."""
         event = self._timeline.event_at(time_s)
         if event is not None and event.phoneme != SILENCE and event.start_s > self._newest_s:
             self._newest_s = event.start_s
@@ -50,9 +50,9 @@ class StillMotion:
         return Frame(time_s, self._rest)
 
     def window_after(self, frame: Frame) -> FaceWindow:
-        """Return a face window that contains only the given frame."""
+        """Return a face window of the given frame alone, as the mouth does not move."""
         return frame_alone(frame)
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
-        """Return the phoneme at a sound time, or None where none is known."""
+        """Return the phoneme at sound time `time_s`, or None where no phoneme is known."""
         return self._timeline.event_at(time_s)

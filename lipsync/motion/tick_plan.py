@@ -1,7 +1,7 @@
 """Decisions on a time grid of 10 ms: each tick is decided once, from what is known at its time.
 
 The decided values are smooth in time: amounts from 0 to 1, settings that change while the mouth
-moves, and the rest to which the mouth comes in a pause.
+moves, and how far the mouth is at rest in a pause.
 """
 
 import math
@@ -25,15 +25,15 @@ Decision = TypeVar("Decision")
 
 
 def tick_of(time_s: float) -> int:
-    """Return the number of the tick that contains a time; tick n ends at n TICK_S."""
+    """Return the number of the 10 ms tick that contains `time_s`; tick n ends at n * TICK_S."""
     return math.ceil(time_s / TICK_S - _ROUNDING_TICKS)
 
 
 class TickPlan(Generic[Decision]):
-    """The decisions of the newest 64 ticks, in bounded memory."""
+    """The decisions of the newest 64 ticks of 10 ms, each made once and in order, in `at`."""
 
     def __init__(self, first: Decision) -> None:
-        """Create a plan. first: the decision that applies until the first tick is decided."""
+        """Create a plan; `first` is the decision that applies until the first tick is decided."""
         self._kept = deque([first], maxlen=_KEPT)
         self._newest = -1
 
@@ -48,10 +48,10 @@ class TickPlan(Generic[Decision]):
         return self._newest * TICK_S
 
     def at(self, time_s: float, decide: Callable[[float, Decision], Decision]) -> Decision | None:
-        """Return the decision for the tick that contains `time_s`; None if it is no longer stored.
+        """Return the decision for the tick at `time_s`, None if it is not among the newest 64.
 
-        Ticks not decided yet, at most 100, are decided first, in order and once each, by
-        `decide(end of the tick in s, decision before it)`.
+        Ticks not decided yet are decided first, in order and once each, by `decide(end of the tick
+        in s, decision of the tick before)`; of more than 100 only the last 100.
         """
         number = tick_of(time_s)
         self._newest = max(self._newest, number - _LONGEST_LEAP_TICKS)
@@ -64,10 +64,11 @@ class TickPlan(Generic[Decision]):
 
 @dataclass(frozen=True, slots=True)
 class Amount:
-    """A cubic in time from a value and a slope at `start_s` to `goal` at slope 0; then constant.
+    """A value over time: a cubic from `value` and `slope_per_s` to `goal`, then constant.
 
-    Hermite's form, so that a new one takes over from any instant of the old one smoothly.
-    touched_s: when the last lip closure was, or will be, complete; the present while it is held.
+    It starts at `start_s` and reaches `goal` with slope 0 after `duration_s`. Hermite's form, so
+    that a new Amount continues from any time of an old one without a jump. touched_s: when the
+    last lip closure was, or will be, complete; while it is held, the time of the newest tick.
     """
 
     start_s: float
@@ -78,7 +79,7 @@ class Amount:
     touched_s: float = -math.inf
 
     def at(self, time_s: float) -> tuple[float, float]:
-        """Return value and slope per second at a time that is not before `start_s`."""
+        """Return value and slope per second at `time_s`, which is not before `start_s`."""
         u = (time_s - self.start_s) / self.duration_s
         if u >= 1.0:
             return self.goal, 0.0
@@ -90,11 +91,14 @@ class Amount:
         return value, change / self.duration_s
 
     def share(self, time_s: float) -> float:
-        """Return the value at a time, clipped to 0 to 1."""
+        """Return the value at `time_s`, clipped to 0 to 1."""
         return min(1.0, max(0.0, self.at(time_s)[0]))
 
     def smooth(self, time_s: float) -> float:
-        """Return the value at a time, eased within 0 to 1 so that its slope is 0 at both ends."""
+        """Return the value at `time_s`, clipped to 0 to 1 and eased.
+
+        The easing, v to 3 v^2 - 2 v^3, has slope 0 at 0 and at 1.
+        """
         value = self.share(time_s)
         return value * value * (3.0 - 2.0 * value)
 
@@ -105,7 +109,7 @@ ADJUSTING_S = 0.3
 
 
 class EasedSetting:
-    """A number between `least` and `most` that changes smoothly in time, in 0.3 s."""
+    """A setting between `least` and `most` that eases to each new value within 0.3 s."""
 
     def __init__(self, value: float, most: float, least: float = 0.0) -> None:
         self._least, self._most = least, most
@@ -113,11 +117,11 @@ class EasedSetting:
 
     @property
     def goal(self) -> float:
-        """The value that was set last, whether it is reached yet or not."""
+        """The value that was set last, whether easing to it is complete or not."""
         return self._now.goal
 
     def at(self, time_s: float) -> float:
-        """Return the value at a time; before the last change, the value at that change's start."""
+        """Return the value at `time_s`; before the last change, that at the change's start."""
         value = self._now.at(max(time_s, self._now.start_s))[0]
         # A cubic that turns round on its way may overshoot its limits.
         return min(self._most, max(self._least, value))
@@ -128,12 +132,12 @@ class EasedSetting:
         self._now = Amount(start_s, ADJUSTING_S, *now.at(max(start_s, now.start_s)), value)
 
     def settle(self) -> None:
-        """Set the value at all times to the goal of the last change, without easing."""
+        """End the easing: `at` then returns the value that was set last for every time."""
         self._now = _steady(self._now.goal)
 
 
 def values_at(settings: Iterable[EasedSetting], time_s: float) -> list[float]:
-    """Return the value of each setting at a time."""
+    """Return the value of each setting at `time_s`."""
     return [setting.at(time_s) for setting in settings]
 
 
@@ -160,9 +164,10 @@ def planned_rest(
 ) -> Amount:
     """Return how far the mouth is at rest from `time_s` on, as an `Amount` from 0 to 1.
 
-    It eases to 1 in a pause, and to 0 once the end of the pause is known; `now` is returned if it
-    has that goal already. phonemes, times_s: `context_at` the end of the tick that begins at
-    `time_s`; known_s: how far beyond that end phonemes are known.
+    It eases to 1 in a pause, and to 0 once the end of the pause is known; `now`, the Amount so
+    far, is returned if it has that goal already. phonemes, times_s: what `context_at` returns for
+    the end of the tick that begins at `time_s`: five phonemes around it, and their times. known_s:
+    seconds beyond that end for which phonemes are known.
     """
     is_pause = phonemes[2] == _SILENCE and times_s[2] > PAUSE_S and math.isnan(times_s[3])
     if is_pause == (now.goal == 1.0):
@@ -173,5 +178,5 @@ def planned_rest(
 
 
 def is_reached(rest: Amount, time_s: float) -> bool:
-    """Return whether the mouth is fully at rest at a time, amount 1 and slope 0, and stays so."""
+    """Return whether the mouth is fully at rest at `time_s`, and stays so: `rest` is 1, slope 0."""
     return rest.goal == 1.0 and rest.at(time_s) == (1.0, 0.0)

@@ -1,11 +1,11 @@
-"""Motion of AnimPhos (recorded units, Wei and Deng) near the expectation, over revisable phonemes.
+"""Face motion by AnimPhos (recorded units, Wei and Deng), near the face expected from phonemes.
 
-An AnimPho is chosen at its phone's onset, again whenever more becomes known of the phonemes around,
-and every 40 ms; the rest of the phone then begins at the mouth's present position and speed.
-Three departures from the paper's equations, all for the sake of the expectation: an AnimPho is
-moved, as a whole, to where the mouth is expected; it is joined sooner than at the phone's end
-(decisions/0028); and what is played is how far it departs from what was expected when it was
-planned, on top of what is expected by now, so that a plan is never older than a tick
+An AnimPho is chosen at its phone's onset and again whenever the phonemes around it are revised or
+become known; every 40 ms its rest is planned anew. Each time the rest of the phone begins at the
+mouth's present position and speed. Three departures from the paper's equations, all to stay near
+the expected face: an AnimPho is moved, as a whole, to where the mouth is expected; it is joined
+sooner than at the phone's end (decisions/0028); and its departure from the face that was expected
+at planning is played on top of the face expected now, so that a plan is never older than a tick
 (decisions/0068).
 """
 
@@ -54,11 +54,11 @@ _SILENCE: Final = PHONEMES.index(SILENCE)
 
 @dataclass(frozen=True, slots=True)
 class PhoneSpan:
-    """A phone, or one of several that stand in for it one after the other.
+    """The time of a phone, or of one of several phones that stand in for it one after the other.
 
-    phoneme: one that the AnimPhos know; None for a pause, in which the mouth rests. onset_s: start
-    of the whole phone, in sound time; start_s, end_s: the part that the AnimPho fills. is_known:
-    whether the end is the phone's own, and no guess.
+    phoneme: one for which there are AnimPhos; None for a pause, in which the mouth rests. onset_s:
+    start of the whole phone, in sound time; start_s, end_s: the part that the AnimPho fills.
+    is_known: whether the end of the phone is known; False: it is guessed.
     """
 
     phoneme: str | None
@@ -74,10 +74,11 @@ def span_at(
     known_s: float,
     known_phonemes: frozenset[str],
 ) -> PhoneSpan:
-    """Return the span of the phone at `time_s`, or of the part of its stand-in at that time.
+    """Return the span of the phone at `time_s`, or of the phone that stands in for it at that time.
 
-    context: `context_at` that time, with phonemes known for `known_s` seconds more. An end that is
-    not known is guessed; the phoneme of a pause is None.
+    context: what `context_at` returns for `time_s`, with phonemes known for `known_s` seconds
+    more; an end that is not known is guessed. known_phonemes: those for which there are AnimPhos;
+    others are replaced by stand-ins. The phoneme of a pause is None.
     """
     phonemes, times_s = context
     phoneme = PHONEMES[phonemes[2]]
@@ -98,7 +99,10 @@ def span_at(
 
 
 def guessed_s(phonemes: list[int], times_s: list[float]) -> float:
-    """Return the probable duration in s of a context's present phone, at the speaker's pace."""
+    """Return the probable duration in s of the present phone, at the speaker's pace.
+
+    phonemes, times_s: what `context_at` returns; the pace is that of the two phones before.
+    """
     usual_s = elapsed_s = 0.0
     for phoneme, begun_s, ended_s in zip(phonemes[:2], times_s[:2], times_s[1:3], strict=True):
         if phoneme not in (UNKNOWN, _SILENCE) and math.isfinite(begun_s):
@@ -128,8 +132,9 @@ _BEFORE_THE_END_S = 1e-6
 class _Stretch:
     """A planned trajectory of departures from the expected face, played until it is replanned.
 
-    known: all that it was planned from. phoneme: None at rest; begun_s: when the first stretch of
-    its phone began. animpho: a_t; previous: a_{t-1}; None at rest.
+    known: what it was planned from, namely the phoneme, its end if known, and the phonemes around.
+    phoneme: None at rest; begun_s: when the first stretch of its phone began. animpho, previous:
+    numbers of the phone's AnimPho a_t and of a_{t-1} before it; None at rest.
     """
 
     trajectory: Trajectory
@@ -141,7 +146,7 @@ class _Stretch:
 
 
 class UnitMotion:
-    """The offset of the AnimPhos' face from the expected face, at any time."""
+    """Planner of the offset between the AnimPhos' face and the face expected from phonemes."""
 
     def __init__(
         self,
@@ -150,10 +155,10 @@ class UnitMotion:
         known_s: float,
         costs: SelectionCosts | None = None,
     ) -> None:
-        """Create the motion of the AnimPhos `units`.
+        """Create the motion of the AnimPhos `units`, chosen by `costs` (None: the default costs).
 
-        expected: returns faces (n, n_components) at times (n,) in s by what is known until a time.
-        known_s: how far beyond its tick a decision may look, s.
+        expected(times_s, until_s): returns the faces (n, n_components) expected at times (n,) in s
+        from the phonemes until `until_s`. known_s: seconds beyond its tick that a decision may use.
         """
         self._units = units
         self._known_phonemes = units.known_phonemes
@@ -170,7 +175,7 @@ class UnitMotion:
         self._track = track_of(())
 
     def at(self, time_s: float, track: PhonemeTrack) -> Array | None:
-        """Return the offset of the AnimPhos' face from the expected one, by all phonemes known.
+        """Return the offset of the AnimPhos' face from the expected face, by all phonemes known.
 
         Parameters
         ----------
@@ -191,7 +196,8 @@ class UnitMotion:
     def _decide(self, time_s: float, last: _Stretch) -> _Stretch:
         """Return the stretch of motion for the tick that ends at `time_s`, from what is known then.
 
-        `last` is returned while it still applies. The whole tick belongs to the phone at its end.
+        The stretch `last` of the tick before is returned while it still applies. The whole tick
+        belongs to the phone at its end.
         """
         context = context_at(self._track, time_s, time_s + self._known_s)
         span = span_at(context, time_s, self._known_s, self._known_phonemes)
@@ -223,10 +229,11 @@ class UnitMotion:
         previous: int | None,
         kept: int | None,
     ) -> tuple[int, Trajectory]:
-        """Return the AnimPho for the rest of a phone, and its departures from the expected face.
+        """Return the number of an AnimPho for the rest of a phone, and a trajectory of departures.
 
-        Eq. (3) to (5), less the target: the mouth begins where it is and becomes the AnimPho, moved
-        to the target's mean. previous: a_{t-1}; kept: a_t, None to choose it.
+        The departures are from the expected face, from `begin_s` on, where the trajectory `last` is
+        left. Eq. (3) to (5), less the target: the mouth begins at its present position and becomes
+        the AnimPho, moved to the target's mean. previous: a_{t-1}; kept: a_t, None to choose it.
         """
         assert span.phoneme is not None
         phone_s = max(span.end_s, begin_s + _SHORTEST_S) - span.start_s

@@ -1,1 +1,1 @@
-"""Scripted lines: the model-based method of Edge, Hilton and Jackson, which uses the whole line."""
+"""Scripted lines, rendered beforehand: Edge, Hilton and Jackson's method, ours, and their files."""

@@ -1,6 +1,7 @@
-"""The methods that turn a spoken line into faces: the published one, ours, and the live one.
+"""The methods that turn a spoken line into faces: a published one, our own, and the live one.
 
-A planned line is a synthesiser too, and passes the same finishing step as live motion.
+"model-based" is that of Edge, Hilton and Jackson, "heard" our own. Both plan the whole line; the
+plan is a synthesiser too, and passes the same finishing step as live motion.
 """
 
 import math
@@ -33,7 +34,8 @@ from lipsync.timeline import PhonemeTimeline
 class PlannedMotion:
     """A synthesiser that plays planned faces, by a cubic spline through them, and their phonemes.
 
-    faces: (n, n_components) at even times, the first at sound time 0; outside, the nearest one.
+    faces: (n, n_components) at `frame_rate_hz`, the first at sound time 0; before the first and
+    after the last face, that face stays. events: the phonemes.
     """
 
     def __init__(
@@ -49,12 +51,12 @@ class PlannedMotion:
 
     @property
     def phonemes_planned(self) -> int:
-        """The number of phonemes of the line, all of which are planned."""
+        """The number of phonemes of the line, silences included; all of them are planned."""
         return len(self._timeline.events)
 
     @property
     def lookahead_s(self) -> float:
-        """Seconds of sound needed ahead of a frame: 0, as the whole line is known beforehand."""
+        """Seconds of sound needed after a frame's time: 0, as the whole line is known before."""
         return 0.0
 
     @property
@@ -63,20 +65,20 @@ class PlannedMotion:
         return self._track
 
     def reset(self) -> None:
-        """Do nothing: the planned line stays."""
+        """Do nothing: a planned line is the same for every stream."""
 
     def push(self, update: PhonemeUpdate) -> None:
         """Raise ValueError: a planned line accepts no revision of its phonemes."""
         raise ValueError(f"the line is planned; nothing can be revised ({update})")
 
     def frame_at(self, time_s: float) -> Frame:
-        """Return the planned frame at a sound time; times may come in any order."""
+        """Return the planned frame at sound time `time_s`; times may come in any order."""
         at_s = min(max(time_s, 0.0), self._last_s)
         face = self._faces[0] if self._spline is None else self._spline(at_s)
         return Frame(time_s, np.asarray(face))
 
     def faces_after(self, frame: Frame, times_s: Array) -> Array:  # noqa: ARG002 - a contract
-        """Return the planned faces at given sound times.
+        """Return the planned faces at the sound times `times_s`.
 
         Parameters
         ----------
@@ -93,12 +95,12 @@ class PlannedMotion:
         return np.array([self.frame_at(time_s).coefficients for time_s in times_s.tolist()])
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
-        """Return the phoneme of the line at a sound time, or None where there is none."""
+        """Return the phoneme of the line at sound time `time_s`, or None outside the line."""
         return self._timeline.event_at(time_s)
 
 
 def shown_faces(line: FinishedSynthesizer, times_s: Sequence[float] | Array) -> Array:
-    """Return a line's faces at given times, computing each 10 ms tick before them, as a robot does.
+    """Return a line's faces at `times_s`, computing every 10 ms tick in between, as on a robot.
 
     Parameters
     ----------
@@ -134,7 +136,8 @@ _LEAD_OVER_S = 0.04
 class Line:
     """A spoken line: phones in order without gaps from 0 to the end, and 16 kHz samples (n,).
 
-    posteriors: the recogniser's, if it recognised the phones; None where the phones are given.
+    posteriors: the recogniser's phoneme probabilities, if it recognised the phones; None where the
+    phones were given.
     """
 
     events: tuple[PhonemeEvent, ...]
@@ -144,9 +147,10 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Speaker:
-    """A face model with its live expectation and its offline model.
+    """The models that predict a speaker's face: `expectation` from phonemes, `offline` from lines.
 
-    soft: the expectation from posteriors; None: decided phonemes alone move the face.
+    face: the face model whose coefficients they predict. soft: the expectation from phoneme
+    probabilities; None: decided phonemes alone move the face.
     """
 
     face: FaceModel
@@ -157,7 +161,7 @@ class Speaker:
 
 @dataclass(frozen=True, slots=True)
 class PlannedLine:
-    """Faces (n, n_components) at even times, and notes to the user, one line each."""
+    """The planned faces (n, n_components) of a line at `frame_rate_hz`, and notes to the user."""
 
     faces: Array
     frame_rate_hz: float
@@ -165,11 +169,11 @@ class PlannedLine:
 
 
 def heard_line(speaker: Speaker, line: Line, n_frames: int) -> PlannedLine:
-    """Return a line's faces expected from its phonemes and, for a known voice, from its sound too.
+    """Return the first `n_frames` faces of a line by our own method, from its phonemes and sound.
 
-    This is our own method. Where the line has posteriors, doubted phonemes count with their
-    probability, as live. Faces are averaged over neighbouring ticks and lead the motion a little.
-    The result has a note if the voice is not known.
+    The sound is used for a known voice only; for another one the result has a note. Where the line
+    has posteriors, doubted phonemes count with their probability, as live. Faces are averaged over
+    three ticks and then lead by a share of their last step. Faces are at the offline model's rate.
     """
     rate_hz = speaker.offline.states.frame_rate_hz
     times_s = np.arange(n_frames) / rate_hz
@@ -191,9 +195,10 @@ def heard_line(speaker: Speaker, line: Line, n_frames: int) -> PlannedLine:
 
 
 def model_based_line(speaker: Speaker, line: Line, n_frames: int) -> PlannedLine:
-    """Return a line's faces by the method of Edge, Hilton and Jackson, in the face's components.
+    """Return the first `n_frames` faces of a line by the method of Edge, Hilton and Jackson.
 
-    A note gives the number of steps that no recording shows, if any.
+    They are coefficients of the speaker's face model at the offline model's frame rate. A note
+    gives the number of steps between states that no recording contains, if there are any.
     """
     from lipsync.offline.line_synthesis import model_line  # needs the extra `offline`
 
@@ -221,7 +226,8 @@ def line_synthesizer(
 ) -> tuple[FinishedSynthesizer, Sequence[str]]:
     """Return a synthesiser that plays a line by `method`, and notes to the user, one line each.
 
-    The synthesiser adds strength, rest in pauses and lip closures.
+    It adds rest in pauses and lip closures, and scales the motion by `strength`: 0 keeps the mouth
+    at rest, 1 changes nothing.
     """
     duration_s = max((e.end_s or 0.0 for e in line.events), default=0.0)
     if method == "live":

@@ -1,12 +1,12 @@
-"""A line by the method of Edge, Hilton and Jackson: from its sound and phones to motion.
+"""Motion of a line from its sound and phones, by the method of Edge, Hilton and Jackson.
 
-Step 2 finds the stored units that sound most like a stretch of the line. A unit runs from the
-centre of the phone before to the centre of the phone after, and is classified by the phone in its
-middle alone. Dynamic time warping is dtaidistance's. Step 3 is the distance of each state from a
-frame: the Euclidean one of two windows of cepstra, each frame weighted by a Gaussian around the
-middle. Steps 4 and 5 are the cheapest path through the states, Viterbi's recursion on distances.
-Step 6 is the likeliest motion through them, one block-banded linear system, after Brand, "Voice
-puppetry", SIGGRAPH 1999.
+The steps are numbered as in their paper. Step 2 finds the stored units that sound most like a
+stretch of the line. A unit runs from the centre of the phone before to the centre of the phone
+after, and is classified by the phone in its middle alone. Dynamic time warping is dtaidistance's.
+Step 3 is the distance of each state from a frame: the Euclidean distance of two windows of cepstra,
+each frame weighted by a Gaussian around the middle. Steps 4 and 5 are the cheapest path through the
+states, Viterbi's recursion on distances. Step 6 is the likeliest motion through them, one
+block-banded linear system, after Brand, "Voice puppetry", SIGGRAPH 1999.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,7 +25,10 @@ from lipsync.phonemes import PHONEMES, PhonemeEvent, stand_in
 
 @dataclass(frozen=True, slots=True)
 class Spans:
-    """The units of one recording: each phone's frames first_i <= f < end_i, and its centre in s."""
+    """The units of one recording, one a phone: frames first_i <= f < end_i, and the phone's centre.
+
+    A unit runs from the centre of the phone before to the centre of the phone after.
+    """
 
     phonemes: tuple[str, ...]
     first: Indices
@@ -33,9 +36,10 @@ class Spans:
     centres_s: Array
 
     def neighbours(self, n_frames: int, frame_rate_hz: float) -> tuple[Indices, Indices]:
-        """Return for each frame the units with the nearest centre before it, and after it.
+        """Return for each of `n_frames` frames the numbers of the units to its left and its right.
 
-        Both are (n_frames,); before the first centre, and after the last, they are the same unit.
+        These are the units with the nearest phone centre not after the frame, and after the frame,
+        (n_frames,) each; before the first centre, and after the last, both are the same unit.
         """
         times_s = np.arange(n_frames) / frame_rate_hz
         right = np.searchsorted(self.centres_s, times_s + 1e-9)
@@ -44,9 +48,10 @@ class Spans:
 
 
 def unit_spans(events: Sequence[PhonemeEvent], n_frames: int, frame_rate_hz: float) -> Spans:
-    """Return the units of phones that follow each other without gaps, one a phone.
+    """Return the units of a recording of `n_frames` frames, one for each phone of `events`.
 
-    The first begins with the recording, the last ends with it; each has one frame at least.
+    The phones follow each other without gaps. The first unit begins with the recording, the last
+    ends with it; each has one frame at least.
     """
     duration_s = n_frames / frame_rate_hz
     ends_s = [duration_s if e.end_s is None else e.end_s for e in events]
@@ -69,7 +74,7 @@ def warped_distances(target: Array, stored: Sequence[Array]) -> Array:
     Parameters
     ----------
     target : Array
-        (n, m) cepstra.
+        (n, m) cepstra of the line's phone.
     stored : Sequence[Array]
         (n_j, m) cepstra each.
 
@@ -87,7 +92,7 @@ def warped_distances(target: Array, stored: Sequence[Array]) -> Array:
 def joined_phones(events: Sequence[PhonemeEvent], duration_s: float) -> tuple[PhonemeEvent, ...]:
     """Return the phones of a line end to end from 0 to `duration_s`, with silence in all gaps.
 
-    A phone that begins after that duration is left out, and one that goes on beyond it is cut.
+    A phone that begins after `duration_s` is left out; one that goes on beyond it is cut there.
     """
     found: list[PhonemeEvent] = []
 
@@ -112,7 +117,7 @@ def joined_phones(events: Sequence[PhonemeEvent], duration_s: float) -> tuple[Ph
 
 
 def frames_between(borders: Indices) -> list[range]:
-    """Return the range of frames of each recording, from borders (n + 1,) between recordings."""
+    """Return each recording's range of frames; `borders` (n + 1,): first frames, and the end."""
     return [range(int(a), int(b)) for a, b in pairwise(borders)]
 
 
@@ -124,7 +129,7 @@ class Window:
     weights: Array
 
     def of(self, cepstra: NDArray[np.floating], frames: Indices, borders: tuple[int, int]) -> Array:
-        """Return the cepstra around each frame, weighted for Euclidean distances by equation (2).
+        """Return the window of cepstra around each frame, scaled for the distance of equation (2).
 
         Parameters
         ----------
@@ -148,7 +153,7 @@ class Window:
 
 
 def gaussian_window(deviation_s: float, frame_rate_hz: float) -> Window:
-    """Return a Gaussian window that reaches three standard deviations to both sides."""
+    """Return a Gaussian window of three standard deviations, `deviation_s` each, to both sides."""
     deviation = deviation_s * frame_rate_hz
     reach = int(np.ceil(3.0 * deviation))
     offsets = np.arange(-reach, reach + 1)
@@ -165,7 +170,7 @@ class Candidates:
 
 
 def unit_distances(heard: Array, stored: Array) -> Array:
-    """Return the distance of each window of a line to each window of a unit.
+    """Return the distance of each window of cepstra of a line to each window of a stored unit.
 
     dist(t, f) = sqrt( sum_w g(w) || c(t + w) - c'(f + w) ||^2 ).
 
@@ -185,14 +190,15 @@ def unit_distances(heard: Array, stored: Array) -> Array:
 
 
 def nearest_of_each_state(states: Sequence[Indices], distances: Sequence[Array]) -> Candidates:
-    """Return each state's least distance over the frames of units that are in it, equation (2).
+    """Return each state's least distance from one frame of a line, by equation (2).
 
-    dist(t, k) = min over frames f in state k. States that occur in no unit are left out.
+    dist(t, k) = min of dist(t, f) over the units' frames f in state k. States that occur in no unit
+    are left out.
 
     Parameters
     ----------
     states,distances : Sequence[Indices]
-        (n_j,) for each unit: states of its frames, and their distances.
+        (n_j,) for each unit: states of its frames, and their distances from the frame t.
 
     Returns
     -------
@@ -210,10 +216,10 @@ Follows = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """A path through the states. states: (n,), one a frame. cost: D at the end.
+    """A path through the states. states: (n,), one a frame. cost: its sum of distances, the last D.
 
-    n_widened: how often units were added; n_breaks: frames that no transition leads to, even with
-    all units, and which were begun anew.
+    n_widened: how often units were added; n_breaks: number of frames that no transition leads to,
+    even with all units, at which the path was begun anew.
     """
 
     states: Indices
@@ -224,7 +230,7 @@ class Path:
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """One frame of a search: its states, the least cost of each, the index of the state before."""
+    """One frame of a path search: states (k,), their least costs, indices of predecessors."""
 
     states: Indices
     costs: Array
@@ -242,9 +248,10 @@ def cheapest_path(
     D(t, k) = dist(t, k) + min over j with T(j, k) = 1 of D(t-1, j), equation (3), with a pointer
     back to the best j.
 
-    candidates: the states of a frame, as known now. follows: T. widen: called where every D(t, .)
-    is infinite; adds the next most similar unit of the left and of the right context (2, 4, 6 ...
-    units) and returns the first frame whose candidates changed, None where no unit is left.
+    candidates: returns the states open to a frame at present. follows: T. widen: called for a
+    frame t where every D(t, .) is infinite; adds the next most similar unit of the left and of the
+    right context (2, 4, 6 ... units) and returns the first frame whose candidates changed, None
+    where no unit is left; then frame t may follow any state.
     """
     steps: list[_Step] = []
     n_widened, breaks = 0, set()
@@ -271,7 +278,10 @@ def cheapest_path(
 
 
 def _advanced(before: _Step | None, now: Candidates, follows: Follows) -> _Step | None:
-    """Return the search step of one frame by equation (3); None where no state can be reached."""
+    """Return the search step of one frame by equation (3); None where no state can be reached.
+
+    before: the step of the frame before, None for the first frame; now: the frame's candidates.
+    """
     if before is None:
         start = np.zeros(len(now.states), dtype=np.int64)
         return _Step(now.states, now.distances, start)
@@ -286,7 +296,7 @@ def _advanced(before: _Step | None, now: Candidates, follows: Follows) -> _Step 
 
 
 def _begun_anew(before: _Step, now: Candidates) -> _Step:
-    """Return the search step of one frame as if every state could follow the best one so far."""
+    """Return the search step of a frame as if every state could follow the best of `before`."""
     best = int(before.costs.argmin())
     back = np.full(len(now.states), best, dtype=np.int64)
     return _Step(now.states, now.distances + before.costs[best], back)
@@ -311,9 +321,10 @@ def likeliest_trajectory(
     precisions : Array
         (n, 2 p, 2 p), the inverse of K_t.
     expected : Array | None
-        (n, p), another estimate of each position, one more Gaussian a frame: not of the paper.
+        (n, p), another estimate of each position, one more Gaussian a frame: not of the paper;
+        None: without it.
     expected_precision : Array | None
-        (p, p), of that estimate.
+        (p, p), the precision of that estimate in each frame.
 
     Returns
     -------
@@ -355,7 +366,7 @@ def likeliest_trajectory(
 
 
 def banded(diagonal: Array, below: Array) -> Array:
-    """Return the lower bands of a block-tridiagonal symmetric matrix, for SciPy's `solveh_banded`.
+    """Return the lower bands of a symmetric block-tridiagonal matrix, as `solveh_banded` expects.
 
     Parameters
     ----------
@@ -385,14 +396,14 @@ WINDOW_DEVIATION_S = 0.04
 
 @dataclass(frozen=True, slots=True)
 class ModelledLine:
-    """Motion (n_frames, p) in the model's own components, and its path through the states."""
+    """Motion (n_frames, p) in the state model's components, and its path through the states."""
 
     motion: Array
     path: Path
 
 
 def model_line(model: StateModel, cepstra: Array, events: Sequence[PhonemeEvent]) -> ModelledLine:
-    """Return the motion of a line by the method of Edge, Hilton and Jackson.
+    """Return the motion of a line by the method of Edge, Hilton and Jackson, steps 2 to 6.
 
     Parameters
     ----------
@@ -422,7 +433,8 @@ def model_line(model: StateModel, cepstra: Array, events: Sequence[PhonemeEvent]
 class _Ranked:
     """The stored units for one phone of the line, most similar first, and those already in use.
 
-    states and distances: of each unit in use, (n_j,) and (n frames of the span, n_j).
+    order: numbers of all units. states, distances: of each unit in use, (n_j,) its frames' states
+    and (n, n_j) the distances of the n frames of the line's unit from them.
     """
 
     order: Indices
@@ -449,7 +461,7 @@ class _UnitSearch:
             self._take_next(number)
 
     def candidates(self, frame: int) -> Candidates:
-        """Return the states open to a frame, and its distances from them, by equation (2)."""
+        """Return the states open to a frame now, and its distances from them, by equation (2)."""
         states: list[Indices] = []
         distances: list[Array] = []
         for number in {int(self._left[frame]), int(self._right[frame])}:
@@ -459,9 +471,9 @@ class _UnitSearch:
         return nearest_of_each_state(states, distances)
 
     def widen(self, frame: int) -> int | None:
-        """Add the next stored unit for each of a frame's two phones.
+        """Add the next stored unit for the phones to the left and the right of frame `frame`.
 
-        Return the first frame whose candidates change; None if no unit is left.
+        Return the first frame whose candidates change; None if no unit is left for either.
         """
         taken = [
             number
@@ -471,7 +483,7 @@ class _UnitSearch:
         return min(int(self._spans.first[number]) for number in taken) if taken else None
 
     def _order(self, target: Array, phonemes: tuple[str, ...]) -> Indices:
-        """Return the numbers of all stored units of these phonemes, most similar sound first."""
+        """Return the numbers of `phonemes`' units, most similar in sound to `target` first."""
         units = self._model.units
         numbers = np.concatenate([units.of(PHONEMES.index(p)) for p in phonemes])
         stored = [
@@ -480,7 +492,7 @@ class _UnitSearch:
         return np.asarray(numbers[np.argsort(warped_distances(target, stored), kind="stable")])
 
     def _take_next(self, number: int) -> bool:
-        """Start using the next unit for a phone of the line; return False if none is left."""
+        """Start using the next unit for phone `number` of a line; return False if none is left."""
         ranked = self._ranked[number]
         n_taken = len(ranked.states)
         if n_taken == len(ranked.order):

@@ -1,4 +1,4 @@
-"""The model that lines are rendered with: states and units, the expectation of sound, the voice.
+"""The model that lines are rendered with: states and units, faces expected from sound, the voice.
 
 Mel-frequency cepstra are the cosine transform (SciPy's) of the recogniser's own log-mel bands, 100
 a second: Davis and Mermelstein, IEEE Trans. ASSP 28(4), 1980, equation (1). They are normalised per
@@ -6,12 +6,13 @@ recording, mean and spread of each coefficient over the audible frames, so that 
 and much of a voice fall out (Viikki and Laurila, Speech Communication 25, 1998).
 
 The long-term mean of the cepstra distinguishes voices and microphones, whatever the words (Furui,
-IEEE Trans. ASSP 29(2), 1981). Normalising takes it away, and what is left of another voice still
-lies elsewhere: there distances of sound mean little, and phonemes alone are believed.
+IEEE Trans. ASSP 29(2), 1981). Normalising removes it, but the cepstra of another voice still differ
+from the learned ones: for another voice distances of sound are worth little, and phonemes alone
+are used.
 
-The expectation of sound is not of the paper. The live expectation knows the phonemes alone; sound
-tells how they were spoken: how wide a vowel was, and when within a phone the mouth turned. Small
-networks with two hidden layers of rectifiers, averaged.
+Faces expected from sound are not of the paper. The live expectation knows the phonemes alone; sound
+shows how they were spoken: how wide a vowel was, and when within a phone the mouth changed
+direction. They come from small networks with two hidden layers of rectifiers, averaged.
 """
 
 from collections.abc import Mapping, Sequence
@@ -52,7 +53,7 @@ def cepstra(samples: NDArray[np.float32]) -> Array:
 
 
 def at_times(found: Array, times_s: Array) -> Array:
-    """Return cepstra interpolated linearly at given times; before and after them, the ends' values.
+    """Return cepstra interpolated linearly at `times_s`; outside the sound, an end frame.
 
     Parameters
     ----------
@@ -73,8 +74,8 @@ def at_times(found: Array, times_s: Array) -> Array:
 def plain_cepstra(samples: NDArray[np.float32]) -> Array:
     """Return the cepstra of a sound, not normalised; frame i has its middle at i / 100 s.
 
-    c_k = sqrt(2 / 40) sum_b m_b cos(pi k (b + 1/2) / 40) over the bands m_b, the first one by
-    sqrt(1 / 40).
+    c_k = sqrt(2 / 40) sum_b m_b cos(pi k (b + 1/2) / 40) over the bands m_b; for c_0 the
+    factor is sqrt(1 / 40).
 
     Parameters
     ----------
@@ -96,7 +97,7 @@ def plain_cepstra(samples: NDArray[np.float32]) -> Array:
 
 
 def is_heard(found: Array) -> NDArray[np.bool_]:
-    """Return for each frame whether its loudness is within 30 dB of the loudest frame's.
+    """Return for each frame whether it is audible: within 30 dB of the loudest frame.
 
     Parameters
     ----------
@@ -113,16 +114,16 @@ def is_heard(found: Array) -> NDArray[np.bool_]:
 
 
 def _normalised(found: Array) -> Array:
-    """Return cepstra with mean 0 and spread 1 of each coefficient over the audible frames."""
+    """Return cepstra (n, 13), each coefficient with mean 0 and spread 1 over the audible frames."""
     heard = found[is_heard(found)]
     return np.asarray((found - heard.mean(axis=0)) / (heard.std(axis=0) + _SMALLEST_SPREAD))
 
 
 @dataclass(frozen=True, slots=True)
 class VoiceLikeness:
-    """mean (m,) and precision (m, m) of the mean cepstrum of a line, over the lines of one voice.
+    """A learned voice: mean (m,) and precision (m, m) of its lines' mean cepstra.
 
-    limit: the greatest distance at which a line counts as that voice.
+    limit: the greatest `distance` at which a line counts as spoken by that voice.
     """
 
     mean: Array
@@ -130,7 +131,7 @@ class VoiceLikeness:
     limit: float
 
     def distance(self, samples: NDArray[np.float32]) -> float:
-        """Return a line's squared Mahalanobis distance from the learned voice, divided by m.
+        """Return the squared Mahalanobis distance of a line from the learned voice, divided by m.
 
         Parameters
         ----------
@@ -146,7 +147,7 @@ class VoiceLikeness:
         return float(off @ self.precision @ off) / len(off)
 
     def knows(self, samples: NDArray[np.float32]) -> bool:
-        """Return whether the sound of a line is near enough to the learned voice to be used.
+        """Return whether a line is near enough to the learned voice for its sound to be used.
 
         Parameters
         ----------
@@ -156,13 +157,13 @@ class VoiceLikeness:
         Returns
         -------
         bool
-            True up to `limit`.
+            True for a `distance` up to `limit`.
         """
         return self.distance(samples) <= self.limit
 
 
 def mean_cepstrum(samples: NDArray[np.float32]) -> Array:
-    """Return the mean cepstrum of a sound's loud frames, without its first coefficient, the level.
+    """Return a sound's mean cepstrum over its audible frames, without the first coefficient.
 
     Parameters
     ----------
@@ -190,7 +191,7 @@ _INDEX_OF = {phoneme: index for index, phoneme in enumerate(PHONEMES)}
 def line_inputs(
     events: Sequence[PhonemeEvent], cepstra: Array, times_s: Array, articulation: Array32
 ) -> Array32:
-    """Return the inputs of the networks at each time: articulation, phoneme and sound around it.
+    """Return the inputs of `SoundExpectation` at each time: phonemes, articulation, sound nearby.
 
     Parameters
     ----------
@@ -226,7 +227,7 @@ def line_inputs(
 def _phonemes_on_grid(
     events: Sequence[PhonemeEvent], n_frames: int, margin: int
 ) -> NDArray[np.int64]:
-    """Return the phoneme number of each 10 ms of a line, with `margin` frames on both sides."""
+    """Return phoneme numbers (n_frames + 2 margin,), one per 10 ms; SIL in margins and gaps."""
     grid = np.full(n_frames + 2 * margin, _INDEX_OF[SILENCE], dtype=np.int64)
     for event in events:
         start = round(event.start_s * FRAMES_PER_S) + margin
@@ -237,11 +238,11 @@ def _phonemes_on_grid(
 
 @dataclass(frozen=True, slots=True)
 class SoundExpectation:
-    """m networks that predict faces from `line_inputs`; their mean counts.
+    """m networks that predict faces from phones and sound (`line_inputs`); their mean is used.
 
     articulation: (40, n_features). mean, spread: (n_inputs,), of the inputs in training. layers:
-    weights (m, n_in, n_out) and bias (m, 1, n_out) of each layer, alternating; what the last one
-    gives are faces (n, n_components) of the face model.
+    weights (m, n_in, n_out) and bias (m, 1, n_out) of each layer, alternating; the outputs of the
+    last layer are faces (n, n_components) of the face model.
     """
 
     articulation: Array32
@@ -250,16 +251,16 @@ class SoundExpectation:
     layers: tuple[Array32, ...]
 
     def faces(self, events: Sequence[PhonemeEvent], cepstra: Array, times_s: Array) -> Array:
-        """Return the faces expected from a line's phones and sound.
+        """Return the faces expected at `times_s` from a line's phones and sound.
 
         Parameters
         ----------
         events : Sequence[PhonemeEvent]
             Phones of the line.
         cepstra : Array
-            (m, 13), 100 a second.
+            (m, 13), normalised, 100 a second.
         times_s : Array
-            (n,).
+            (n,) s.
 
         Returns
         -------
@@ -277,9 +278,9 @@ class SoundExpectation:
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """Stored units: frames first_i <= f < end_i of the corpus, by the phone in their middle.
+    """Stored units of the recordings: unit i is the frames first_i <= f < end_i around one phone.
 
-    phonemes: (n,), numbers in PHONEMES; first, end: (n,).
+    phonemes: (n,), the phones' numbers in PHONEMES; first, end: (n,).
     """
 
     phonemes: Indices
@@ -287,7 +288,7 @@ class Units:
     end: Indices
 
     def of(self, phoneme: int) -> Indices:
-        """Return the numbers of all units of a phoneme, given as its number in PHONEMES."""
+        """Return the numbers of all units of a phoneme, given by its number in PHONEMES."""
         return np.flatnonzero(self.phonemes == phoneme)
 
 
@@ -296,11 +297,12 @@ class StateModel:
     """The states and units of all recorded sentences, stored end to end.
 
     frame_rate_hz: of motion and cepstra.
-    borders: (n_sentences + 1,), where each sentence begins, and the end. cepstra: (n, m) float32.
-    states: (n,), of each frame. units: over the same frames.
-    follows: (n_states, n_states), T of equation (S2). means (n_states, 2 p) and covariances
-    (n_states, 2 p, 2 p): of positions and speeds (per frame) in the components of its own.
-    mean_mm (n_coordinates,) and basis (p, n_coordinates): those components.
+    borders: (n_sentences + 1,), first frame of each sentence, and the end. cepstra: (n, m) float32.
+    states: (n,), number of each frame's state. units: over the same frames.
+    follows: (n_states, n_states), T of equation (S2): whether one state may follow another.
+    means (n_states, 2 p) and covariances (n_states, 2 p, 2 p): of positions and speeds (per frame)
+    in the p components of this model, which mean_mm (n_coordinates,) and basis (p, n_coordinates)
+    define.
     """
 
     frame_rate_hz: float
@@ -316,12 +318,12 @@ class StateModel:
 
     @property
     def n_states(self) -> int:
-        """The number of states."""
+        """The number of states, each with a mean and a covariance."""
         return len(self.means)
 
     @property
     def n_components(self) -> int:
-        """The number p of components of the model's own basis."""
+        """The number p of components of this model's own basis."""
         return len(self.basis)
 
     def sentence_of(self, frame: int) -> tuple[int, int]:
@@ -331,14 +333,15 @@ class StateModel:
 
 
 class OfflineModelError(UserError):
-    """An offline model cannot be used; the message says which, why, and what to do."""
+    """Error for an offline model that cannot be used; the message says why and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
 class OfflineModel:
-    """What lines are rendered with, made of one corpus for one face model.
+    """All that scripted lines are rendered with, learned from one corpus for one face model.
 
-    face_checksum: of that model. training_sentences: by name. provenance: corpus, seed, amount.
+    face_checksum: of that face model. training_sentences: by name. provenance: corpus, seed,
+    amount.
     """
 
     face_checksum: str
@@ -349,7 +352,10 @@ class OfflineModel:
     provenance: Mapping[str, str | int | float]
 
     def check_face(self, face: FaceModel, name: str) -> None:
-        """Raise OfflineModelError if the model was made for another face. name: of its file."""
+        """Raise OfflineModelError if this model was made for another face model than `face`.
+
+        name: the file of this model, for the error message.
+        """
         if face.checksum != self.face_checksum:
             raise OfflineModelError(
                 f"{name}: made for face model {self.face_checksum}, this face is {face.checksum}; "

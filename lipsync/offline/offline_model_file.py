@@ -71,12 +71,15 @@ def _narrow(name: str, values: NDArray[Any]) -> NDArray[Any]:
 
 
 def is_offline_model(head: bytes) -> bool:
-    """Return whether `head`, the first bytes of a file, looks like an offline model file."""
+    """Return whether a file's first bytes are of a zip with `about.npy`, as offline models are."""
     return head.startswith(b"PK") and b"about.npy" in head
 
 
 def load_offline_model(path: Path | None = None) -> OfflineModel:
-    """Return the offline model in a file; None: the shipped one. Raises OfflineModelError."""
+    """Return the offline model in the file `path`; None: the shipped one.
+
+    Raises OfflineModelError if the file is missing, damaged or of another version.
+    """
     name = f"shipped model {SHIPPED}" if path is None else str(path)
     place = resources.files("lipsync.models") / f"{SHIPPED}.npz" if path is None else path
     try:
@@ -142,7 +145,7 @@ def _wide(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _check(model: OfflineModel) -> None:
-    """Raise ValueError, naming the wrong field, unless shapes agree and numbers are finite."""
+    """Raise ValueError, naming the wrong field, unless shapes fit and values are in range."""
     states, sound = model.states, model.sound
     n, p, n_frames = states.n_states, states.n_components, len(states.states)
     widths = [sound.mean.shape[0], *(layer.shape[-1] for layer in sound.layers[::2])]

@@ -1,8 +1,8 @@
-"""A performance: a line ready to be played, its sound and its faces; and its file, `.perf`.
+"""A performance: a line rendered for playing, its sound and its faces; and its file, `.perf`.
 
 The file is one zip of arrays without pickle, versioned, written whole. Head and eyes are an
-additional member, which a lipservo that does not know it ignores: it plays the same mouth, and its
-own head. So version 1 holds for both.
+additional member; a lipservo that does not know it ignores it and plays the same mouth with its own
+head motion. So files with and without head and eyes are version 1.
 """
 
 import hashlib
@@ -38,16 +38,16 @@ EXPRESSION_NAMES: Final = (
 
 
 class PerformanceError(UserError):
-    """A performance cannot be played; the message says which, why, and what to do."""
+    """Error for a performance that cannot be played; the message says why and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
 class PerformedSound:
-    """The sound of a performance, byte for byte the file it was rendered from.
+    """The sound of a performance, byte for byte the file that it was rendered from.
 
     name: of that file, without folders. sha256: of its bytes, 64 hex digits. content: the bytes
-    that are to be written into the performance file; None where the file stays beside it, and in
-    every performance that was read from a file: `sound_file` gives its sound.
+    that are to be written into the performance file; None where the sound stays a file beside the
+    performance, and in every performance read from a file: `sound_file` gives access to its sound.
     """
 
     name: str
@@ -56,7 +56,10 @@ class PerformedSound:
 
 
 def performed_sound(path: Path, *, included: bool) -> PerformedSound:
-    """Return name, SHA-256 and, if `included`, bytes of a sound file. Raises PerformanceError."""
+    """Return the name and SHA-256 of the sound file `path`, and its bytes if `included`, else None.
+
+    Raises PerformanceError if the file cannot be read.
+    """
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -67,12 +70,12 @@ def performed_sound(path: Path, *, included: bool) -> PerformedSound:
 
 @dataclass(frozen=True, slots=True)
 class Performance:
-    """A rendered line; it serves every face that is calibrated for its face model.
+    """A rendered line; it can be played by every face that is calibrated for its face model.
 
-    face_checksum: of that model. coefficients: (n, n_components) float32, frame i at i / 100 s of
-    sound time. phonemes: in order, each with its end. method: how it was rendered. expression: of
-    some `EXPRESSION_NAMES` the values (n,) float32 at the same times, in units of `Expression`;
-    empty: head and eyes are left to the face that plays it.
+    face_checksum: of that face model. coefficients: (n, n_components) float32, frame i at i / 100 s
+    of sound time. phonemes: in order, each with its end. method: name of the method that rendered
+    it. expression: the values (n,) float32 of some `EXPRESSION_NAMES` at the same times, in units
+    of `Expression`; empty: head and eyes are left to the face that plays it.
     """
 
     face_checksum: str
@@ -84,11 +87,14 @@ class Performance:
 
     @property
     def duration_s(self) -> float:
-        """Seconds from the first face to the last."""
+        """Seconds of sound time from the first face to the last."""
         return (len(self.coefficients) - 1) / RATE_HZ
 
     def check_face(self, face: FaceModel, name: str) -> None:
-        """Raise PerformanceError unless this was rendered for the face model `face`."""
+        """Raise PerformanceError unless this performance was rendered for the face model `face`.
+
+        name: the file of this performance, for the error message.
+        """
         if face.checksum != self.face_checksum:
             raise PerformanceError(
                 f"{name}: rendered for face model {self.face_checksum}, this face is "
@@ -122,12 +128,15 @@ _RENDER_AGAIN = "render it again with `lipservo lines render`"
 
 
 def write_performance(performance: Performance, path: Path) -> None:
-    """Write a performance whole or not at all. Raises OutputError; PerformanceError: too large."""
+    """Write a performance's file, whole or not at all. Raises OutputError or PerformanceError."""
     write_whole(path, performance_bytes(performance))
 
 
 def performance_bytes(performance: Performance) -> bytes:
-    """Return the content of a performance's file. Raises PerformanceError if it is too large."""
+    """Return the content of a performance's file.
+
+    Raises PerformanceError if the faces last more than 10 minutes or the sound exceeds 120 MB.
+    """
     if performance.duration_s > LONGEST_S:
         raise PerformanceError(f"more than {LONGEST_S / 60:g} minutes of faces; cut the line")
     sound = performance.sound
@@ -166,12 +175,12 @@ def performance_bytes(performance: Performance) -> bytes:
 
 
 def is_performance(head: bytes) -> bool:
-    """Return whether `head`, the first bytes of a file, looks like a performance file."""
+    """Return whether a file's first bytes are of a zip with `about.npy`, as performances are."""
     return head.startswith(b"PK") and b"about.npy" in head
 
 
 def read_performance(path: Path) -> Performance:
-    """Return the performance in a file, without the bytes of its sound: `sound_file` gives these.
+    """Return the performance in a file, without the bytes of its sound, which `sound_file` reads.
 
     Raises PerformanceError in one line if the file cannot be read or is no valid performance.
     """
@@ -202,11 +211,11 @@ def read_performance(path: Path) -> Performance:
 
 @contextmanager
 def sound_file(sound: PerformedSound, path: Path) -> Iterator[Path]:
-    """Yield the path of a file with the sound of the performance that was read from `path`.
+    """Yield the path of a file with the sound `sound` of the performance that was read from `path`.
 
-    It is the file beside the performance, or an unnamed temporary file that vanishes afterwards,
-    whatever happens; so the sound is never in memory as a whole. Raises PerformanceError where the
-    sound cannot be read, or has changed since rendering.
+    That is the sound file beside the performance, or, for sound included in it, an unnamed
+    temporary file that is deleted afterwards in any case; so the sound is never in memory as a
+    whole. Raises PerformanceError where the sound cannot be read, or has changed since rendering.
     """
     digest = hashlib.sha256()
     with ExitStack() as stack:
@@ -251,7 +260,10 @@ def _no_room(error: OSError) -> PerformanceError:
 
 
 def _chunks(place: Path, performance: Path) -> Iterator[bytes]:
-    """Yield the bytes of the sound file `place` in chunks. Raises PerformanceError: unreadable."""
+    """Yield the bytes of the sound file `place` in chunks of 1 MiB.
+
+    Raises PerformanceError, naming the file `performance`, if the sound is unreadable or too large.
+    """
     try:
         if not place.is_file():  # a pipe would be waited for without end
             raise FileNotFoundError(ENOENT, "no such file")
@@ -291,9 +303,9 @@ def _opened(path: Path) -> Iterator[ArrayArchive]:
 def _expression(
     about: dict[str, Any], archive: ArrayArchive, n_frames: int
 ) -> dict[str, NDArray[np.float32]]:
-    """Return the stored head and eye values (n_frames,) by name; names unknown here are left out.
+    """Return the stored head and eye values (n_frames,) by name; unknown names are left out.
 
-    Raises ValueError for a wrong shape or values beyond 180.
+    about: the parsed header of `archive`. Raises ValueError for a wrong shape or values beyond 180.
     """
     if "expression" not in about:
         return {}
@@ -326,7 +338,7 @@ def _event(phoneme: str, start_s: float, end_s: float) -> PhonemeEvent:
 
 
 def _bare_name(name: str) -> str:
-    """Return `name`; raise ValueError if it has folders, so that no other folder is read."""
+    """Return the sound's file name; raise ValueError if it includes a folder, for safety."""
     if not isinstance(name, str) or name in ("", ".", "..") or Path(name).name != name:
         raise ValueError(f"sound name {name!r}")
     return name

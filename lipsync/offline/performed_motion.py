@@ -1,4 +1,4 @@
-"""Performances on a face that does something else before, between and after them.
+"""A synthesiser that plays performances, and other motion before, between and after them.
 
 The process that plays a face loads this module, so it needs NumPy only.
 """
@@ -25,7 +25,7 @@ _AHEAD_S: Final[Array] = np.linspace(0.0, 0.2, 11)
 class StoredMotion:
     """The faces and expressions of a performance at any time, linear between neighbouring frames.
 
-    So lips that are stored closed stay closed.
+    By linear interpolation lips that are stored closed stay closed.
     """
 
     def __init__(self, performance: Performance) -> None:
@@ -36,7 +36,7 @@ class StoredMotion:
         self._last_s = performance.duration_s
 
     def face_at(self, at_s: float, otherwise: Array) -> Array:
-        """Return the stored face at a time; outside the performance, one eased to `otherwise`.
+        """Return the stored face at `at_s`; outside the performance, a face eased to `otherwise`.
 
         Parameters
         ----------
@@ -57,7 +57,10 @@ class StoredMotion:
         return _eased(end, otherwise, outside_s)
 
     def expression_at(self, at_s: float) -> Expression:
-        """Return the stored expression at a time; outside the performance, that of its end."""
+        """Return the stored expression `at_s` seconds after the beginning of the performance.
+
+        Outside the performance it is that of the nearest frame; NO_EXPRESSION where none is stored.
+        """
         if not self._names:
             return NO_EXPRESSION
         values = self._between(self._expressions, min(max(0.0, at_s), self._last_s))
@@ -73,9 +76,9 @@ class StoredMotion:
 
 
 class PerformedMotion:
-    """A synthesiser that plays performed lines, and leaves all other speech to an inner one.
+    """A synthesiser that plays performances, and leaves all other speech to an inner synthesiser.
 
-    The inner one goes on meanwhile, so its state is up to date when the performance is over.
+    The inner one is also computed during a performance, so that its state is up to date afterwards.
     """
 
     def __init__(
@@ -84,10 +87,10 @@ class PerformedMotion:
         performed_at: Callable[[float], tuple[StoredMotion, float] | None],
         gap: LipGap,
     ) -> None:
-        """Create the synthesiser around `inner`.
+        """Create the synthesiser around `inner`; `gap` measures the gap between the lips of a face.
 
-        performed_at: from a sound time to the motion performed then and the time within it, from
-        -`EASING_S` to `EASING_S` after its last face; None: nothing. gap: between the lips.
+        performed_at: returns for a sound time the motion performed then, and the seconds since its
+        first face, from -`EASING_S` to `EASING_S` after its last face; None for no performance.
         """
         self._inner = inner
         self._gap = gap
@@ -103,7 +106,7 @@ class PerformedMotion:
 
     @property
     def lookahead_s(self) -> float:
-        """Seconds of sound needed after an instant before its frame can be computed."""
+        """Seconds of sound after a frame's time that the inner synthesiser needs for the frame."""
         return self._inner.lookahead_s
 
     def reset(self) -> None:
@@ -112,11 +115,14 @@ class PerformedMotion:
         self._newest_s = -math.inf
 
     def push(self, update: PhonemeUpdate) -> None:
-        """Pass a revision of the phonemes to the inner synthesiser."""
+        """Pass an update of the phonemes to the inner synthesiser."""
         self._inner.push(update)
 
     def frame_at(self, time_s: float) -> Frame:
-        """Return the performed frame at a sound time; where none is, the inner synthesiser's."""
+        """Return the performed frame at sound time `time_s`; without one, the inner synthesiser's.
+
+        After a performance that was dropped midway, the face is eased to the inner synthesiser's.
+        """
         frame = self._inner.frame_at(time_s)
         performed = self._performed_at(time_s)
         if performed is None:
@@ -131,7 +137,10 @@ class PerformedMotion:
         return Frame(time_s, face, motion.expression_at(at_s))
 
     def window_after(self, frame: Frame) -> FaceWindow:
-        """Return the faces after a frame: 200 ms of a performance, else the inner synthesiser's."""
+        """Return the faces expected after `frame`: the next 200 ms of a performance.
+
+        Where no performance plays, return the inner synthesiser's window.
+        """
         performed = self._performed_at(frame.time_s)
         if performed is None:
             return self._inner.window_after(frame)
@@ -143,12 +152,12 @@ class PerformedMotion:
         return FaceWindow(_AHEAD_S, rows, closed, self._gap.shut(frame.coefficients))
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
-        """Return the inner synthesiser's phoneme at a sound time, or None where none is known."""
+        """Return the inner synthesiser's phoneme at `time_s`, or None where none is known."""
         return self._inner.event_at(time_s)
 
 
 def _eased(start: Array, end: Array, after_s: float) -> Array:
-    """Return the face `after_s` after `start` on a cubic to `end` that takes `EASING_S`."""
+    """Return the face `after_s` seconds after `start` on a cubic to `end` that lasts `EASING_S`."""
     if after_s >= EASING_S:
         return end
     share = after_s / EASING_S

@@ -28,8 +28,8 @@ _LAST_PHONEME_S: Final = 0.1
 def read_known_phonemes(path: str | PathLike[str]) -> tuple[PhonemeEvent, ...]:
     """Return the phonemes of a file in one of the formats of docs/text.md.
 
-    They are in order, from 0 on, without gaps (silence between) and each with its end. Raises
-    LabelError, in one line: which file, where in it, what is allowed.
+    They are in order, from 0 s on, without gaps (silence between) and each with its end. Raises
+    LabelError, in one line: which file, which position in it, what is allowed.
     """
     content = _content(Path(path))
     if is_textgrid(content[:200]):
@@ -38,7 +38,7 @@ def read_known_phonemes(path: str | PathLike[str]) -> tuple[PhonemeEvent, ...]:
 
 
 def read_words(path: str | PathLike[str]) -> tuple[TimedUnit, ...]:
-    """Return the words of a file that has words with times but no phonemes; else ()."""
+    """Return the words of a file that has word times alone; () if it has phonemes or visemes."""
     content = _content(Path(path))
     if is_textgrid(content[:200]):
         return ()
@@ -47,7 +47,10 @@ def read_words(path: str | PathLike[str]) -> tuple[TimedUnit, ...]:
 
 
 def sound_beside(path: Path) -> Path:
-    """Return the sound file named like `path` in its folder. Raises LabelError if there is none."""
+    """Return the sound file in the folder of `path` with its name, but the ending of a sound file.
+
+    Raises LabelError if there is none.
+    """
     for ending in _SOUND_ENDINGS:
         if (sound := path.with_suffix(ending)).is_file():
             return sound
@@ -58,7 +61,11 @@ def sound_beside(path: Path) -> Path:
 
 
 def phonemes_in(content: bytes, name: str) -> tuple[PhonemeEvent, ...]:
-    """Return the phonemes in a JSON file's content. Raises LabelError, with `name` for the file."""
+    """Return the phonemes in a JSON file's content.
+
+    Raises LabelError, with the file's `name` in the message, if the content is invalid or has words
+    alone.
+    """
     best = units_in(content, name)[0]
     if best.kind == "word":
         raise LabelError(
@@ -68,7 +75,10 @@ def phonemes_in(content: bytes, name: str) -> tuple[PhonemeEvent, ...]:
 
 
 def units_in(content: bytes, name: str) -> tuple[VendorUnits, ...]:
-    """Return a JSON file's phonemes, visemes, words, in this order of kinds. Raises LabelError."""
+    """Return the units in a JSON file's content by kind: phonemes first, then visemes, then words.
+
+    Raises LabelError, with the file's `name` in the message, if the content has none of them.
+    """
     try:
         return vendor_units(_parsed(content, name))
     except VendorError as error:
@@ -87,7 +97,8 @@ def _content(path: Path) -> bytes:
 def events_of(known: VendorUnits, name: str) -> tuple[PhonemeEvent, ...]:
     """Return phonemes or visemes as events from 0 s on; phones of one unit share its time evenly.
 
-    name: for errors. Raises LabelError for a label that its alphabet lacks, and for silence only.
+    name: of the file, for errors. Raises LabelError for a label that is not in the units' alphabet,
+    and for units that are all silence.
     """
     events: list[PhonemeEvent] = []
     ends_s = [after.start_s for _, after in pairwise(known.units)]
@@ -120,7 +131,10 @@ def events_of(known: VendorUnits, name: str) -> tuple[PhonemeEvent, ...]:
 def _append(
     events: list[PhonemeEvent], phone: str, start_s: float, end_s: float, *, goes_on: bool = False
 ) -> None:
-    """Append an event if it has a length; silence, or what `goes_on`, extends an equal last one."""
+    """Append `phone` from `start_s` to `end_s` to the events, unless it has no length.
+
+    Silence, or any phone if `goes_on`, extends a last event of the same phone instead.
+    """
     if end_s <= start_s:
         return
     if events and events[-1].phoneme == phone and (goes_on or phone == SILENCE):
@@ -130,7 +144,10 @@ def _append(
 
 
 def _parsed(content: bytes, name: str) -> object:
-    """Return the parsed JSON document, or for JSON Lines a dict by `line N`. Raises LabelError."""
+    """Return the parsed JSON document, or for JSON Lines a dict of parsed lines by `line N`.
+
+    Raises LabelError, with the file's `name` in the message, if the content is neither.
+    """
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:

@@ -1,1 +1,1 @@
-"""Prosody: loudness, pitch, spectral tilt, against the speaker's own baseline."""
+"""Prosody of live speech: loudness, pitch and spectral tilt, against the speaker's own baseline."""

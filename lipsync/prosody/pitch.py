@@ -6,8 +6,8 @@ from Python, an FFT and a filter take longer.
 Pitch is YIN's threshold on the difference function of 40 ms, median of five. De Cheveigné and
 Kawahara, "YIN, a fundamental frequency estimator for speech and music", JASA 111(4), 2002:
 difference function (eq. 1), cumulative mean normalisation (eq. 8), absolute threshold (step 4),
-parabolic interpolation (step 5). The sound comes at 4 kHz, low-passed at 1.2 kHz, which takes noise
-and fricatives away; at 8 kHz the errors are the same and the work is a third more (measured,
+parabolic interpolation (step 5). The sound is at 4 kHz, low-passed at 1.2 kHz, which removes noise
+and fricatives; at 8 kHz the errors are the same and the work is a third more (measured,
 synthetic tones at 0 to 20 dB of noise).
 """
 
@@ -43,7 +43,8 @@ class SoundWindow:
     """Levels and low-passed samples of a window (400,) of sound at 16 kHz.
 
     loudness_db: root mean square about the mean, dB re full scale. low_db, high_db: levels of 80 to
-    500 Hz and of 500 to 4,000 Hz. newest: the last 10 ms (40,) at 4 kHz, 1.5 ms late by the filter.
+    500 Hz and of 500 to 4,000 Hz. newest: the last 10 ms (40,) at 4 kHz, delayed by the low-pass
+    filter by 1.5 ms.
     """
 
     loudness_db: float
@@ -53,7 +54,7 @@ class SoundWindow:
 
 
 def analyse_window(samples: Array32) -> SoundWindow:
-    """Return level and spectral balance of one window; no state is kept.
+    """Return the levels and low-passed samples of one window of sound; no state is kept.
 
     Parameters
     ----------
@@ -63,7 +64,7 @@ def analyse_window(samples: Array32) -> SoundWindow:
     Returns
     -------
     SoundWindow
-        Levels in dB.
+        Levels in dB, and the last 10 ms at 4 kHz, (40,).
     """
     parts = _transform() @ samples
     low, high = parts[1 : 1 + _N_LOW], parts[1 + _N_LOW : 1 + _N_BANDS]
@@ -98,7 +99,7 @@ def _fourier() -> Array32:
 
 
 def _decimation() -> Array32:
-    """Return the matrix (40, 400) of a windowed-sinc low-pass (Hamming) at every fourth sample."""
+    """Return a low-pass matrix (40, 400), windowed sinc (Hamming), for every fourth new sample."""
     step = SAMPLE_RATE_HZ // LOW_RATE_HZ
     offsets = np.arange(_TAPS) - (_TAPS - 1) / 2
     taps = np.sinc(2.0 * _LOW_PASS_HZ / SAMPLE_RATE_HZ * offsets) * np.hamming(_TAPS)
@@ -128,14 +129,14 @@ _LEAST_ENERGY = _COMPARED * 1e-10
 
 
 class PitchTracker:
-    """The pitch of the last 40 ms, after each block of 10 ms; two blocks late by its median."""
+    """Tracker of pitch: YIN on the last 40 ms, every 10 ms; a median of five delays it 20 ms."""
 
     def __init__(self) -> None:
         self._window = np.zeros(_WINDOW)
         self._last: deque[float] = deque([math.nan] * _MEDIAN_OF, maxlen=_MEDIAN_OF)
 
     def push(self, samples: Array32) -> float:
-        """Return the pitch after new samples: the median of the last five windows' pitches.
+        """Add 10 ms of sound; return the pitch, the median of the last five windows' pitches.
 
         Parameters
         ----------
@@ -155,7 +156,7 @@ class PitchTracker:
 
 
 def pitch_hz(window: Array) -> float:
-    """Return the pitch of a window of sound by YIN.
+    """Return the pitch of a window of sound by the algorithm YIN.
 
     Parameters
     ----------
@@ -185,9 +186,10 @@ def pitch_hz(window: Array) -> float:
 
 
 def _first_dip_hz(normalised: list[float]) -> float:
-    """Return the frequency in Hz at the bottom of the first dip below YIN's threshold, or else NaN.
+    """Return the frequency in Hz of the first dip of YIN's differences below the threshold.
 
-    normalised[0] belongs to the shortest lag. A bottom at either end may lie beyond it: NaN.
+    normalised: differences by lag, the shortest lag first. NaN without a dip, and for a bottom at
+    either end, which may lie beyond it.
     """
     index, last = 0, len(normalised) - 1
     while index < last and normalised[index] >= _THRESHOLD:

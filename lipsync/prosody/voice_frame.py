@@ -10,10 +10,10 @@ class VoiceFrame:
     """Measurements of the voice in 10 ms of sound, made from this and earlier sound only.
 
     time_s: sound time of the end. peak: greatest amplitude, 0 to 1. loudness_db: root mean square,
-    dB re full scale. pitch_hz: NaN where unvoiced. tilt_db: energy of 500 to 4,000 Hz over that of
-    80 to 500 Hz. is_speech: a person speaks. loudness_z, pitch_z, tilt_z: in standard deviations of
-    the speaker's own baseline; pitch_z is 0 where unvoiced. arousal: -1 (sleepy) to 1 (excited),
-    0 before anything is known.
+    dB re full scale. pitch_hz: NaN where unvoiced. tilt_db: level of 500 to 4,000 Hz less that of
+    80 to 500 Hz. is_speech: whether a person speaks. loudness_z, pitch_z, tilt_z: in standard
+    deviations from the speaker's own mean; 0 outside speech, pitch_z also where unvoiced. arousal:
+    -1 (sleepy) to 1 (excited), 0 before any speech.
     """
 
     time_s: float

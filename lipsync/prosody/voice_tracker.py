@@ -1,12 +1,12 @@
-"""Sound becomes `VoiceFrame`s, 10 ms after 10 ms. Causal; nothing in it grows.
+"""Prosody of live sound: a `VoiceFrame` for every 10 ms. Causal, in bounded memory.
 
 Arousal is by rule, after Bone, Lee and Narayanan, "Robust unsupervised arousal rating", IEEE Trans.
 Affective Computing 5(2), 2014: a score of how loud, high and bright the voice is against the
-speaker's own baseline, then their fusion. Weights and times are design choices. Anger and joy look
-the same. Jumps of a microphone's automatic gain make the loudness say less for a while.
+speaker's own baseline, then their fusion. Weights and times are design choices. Anger and joy are
+not distinguished. After a jump of a microphone's automatic gain loudness counts less for a while.
 
-Speech is found where sound is loud above the noise, voiced now and then, and not as music is. The
-level opens the gate (`VoiceActivityDetector`: noise floor by minimum statistics), so steady noise
+Speech is sound that is loud above the noise, voiced now and then, and unlike music. The level
+opens the gate (`VoiceActivityDetector`: noise floor by minimum statistics), so steady noise
 closes it within 1.2 s. Speech is voiced for a good part of its time, and its pitch glides; notes
 do not. Bars measured on grid_s1, LibriSpeech, speechocean762 (speech), on made-up chords,
 bands and coloured noise (docs/expression-voice.md). Whispering is no speech here.
@@ -34,12 +34,15 @@ _SYLLABLES_S = 0.5
 
 
 def score(z: float) -> float:
-    """Return the score 2 Phi(z) - 1, Phi being the normal distribution: -1 to 1, 0 at z = 0."""
+    """Return 2 Phi(z) - 1 for z standard deviations, Phi the cumulative normal: -1 to 1."""
     return math.erf(z / math.sqrt(2.0))
 
 
 class ArousalTracker:
-    """Arousal, -1 to 1, by 10 ms frames; rises within 0.4 s, falls in 1.5 s, in silence to 0."""
+    """Tracker of a speaker's arousal, -1 to 1, by 10 ms frames.
+
+    Time constants: it rises with 0.4 s, falls with 1.5 s, and decays to 0 in silence with 2 s.
+    """
 
     def __init__(self) -> None:
         self._voiced_s = 0.0
@@ -49,7 +52,10 @@ class ArousalTracker:
     def push_voiced(
         self, loudness_z: float, pitch_z: float, tilt_z: float, loudness_trust: float
     ) -> float:
-        """Add a voiced speech frame, loudness weighted by `loudness_trust`; return the arousal."""
+        """Add a voiced frame, in standard deviations from the baseline; return the arousal.
+
+        loudness_trust: 0 to 1, by which the loudness is weighted.
+        """
         self._voiced_s += _FRAME_S
         fused = (
             _LOUDNESS_WEIGHT * loudness_trust * score(loudness_z)
@@ -60,7 +66,7 @@ class ArousalTracker:
         return self.push_unvoiced()
 
     def push_unvoiced(self) -> float:
-        """Add a speech frame without pitch, easing to the last voiced score; return the arousal."""
+        """Add an unvoiced frame of speech; return the arousal, eased to the voiced score."""
         aim = min(1.0, self._voiced_s / _CONFIDENT_S) * self._fused
         time_s = _ATTACK_S if aim > self.arousal else _RELEASE_S
         self.arousal += _FRAME_S / time_s * (aim - self.arousal)
@@ -85,10 +91,10 @@ _RECOVERY_FRAMES = 20.0 * _FRAMES_PER_S
 
 
 class GainJumpDetector:
-    """Detector of jumps of a microphone's gain, by the noise floor, which they lift with the voice.
+    """Detector of jumps of a microphone's gain: the gain changes the noise floor and the voice.
 
-    A voice that grows louder, or comes nearer, leaves the noise as it is. A noise that is switched
-    on looks like a jump as well; it costs the loudness its weight for a while, no more.
+    A voice that grows louder, or comes nearer, leaves the noise floor as it is. A noise that is
+    switched on is detected as a jump as well; this only reduces the weight of loudness for a while.
     """
 
     def __init__(self) -> None:
@@ -103,7 +109,7 @@ class GainJumpDetector:
         return min(1.0, self._n_since / _RECOVERY_FRAMES)
 
     def push(self, level_db: float) -> bool:
-        """Add the level of the next 10 ms, silence or not; return True where a jump is noticed."""
+        """Add the level of the next 10 ms, speech or not; return whether a jump is detected."""
         self._n_since += 1
         self._lowest_db = min(self._lowest_db, level_db)
         self._n_in_second += 1
@@ -129,10 +135,11 @@ _MOST_Z = 4.0
 
 
 class SpeakerBaseline:
-    """Mean and standard deviation of a feature, by exponential forgetting over 60 s of voiced time.
+    """Mean and standard deviation of a feature over voiced frames, forgotten over `memory_s`.
 
-    Before 60 s the mean is over all frames. The standard deviation is mixed with a prior's that
-    counts as 10 s, so that it is never below 0.38 of it: a monotone voice is no loud one.
+    Before `memory_s` of voiced time the mean is over all frames. The standard deviation is mixed
+    with `prior_sd`, which counts as 10 s: it is never below 0.38 of that, for 60 s of memory, so
+    that small variations of a monotone voice do not count as large.
     """
 
     def __init__(self, prior_sd: float, memory_s: float = 60.0) -> None:
@@ -160,7 +167,7 @@ class SpeakerBaseline:
         return min(_MOST_Z, max(-_MOST_Z, (value - self._mean) / sd))
 
     def doubt(self, worth_s: float) -> None:
-        """Limit the weight of all frames so far to `worth_s` seconds of voiced time."""
+        """Let all frames so far count as at most `worth_s` seconds, so that new ones prevail."""
         self._n_frames = min(self._n_frames, worth_s * _FRAMES_PER_S)
 
 
@@ -179,7 +186,7 @@ _LONGEST_UNVOICED_FRAMES = 0.4 * FRAMES_PER_S
 
 
 class SpeechGate:
-    """Detector of speech, by level and pitch of one 10 ms frame after the other."""
+    """Detector of speech in live sound, from level and pitch of each 10 ms frame."""
 
     def __init__(self) -> None:
         self._activity = VoiceActivityDetector()
@@ -193,7 +200,7 @@ class SpeechGate:
         return self._activity.floor_db
 
     def push(self, level_db: float, pitch_st: float) -> bool:
-        """Add the next frame; return whether it is speech. pitch_st: semitones, NaN if unvoiced."""
+        """Add a frame; return whether it is speech. pitch_st: in semitones, NaN if unvoiced."""
         is_voiced = pitch_st == pitch_st
         moved_st = abs(pitch_st - self._pitches_st[0])
         self._pitches_st.append(pitch_st)
@@ -221,10 +228,10 @@ _AFTER_JUMP_S = 2.0
 
 
 class VoiceTracker:
-    """Blocks of sound in, `VoiceFrame`s out, for one speaker or the mean of several.
+    """Tracker of the voice in a stream of sound, one `VoiceFrame` per block, for one speaker.
 
-    The z of a frame is against the frames before it. All z are 0 outside speech, and the
-    baselines do not change there.
+    Several speakers count as one. The z of a frame compare it with the frames before it. All z are
+    0 outside speech, and the baselines do not change there.
     """
 
     def __init__(self) -> None:
@@ -237,17 +244,17 @@ class VoiceTracker:
         self._arousal = ArousalTracker()
 
     def feed(self, samples: Array32, end_s: float | None = None) -> VoiceFrame:
-        """Return the `VoiceFrame` of the next block of samples.
+        """Add the next block of 10 ms of samples; return its `VoiceFrame`.
 
-        The last block of a stream may be shorter. NaN and infinite samples count as silence, those
-        beyond full scale as full scale.
+        The last block of a stream may be shorter. NaN and infinite samples count as silence; others
+        are clipped to full scale.
 
         Parameters
         ----------
         samples : Array32
             (160,) float32 at 16 kHz.
         end_s : float | None
-            Sound time of their end; None: they follow the last block without a gap.
+            Sound time in s of the block's end; None: it follows the last block without a gap.
 
         Returns
         -------

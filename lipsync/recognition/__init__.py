@@ -1,1 +1,1 @@
-"""Sound becomes phonemes, live: recognisers behind `lipsync.phonemes.LiveRecognizer`."""
+"""Recognition of phonemes in live sound: recognisers behind `lipsync.phonemes.LiveRecognizer`."""

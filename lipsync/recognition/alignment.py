@@ -3,17 +3,17 @@
 Offline, by pocketsphinx. Two passes over the sound: the first finds the words and their
 pronunciations, the second the phones. All published figures are against alignments at
 pocketsphinx's own beams. Where these lose the way in the second pass, tight ones often do not
-(design measurement: 4 failures of 40 utterances against 0); such an alignment says so, its accuracy
-was never compared.
+(design measurement: 4 failures of 40 utterances against 0); `Alignment.beams` is "tight"
+then; the accuracy of such alignments was never compared.
 
-Words that its dictionary does not hold are pronounced by gruut's lexicon, else its model, in IPA;
+Words that its dictionary lacks are pronounced by gruut's lexicon, else its model, in IPA;
 docs/decisions/0003-pronunciations.md says why.
 
 Forced alignment lays any text over any sound as long as it finds a path. The score is the mean
 over frames of log p(aligned phone) - log p(likeliest phone), the "goodness of pronunciation" of
 Witt and Young (Speech Communication 30, 2000) with the posteriors of a network: 0 where every
 phone aligned is the likeliest, lower the less they agree. docs/recognition.md says how the limits
-were found, and how often they err.
+`LEAST_SCORE` and `DOUBTFUL_SCORE` were found, and how often they err.
 """
 
 import re
@@ -45,15 +45,15 @@ _WORD = re.compile(r"[^\W_]+(?:'[^\W_]+)*'?")
 
 
 class AlignmentError(UserError):
-    """Sound and text do not fit each other; the message is one line."""
+    """Error for sound and text that do not fit each other; the message is one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """Phones and words of an utterance, without gaps between the phones.
+    """Phones and words of an utterance with their times, without gaps between the phones.
 
-    words: (word, start_s, end_s), silence left out. beams: those that found it. guessed: words that
-    the dictionary lacks.
+    words: (word, start_s, end_s), silence left out. beams: the search beams of pocketsphinx that
+    found the alignment. guessed: words that pocketsphinx's dictionary lacks.
     """
 
     phones: tuple[PhonemeEvent, ...]
@@ -76,12 +76,12 @@ def align(
     text : str
         English.
     pronouncer : Callable[[str], tuple[str, ...]]
-        Returns pronunciations of a word.
+        Returns the phones of a word that pocketsphinx's dictionary lacks.
 
     Returns
     -------
     Alignment
-        Phones and words with times in s.
+        Phones and words with times in s, and how they were found.
 
     Raises
     ------
@@ -125,7 +125,10 @@ def words_of(text: str) -> list[str]:
 def _teach(
     decoder: "Decoder", words: list[str], pronouncer: Callable[[str], tuple[str, ...]]
 ) -> tuple[str, ...]:
-    """Add the words that the decoder's dictionary lacks, by `pronouncer`; return these words."""
+    """Add the words that the decoder's dictionary lacks; return these words.
+
+    pronouncer: returns the phones of such a word.
+    """
     missing = tuple(word for word in dict.fromkeys(words) if decoder.lookup_word(word) is None)
     for word in missing:
         decoder.add_word(word, " ".join(pronouncer(word)), False)
@@ -135,9 +138,10 @@ def _teach(
 def _segments(
     decoder: "Decoder", pcm: bytes, words: list[str]
 ) -> list[tuple[str, list[tuple[str, int, int]]]]:
-    """Align words with sound; return (word, [(phone, first frame, n frames), ...]) in order.
+    """Align words with int16 sound at 16 kHz, in two passes of the decoder.
 
-    Raises RuntimeError if pocketsphinx finds no alignment.
+    Return (word, [(phone, first frame, n frames), ...]) in order, silences included, frames of
+    10 ms. Raises RuntimeError if pocketsphinx finds no alignment.
     """
     decoder.set_align_text(" ".join(words))
     _process(decoder, pcm)
@@ -195,19 +199,19 @@ def goodness_of_pronunciation(
     phones: tuple[PhonemeEvent, ...],
     weights: NetworkWeights | None = None,
 ) -> float:
-    """Return the mean score (<= 0) of an alignment's phones; low where the text is not spoken.
+    """Return the mean score (<= 0) of aligned phones; it is low where the text is not spoken.
 
-    Counted are the frames in which the alignment or the network has a phone that is not silence.
-    Raises WeightsError.
+    Counted are the frames in which the alignment or the network has a phone other than silence.
+    Raises WeightsError if the shipped weights are damaged.
 
     Parameters
     ----------
     samples : NDArray[np.float32]
         (n,) at 16 kHz.
     phones : tuple[PhonemeEvent, ...]
-        All with ends.
+        The aligned phones, all with ends.
     weights : NetworkWeights | None
-        None: the shipped ones.
+        Of the network that scores; None: the shipped ones.
 
     Returns
     -------
@@ -230,7 +234,10 @@ def goodness_of_pronunciation(
 
 
 def _late_posteriors(weights: NetworkWeights, samples: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the longest-waiting head's posteriors (n_frames, n_phonemes); frame k is at k hops."""
+    """Return the posteriors (n_frames, n_phonemes) of the head that waits longest.
+
+    Row k is of the 10 ms frame that begins at k * 10 ms, without the head's delay.
+    """
     n_frames, delay = max(1, -(-len(samples) // HOP)), weights.delays[-1]
     posteriors = recording_posteriors(weights, samples, n_frames + delay)
     return posteriors[delay:, -1]

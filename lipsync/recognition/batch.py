@@ -1,4 +1,4 @@
-"""The phonemes that the live recogniser settles on, for whole recordings at once. Offline.
+"""The phonemes that the live recogniser would report as final, for whole recordings. Offline.
 
 The arithmetic of `NetworkRecognizer` without its waiting: the network takes a recording in one go,
 the decoder goes forward frame by frame, but through many recordings side by side.
@@ -49,7 +49,7 @@ def settled_phonemes(
     Returns
     -------
     Iterator[tuple[PhonemeEvent, ...]]
-        They reach without gaps from 0 to the end of the recording.
+        The phonemes of each recording, without gaps from 0 to its end.
     """
     delay = frames_of_delay(latency_s)
     for first in range(0, len(recordings), TOGETHER):
@@ -88,8 +88,8 @@ def recording_posteriors(weights: NetworkWeights, samples: Array32, n_frames: in
 def _settled(posteriors: Array32, delays: tuple[int, ...], delay: int) -> NDArray[np.int64]:
     """Return the phonemes that `ViterbiDecoder` would settle, (n_recordings, n_frames - delay).
 
-    posteriors: (n_recordings, n_frames, n_heads, n_phonemes). A frame is settled `delay` frames
-    later, by the best path through the frames heard since.
+    posteriors: (n_recordings, n_frames, n_heads, n_phonemes). delays: frames that each head waits.
+    A frame is settled `delay` frames later, by the best path through the frames heard since.
     """
     scores = log_scores(posteriors, SMOOTH)
     penalties = np.stack((change_penalties(SMOOTH), waking_penalties(SMOOTH)))

@@ -1,7 +1,7 @@
 """From posteriors to phonemes by Viterbi search, in time for closures.
 
-At the delay D the phoneme of frame n - D is settled when frame n was heard. Every frame of the
-stretch in between has the scores of the best head that covers it (the one with the longest delay).
+With a delay of D frames, frame n - D is settled (its phoneme becomes final) when frame n was heard.
+Every frame in between has the scores of the best head that covers it (that of the longest delay).
 A Viterbi search with a penalty for every change of phoneme runs over all of it: the frames after
 n - D, known from the quick heads, smooth what is settled without waiting any longer.
 
@@ -29,10 +29,10 @@ class DecoderSettings:
     """Penalties and weights, chosen on two speakers not used in training (docs/recognition.md).
 
     switch_penalty: of a change of phoneme, in natural-log units; closure_penalty: of a change to a
-    closure (P B M, F V), which smoothing would swallow; closure_bonus: added to a closure's score;
+    closure (P B M, F V), which smoothing would remove; closure_bonus: added to a closure's score;
     phone_weight: of the phone within its viseme class, against the class itself. waking_penalty: of
-    a change from silence after a pause, on top of the other; waking_frames: that have to be speech
-    then, as far as so many are known.
+    a change from silence after a pause, added to the penalty of any change; waking_frames: number
+    of frames that all have to be speech then, or all that are known if fewer are.
     """
 
     switch_penalty: float = 2.0
@@ -52,9 +52,9 @@ SMOOTH = DecoderSettings()
 class PosteriorFormat:
     """The names and delays that belong to a recogniser's posteriors (n_frames, n_heads, n_names).
 
-    names: of the last axis. delays: frames that each head waits, rising: in frame k the head that
-    waits d frames gives frame k - d. The posteriors of a head in a frame sum to 1, as they were
-    learned: no temperature is applied.
+    names: phonemes of the last axis. delays: frames that each head waits, rising: in frame k the
+    head that waits d frames gives frame k - d. The posteriors of a head in a frame sum to 1, as
+    they were learned: no temperature is applied.
     """
 
     names: tuple[str, ...]
@@ -64,8 +64,8 @@ class PosteriorFormat:
 class ViterbiDecoder:
     """Decoder of scores to phonemes, one frame after the other, each settled D frames later.
 
-    heard: the format of the posteriors; their names are `PHONEMES`. delay: D, at least the first of
-    the heads' delays.
+    heard: the format of the posteriors; their names are `PHONEMES`. delay: D, at least the delay of
+    the quickest head. settings: penalties and weights.
     """
 
     def __init__(
@@ -94,11 +94,11 @@ class ViterbiDecoder:
 
     @property
     def is_awake(self) -> bool:
-        """Whether the decoder has settled speech within the last `PAUSE_FRAMES` frames."""
+        """Whether speech was settled within the last `PAUSE_FRAMES` (17) settled frames."""
         return self._n_silent < PAUSE_FRAMES
 
     def scores(self, posteriors: Array32) -> Array32:
-        """Return the log scores of posteriors, which `push` takes frame by frame.
+        """Return the log scores of posteriors, to be passed to `push` frame by frame.
 
         Parameters
         ----------
@@ -124,7 +124,7 @@ class ViterbiDecoder:
         -------
         tuple[int | None, list[int]]
             The phoneme (its number in `PHONEMES`) now settled, None before the first; and those of
-            the later frames that a head has scored.
+            the later frames that a head has scored so far, provisional.
         """
         n, length = self._n_heard, len(self._recent)
         self._n_heard += 1
@@ -155,9 +155,10 @@ class ViterbiDecoder:
         return SILENCE_INDEX not in path[: self._settings.waking_frames]
 
     def _changed(self, best: Array32) -> tuple[Array32, Array32, int]:
-        """Return each phoneme's best score before the next frame, by staying or by a change.
+        """Return each phoneme's best score on entering the next frame, by staying or by a change.
 
-        Also whether staying gives it, for each phoneme, and the phoneme that changes come from.
+        best: each phoneme's score in the frame before. Also returned: for each phoneme whether
+        staying gives its score, and the number of the phoneme that changes come from.
         """
         leader = int(best.argmax())
         is_waking = leader == SILENCE_INDEX and not self.is_awake
@@ -165,9 +166,10 @@ class ViterbiDecoder:
         return np.maximum(best, changed), best >= changed, leader
 
     def _path(self, best: Array32, frames: list[Array32]) -> list[int]:
-        """Return the best path of phonemes through the frames and the one before them.
+        """Return the phonemes of the best path: one of the frame scored `best`, then one per frame.
 
-        In each frame a phoneme stays, or comes from the best one at the penalty of a change.
+        In each of `frames`, scores (n_phonemes,), a phoneme stays, or comes from the best phoneme
+        of the frame before at the penalty of a change.
         """
         steps = []
         for scores in frames:
@@ -184,7 +186,10 @@ class ViterbiDecoder:
 
 
 def best_heads(delays: tuple[int, ...], delay: int) -> list[int]:
-    """Return the head of the longest delay <= age for each age from delays[0] to `delay` frames."""
+    """Return the number of the best head for frames of each age, from delays[0] to `delay` frames.
+
+    It is the head with the longest of the `delays` that is not above the age.
+    """
     return [
         max(index for index, d in enumerate(delays) if d <= age)
         for age in range(delays[0], delay + 1)
@@ -192,7 +197,7 @@ def best_heads(delays: tuple[int, ...], delay: int) -> list[int]:
 
 
 def change_penalties(settings: DecoderSettings) -> Array32:
-    """Return the cost of a change to each phoneme.
+    """Return the cost of a change from any other phoneme to each phoneme.
 
     Parameters
     ----------

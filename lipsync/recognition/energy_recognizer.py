@@ -1,4 +1,4 @@
-"""The last fallback levels: a jaw that follows the level of the sound, and a mouth kept closed."""
+"""The last fallback recognisers: a jaw that follows the level of the sound, and a closed mouth."""
 
 import math
 
@@ -19,18 +19,18 @@ _QUIET, _WIDE = "AH", "AA"
 
 
 class EnergyRecognizer:
-    """A `LiveRecognizer` by level alone: it gives AA (loud), AH (quieter) and silence, no more."""
+    """A `LiveRecognizer` by sound level alone: it reports AA (loud), AH (quieter) and silence."""
 
     def __init__(self) -> None:
         self.reset()
 
     @property
     def latency_s(self) -> float:
-        """Seconds until phonemes are settled: at sound time t, those before t - latency_s are."""
+        """Seconds until a phoneme is final: at sound time t, those before t - latency_s are."""
         return LATENCY_S
 
     def reset(self) -> None:
-        """Forget everything, ready for a new stream at sound time 0."""
+        """Forget all sound and phonemes; the next block begins a new stream, from time 0 on."""
         self._input = AudioInput()
         self._activity = VoiceActivityDetector()
         self._updates = UpdateBuilder(FRAMES_PER_S, round(LATENCY_S * FRAMES_PER_S))
@@ -49,7 +49,7 @@ class EnergyRecognizer:
         self._process(samples)
 
     def updates(self) -> list[PhonemeUpdate]:
-        """Return one update if a whole frame was heard since the last call, else []."""
+        """Return one update if a 10 ms frame was completed since the last call, else []."""
         if self._n_heard == self._n_reported:
             return []
         self._n_reported = self._n_heard
@@ -75,7 +75,7 @@ ENERGY = RecognizerKind(lambda _weights, _latency_s: EnergyRecognizer(), LATENCY
 
 
 class NeutralRecognizer:
-    """A `LiveRecognizer` that gives silence only: the mouth stays closed. It cannot fail."""
+    """A `LiveRecognizer` that reports silence only: the mouth stays closed. It cannot fail."""
 
     latency_s = 0.0
 
@@ -83,11 +83,11 @@ class NeutralRecognizer:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything, ready for a new stream at sound time 0."""
+        """Forget all sound and phonemes; the next block begins a new stream, from time 0 on."""
         self._heard_s = self._reported_s = 0.0
 
     def feed(self, block: AudioBlock) -> None:
-        """Note the end time of the block; its sound is ignored."""
+        """Store the end time of the block, up to which silence is reported; ignore its sound."""
         self._heard_s = max(self._heard_s, block.end_s)
 
     def updates(self) -> list[PhonemeUpdate]:

@@ -1,8 +1,8 @@
-"""The ladder of recognisers: one that fails is left, and tried again when all is quiet.
+"""The ladder of recognisers: one that fails is replaced by the next, and tried again later.
 
 Levels from the best down: network, energy (the jaw only), neutral. A level that raises is left at
-once, one that cannot keep up once there is a backlog (`Pace`); the next one takes over at the block
-that the last one was not fed, and has heard the seconds before. Where a clock is given better
+once, one that cannot keep up once there is a backlog (`Pace`); the next one takes over at the first
+block not fed to that level, after the seconds of sound before it. Where a clock is given better
 levels are tried again beside the one in use (`Trial`), and take over in a pause. The neutral level,
 a closed mouth, cannot fail. Why so: docs/decisions/0038.
 
@@ -60,7 +60,7 @@ _PAUSE_S = 0.2
 
 
 class Pace:
-    """A check that one recogniser keeps up: `note` the cost of each step, then read `failing`."""
+    """A check that one recogniser keeps up: `note` the cost of each step, then call `failing`."""
 
     def __init__(self) -> None:
         self._shares: deque[float] = deque(maxlen=_REMEMBERED)
@@ -70,7 +70,7 @@ class Pace:
 
     @property
     def share(self) -> float:
-        """Seconds that a second of sound takes: the median of the last steps, 0 before the first.
+        """Seconds of work per second of sound: the median of the last steps, 0 before the first.
 
         On a busy computer this is inexact, as a step is shorter than a time slice.
         """
@@ -78,12 +78,12 @@ class Pace:
 
     @property
     def may_hurry(self) -> bool:
-        """Whether the recogniser is fast enough to process several blocks at once."""
+        """Whether the recogniser may be fed several blocks at once: it is not hopelessly slow."""
         return len(self._shares) >= _FEWEST_TRIED and self.share < _HOPELESS_SHARE
 
     @property
     def is_too_slow_to_be_tried(self) -> bool:
-        """Whether the recogniser takes over half of the time, too much beside another level."""
+        """Whether a second of sound costs over 0.5 s, too much beside another level in use."""
         return len(self._shares) >= _FEWEST_TRIED and self.share > _TRIED_SHARE
 
     def note(self, cost_s: float, sound_s: float) -> None:
@@ -93,9 +93,9 @@ class Pace:
             self._shares.append(cost_s / sound_s)
 
     def failing(self, now_s: float, waiting_s: float) -> str | None:
-        """Return why the recogniser should be replaced, in words; None if it keeps up, or may yet.
+        """Return in words why the recogniser should be replaced; None if it keeps up or still may.
 
-        waiting_s: of the sound that has come, what was not recognised after the step just noted.
+        now_s: by the clock. waiting_s: seconds of sound that wait after the step noted last.
         """
         if waiting_s <= _BACKLOG_S:
             self._behind_since_s, self._n_behind = None, 0
@@ -113,10 +113,10 @@ class Pace:
 
 
 class LadderLevel:
-    """A named recogniser of the ladder, with sound times in and out, whenever it was begun.
+    """A named recogniser of the ladder; its inputs and results are in the stream's sound time.
 
-    The recogniser itself counts from there: one that begins after hours would otherwise fill the
-    hours with silence, frame by frame.
+    The recogniser itself counts from where it was begun: one that begins after hours would
+    otherwise fill these hours with silence, frame by frame.
     """
 
     def __init__(self, name: str, recognizer: LiveRecognizer) -> None:
@@ -137,7 +137,7 @@ class LadderLevel:
 
     @property
     def hearing(self) -> Hearing | None:
-        """The recogniser's class of the sound: speech, noise, silence; None if it reports none."""
+        """The recogniser's sound class: speech, noise, silence; None if it reports no class."""
         return None if self._listener is None else self._listener.hearing
 
     def begin(self, sound_s: float) -> None:
@@ -148,27 +148,27 @@ class LadderLevel:
         self.is_pause = True
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """Pass the servos' speeds (n_servos,) in deg/s to the recogniser if it can use them."""
+        """Pass the servos' speeds (n_servos,), deg/s, to a recogniser that can use them."""
         if isinstance(self._recognizer, ServoListener):
             self._recognizer.note_servo_speeds(sound_s - self._offset_s, speeds_deg_s)
 
     @property
     def moved_by(self) -> MovedBy | None:
-        """`text` if the phonemes now settled were found in a given text, `sound` if recognised."""
+        """`text` if the final phonemes are from a given text, `sound` if heard; None if unknown."""
         return self._follower.moved_by if self._follower is not None else "sound"
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """The words around the one being spoken, and its index in them; ((), 0) without a text."""
+        """The words around the one being spoken, and its index among them; ((), 0) without text."""
         return ((), 0) if self._follower is None else self._follower.saying
 
     def forget(self) -> None:
-        """Drop the words of the given text that are not spoken yet."""
+        """Drop the words given by `tell` that are not spoken yet."""
         if self._follower is not None:
             self._follower.forget()
 
     def tell(self, words: Sequence[PronouncedWord], behind_s: float) -> None:
-        """Give the recogniser the next words, in sound time; ignored if it follows no text."""
+        """Give a recogniser that follows text words whose sound began `behind_s` seconds ago."""
         if self._follower is None:
             return
         offset_s = self._offset_s
@@ -179,7 +179,7 @@ class LadderLevel:
         self._follower.tell(own_time, behind_s)
 
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
-        """Let the recogniser compute ahead on the next blocks; ignored if it cannot."""
+        """Let the recogniser compute ahead on the next blocks; do nothing if it cannot."""
         if isinstance(self._recognizer, PreparingRecognizer):
             self._recognizer.prepare([self._of_its_own_time(block) for block in blocks])
 
@@ -204,14 +204,14 @@ class LadderLevel:
 
 
 class Trial:
-    """A level that is tried beside the one in use, on the last seconds of sound and new sound.
+    """A trial of a level beside the one in use, on the last seconds of sound and new sound.
 
     Call `add` and `go_on` in each step; then read `failed`, and `is_ready`: the level has caught
     up, and there is a pause. Memory is bounded: a trial that falls behind has failed.
     """
 
     def __init__(self, level: LadderLevel, recent: Iterable[AudioBlock], now_s: float) -> None:
-        """Start a trial. recent: the sound before `now_s`, at least one block."""
+        """Start a trial at clock time `now_s`; `recent`: the sound before, at least one block."""
         self.level = level
         self.failed = False
         self.is_ready = False
@@ -225,7 +225,7 @@ class Trial:
         self._waiting.extend(blocks)
 
     def go_on(self, timer_s: Callable[[], float]) -> None:
-        """Feed some waiting blocks; set `failed` and `is_ready`. Raises what the level raises."""
+        """Feed waiting blocks, timed by `timer_s`; set `failed`, `is_ready`. May raise anything."""
         began_s = now_s = timer_s()
         n_fed = 0
         while self._waiting and n_fed < _TRIED_IN_A_STEP and now_s < began_s + _TRIED_FOR_S:
@@ -251,10 +251,7 @@ class Trial:
 def _fed(
     level: LadderLevel, blocks: Sequence[AudioBlock], timer_s: Callable[[], float], before_s: float
 ) -> float:
-    """Feed consecutive blocks to a level, several at once if possible; return the time afterwards.
-
-    before_s: the time now. The step's cost is noted in the level's pace.
-    """
+    """Feed blocks to a level, add the cost since `before_s` to its pace, return the time now."""
     if len(blocks) > 1:
         level.prepare(blocks)
     level.feed(blocks)
@@ -305,11 +302,11 @@ class FallbackLevel:
 
 
 class FallbackRecognizer:
-    """A `PreparingRecognizer` that falls back to the next level instead of failing.
+    """A `PreparingRecognizer` of several levels, the best first; one that fails is replaced.
 
     All levels are made at the beginning, so that nothing is loaded while a face runs. latency_s: no
-    level may need longer. timer_s: seconds on a clock, to see that a level does not keep up, and to
-    try better ones again; None in offline use, where sound may be prepared ahead of its time.
+    level may need longer. timer_s: seconds on a clock, to find that a level does not keep up, and
+    to try better ones again; None in offline use, where sound may be prepared ahead of its time.
     """
 
     def __init__(
@@ -334,12 +331,12 @@ class FallbackRecognizer:
 
     @property
     def latency_s(self) -> float:
-        """Seconds until phonemes are settled: at sound time t, those before t - latency_s are."""
+        """Seconds until a phoneme is final: at sound time t, those before t - latency_s are."""
         return self._latency_s
 
     @property
     def ahead_s(self) -> float:
-        """Seconds of sound to give `prepare` at once; 0 where a clock measures each block."""
+        """Seconds of sound to give `prepare` at once; 0 where a clock times each block."""
         return 0.0 if self._timer_s is not None else self._level.ahead_s
 
     @property
@@ -360,16 +357,16 @@ class FallbackRecognizer:
 
     @property
     def moved_by(self) -> MovedBy | None:
-        """`text` if the phonemes now settled were found in a given text, `sound` if recognised."""
+        """`text` if the final phonemes are from a given text, `sound` if heard; None if unknown."""
         return self._level.moved_by
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """The words around the one being spoken, and its index in them; ((), 0) without a text."""
+        """The words around the one being spoken, and its index among them; ((), 0) without text."""
         return self._level.saying
 
     def forget(self) -> None:
-        """Drop the words of the given text that are not spoken yet."""
+        """Drop the words given to the level in use by `tell` that are not spoken yet."""
         try:
             self._level.forget()
         except Exception as error:  # as in feed
@@ -378,8 +375,8 @@ class FallbackRecognizer:
     def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
         """Give the level in use the next words of a text. Raises TextError for too many words.
 
-        behind_s: seconds of these words' sound that were fed already. A level that raises anything
-        else is replaced.
+        behind_s: seconds of these words' sound that were fed already. A level that raises any other
+        error is replaced.
         """
         try:
             self._level.tell(words, behind_s)
@@ -389,7 +386,7 @@ class FallbackRecognizer:
             self._fall_back(_in_words(error))
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """Pass speeds (n_servos,) in deg/s to the level in use and the one on trial."""
+        """Pass the servos' speeds (n_servos,), deg/s, to the level in use and that on trial."""
         try:
             self._level.note_servo_speeds(sound_s, speeds_deg_s)
         except Exception as error:  # as in feed
@@ -405,13 +402,13 @@ class FallbackRecognizer:
         self._forget()
 
     def feed(self, block: AudioBlock) -> None:
-        """Feed the next block; a level that raises is replaced by the next one."""
+        """Feed the next block; a level that raises is replaced by the next lower one."""
         self.feed_all((block,))
 
     def feed_all(self, blocks: Sequence[AudioBlock]) -> None:
         """Feed all blocks that have come, the oldest first; a level that raises is replaced.
 
-        Where a clock is given, of more than `LONGEST_WAITING_S` the oldest are left out.
+        With a clock, of a backlog longer than `LONGEST_WAITING_S` the oldest blocks are dropped.
         """
         if self._timer_s is None:
             for block in blocks:
@@ -420,14 +417,14 @@ class FallbackRecognizer:
             self._keep_up(blocks, self._timer_s)
 
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
-        """Let the level in use compute ahead on the next blocks; one that raises is replaced."""
+        """Let the level in use compute ahead on the next blocks; replace it if it raises."""
         try:
             self._level.prepare(blocks)
         except Exception as error:  # as in feed
             self._fall_back(_in_words(error))
 
     def updates(self) -> list[PhonemeUpdate]:
-        """Return the level's new updates, cut so that nothing final changes; [] if it raises."""
+        """Return the new updates of the level in use, final phonemes unchanged; [] if it raises."""
         try:
             updates = self._level.updates()
         except Exception as error:  # as in feed
@@ -471,7 +468,7 @@ class FallbackRecognizer:
     def _keep_up(self, blocks: Sequence[AudioBlock], timer_s: Callable[[], float]) -> None:
         """Feed blocks, in a backlog several at once, and replace a level that does not keep up.
 
-        As sound arrives meanwhile, the backlog is what is left plus the time that has passed.
+        As sound arrives meanwhile, the backlog is the blocks left plus the time that has passed.
         """
         end_s = blocks[-1].end_s
         if end_s - blocks[0].start_s > LONGEST_WAITING_S:
@@ -499,7 +496,7 @@ class FallbackRecognizer:
     def _hear(
         self, blocks: Sequence[AudioBlock], timer_s: Callable[[], float], now_s: float
     ) -> float:
-        """Feed blocks to the level in use, or the first below that works; return the time then."""
+        """Feed blocks to the level in use, or the first below that works; return the time now."""
         while True:
             try:
                 now_s = _fed(self._level, blocks, timer_s, now_s)
@@ -512,7 +509,10 @@ class FallbackRecognizer:
     def _fall_back(
         self, reason: str, longest_wait_s: float = _LONGEST_WAIT_S, next_s: float = 0.0
     ) -> None:
-        """Replace the level in use by the next one. next_s: start of the next block, in s."""
+        """Replace the level in use by the next lower one that works, if it is not the neutral one.
+
+        reason: in words. longest_wait_s: until a better level is tried. next_s: next block's start.
+        """
         left = self._current
         if left == self._usable[-1]:
             return  # the neutral one: nothing is below
@@ -540,7 +540,7 @@ class FallbackRecognizer:
     def _try_better(
         self, heard: Sequence[AudioBlock], timer_s: Callable[[], float], now_s: float
     ) -> None:
-        """Start a trial of a better level if it is due, or continue it; switch to a ready level."""
+        """Start a trial of a better level if due, or feed it `heard`; switch to it if ready."""
         try:
             if self._trial is not None:
                 self._trial.add(heard)
@@ -561,7 +561,7 @@ class FallbackRecognizer:
             self._take(self._trial.level, timer_s())
 
     def _end_trial(self, longest_wait_s: float) -> None:
-        """Drop a failed trial; schedule the next level's, at most `longest_wait_s` from now."""
+        """Drop a failed trial; schedule one of the next level, in `longest_wait_s` at most."""
         self._trial = None
         self._next_tried += 1
         self._wait_s = min(2.0 * self._wait_s, longest_wait_s)
@@ -569,7 +569,7 @@ class FallbackRecognizer:
             self._try_at_s = self._timer_s() + self._wait_s
 
     def _take(self, level: LadderLevel, now_s: float) -> None:
-        """Switch to a level after its trial: all that is not final yet comes from it then on."""
+        """Switch to `level` after its trial: it provides all phonemes that are not final yet."""
         self._trial = None
         self._current = self._levels.index(level)
         self._next_tried = 0
@@ -586,7 +586,7 @@ def _in_words(error: Exception) -> str:
 
 
 def _after(update: PhonemeUpdate, final_until_s: float) -> PhonemeUpdate:
-    """Return the update without its events that end before `final_until_s`."""
+    """Return the update from `final_until_s` on: events that end before are left out."""
     if update.replace_from_s >= final_until_s:
         return update
     return replace(

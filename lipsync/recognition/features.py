@@ -2,8 +2,9 @@
 
 Recipe: pre-emphasis 0.97, 25 ms Hamming window, 10 ms hop, 512-point FFT, 40 mel bands from 60 to
 7600 Hz, natural log of power + 1e-7 (design measurement, recogniser.md). On top of it the level: a
-peak that rises within a few frames and falls slowly is taken off all bands, so that a voice 30 dB
-lower looks the same as soon as it speaks; then a causal running mean is taken off each band.
+peak that rises within a few frames and falls slowly is subtracted from all bands, so that a voice
+30 dB lower has the same features as soon as it speaks; then a causal running mean is subtracted
+from each band.
 """
 
 from collections.abc import Iterable
@@ -45,7 +46,7 @@ _OFFSETS = np.arange(WINDOW)
 
 
 def log_mel(emphasised: Array32) -> Array32:
-    """Return the log-mel power of frames of 25 ms, one every 10 ms.
+    """Return the log power of 40 mel bands in frames of 25 ms, one every 10 ms.
 
     Parameters
     ----------
@@ -67,14 +68,14 @@ def log_mel(emphasised: Array32) -> Array32:
 
 
 class LogMelStream:
-    """Samples in pieces of any size in, log-mel frames out as soon as their 25 ms are complete."""
+    """Converter of samples in pieces of any size to log-mel frames, once these are complete."""
 
     def __init__(self) -> None:
         self._last_sample = np.float32(0.0)
         self._waiting: Array32 = np.zeros(0, np.float32)
 
     def push(self, samples: Array32) -> Array32:
-        """Return the log-mel frames that new samples complete.
+        """Add samples; return the log-mel frames of 25 ms that they complete.
 
         Parameters
         ----------
@@ -101,14 +102,14 @@ class LogMelStream:
 
 @dataclass(frozen=True, slots=True)
 class FeatureScale:
-    """Mean and standard deviation (40,) of each band below the peak, measured in training."""
+    """Mean and standard deviation (40,) of each band relative to the peak, from training."""
 
     mean: Array32
     deviation: Array32
 
     @classmethod
     def of(cls, recordings: Iterable[Array32]) -> "FeatureScale":
-        """Return the scale of the loud frames of recordings: mean and deviation of each band.
+        """Return the scale of recordings: mean and deviation of each band over their loud frames.
 
         Parameters
         ----------
@@ -131,7 +132,7 @@ class FeatureScale:
 
 
 class PeakFollower:
-    """A slowly falling peak of log-mel frames, which is subtracted from all their bands."""
+    """Follower of the peak level of log-mel frames, to subtract it from them; it falls slowly."""
 
     def __init__(self) -> None:
         self._peak = _FIRST_PEAK
@@ -149,7 +150,7 @@ class PeakFollower:
         Returns
         -------
         tuple[Array32, bool]
-            (40,), 0 at the peak, and the flag.
+            (40,), 0 for a band at the peak; and True within 35 dB.
         """
         if level > self._peak:
             self._peak += _ATTACK * (level - self._peak)
@@ -160,7 +161,7 @@ class PeakFollower:
 
 
 class LevelNormalizer:
-    """Log-mel frames in, features independent of the level out; causal, one frame at a time."""
+    """Normaliser of log-mel frames to features independent of the sound's level; causal."""
 
     def __init__(self, scale: FeatureScale) -> None:
         self._deviation = scale.deviation
@@ -169,7 +170,7 @@ class LevelNormalizer:
         self._peak = PeakFollower()
 
     def push(self, frames: Array32) -> Array32:
-        """Return the features of log-mel frames, independent of the sound's level.
+        """Return the features of the next log-mel frames, independent of the sound's level.
 
         Parameters
         ----------

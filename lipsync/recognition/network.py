@@ -1,7 +1,7 @@
-"""The recogniser's network at run time, in NumPy: causal convolutions over features, as they come.
+"""The recogniser's neural network at run time, in NumPy: causal convolutions over live features.
 
 An entry convolution, residual dilated convolutions (x + relu(W past + b)), one output layer with a
-head for each delay: head h, at frame n, gives the posteriors of the phones of frame n - delay.
+head for each delay: head h, at frame n, gives the phones' posteriors of frame n - delays[h].
 
 Its weights are one .npz of float16 arrays, never pickle.
 """
@@ -35,7 +35,7 @@ _ROWS = 8
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """A causal convolution: kernel (3 n_in, n_out), oldest tap first; bias (n_out,)."""
+    """A causal convolution, three taps: kernel (3 n_in, n_out), oldest first; bias (n_out,)."""
 
     kernel: Array32
     bias: Array32
@@ -46,7 +46,8 @@ class Layer:
 class NetworkWeights:
     """All learned weights of the network.
 
-    output: (n_channels, n_heads n_phonemes); delays: frames that each head waits, rising.
+    scale: of its features. output: (n_channels, n_heads n_phonemes); delays: frames that each head
+    waits, rising; phonemes: names in the order of the outputs.
     """
 
     scale: FeatureScale
@@ -59,7 +60,7 @@ class NetworkWeights:
 
 
 class StreamingNetwork:
-    """The network on a stream: features in, posteriors out; a new one starts from silence.
+    """The network on a live stream: features in, posteriors out; a new one starts from silence.
 
     A single frame, as live, costs a product of a vector and a matrix a layer. Several frames at
     once cost one product of two matrices a layer, a fraction of that for each frame.
@@ -71,7 +72,7 @@ class StreamingNetwork:
         self._residuals = [_StreamingLayer(layer) for layer in weights.residuals]
 
     def push(self, features: Array32) -> Array32:
-        """Return the posteriors of new frames of features.
+        """Return the phoneme posteriors for the next frames of features.
 
         Parameters
         ----------
@@ -98,7 +99,7 @@ class StreamingNetwork:
 
 
 class _StreamingLayer:
-    """One convolution with relu, which stores as many inputs as its kernel reaches back."""
+    """One convolution with relu on a stream; it stores the past inputs that its kernel needs."""
 
     def __init__(self, layer: Layer) -> None:
         self._layer = layer
@@ -157,7 +158,7 @@ SHIPPED = {DEFAULT_WEIGHTS: "recognizer.npz", "grid": "recognizer_grid.npz"}
 
 
 class WeightsError(UserError):
-    """A weights file cannot be used; the message is one line: which, why, what to do."""
+    """Error for a weights file that cannot be used; the message is one line: which, why, remedy."""
 
 
 def save_weights(
@@ -165,10 +166,10 @@ def save_weights(
     path: str | PathLike[str],
     provenance: Mapping[str, object] | None = None,
 ) -> None:
-    """Write the weights to a file, whole or not at all. Raises OutputError.
+    """Write the network's weights to the file `path`, whole or not at all. Raises OutputError.
 
-    Half precision changes posteriors by less than 0.01 (tested). provenance: where they are from,
-    stored in the file as JSON (`provenance`); nothing that runs reads it.
+    Half precision changes posteriors by less than 0.01 (tested). provenance: origin of the weights,
+    stored in the file as JSON (`provenance`), where no program reads it at run time.
     """
     layers = (weights.entry, *weights.residuals)
     arrays: dict[str, NDArray[np.generic]] = {
@@ -191,7 +192,7 @@ def save_weights(
 
 
 def is_weights(head: bytes) -> bool:
-    """Return whether `head`, the first bytes of a file, looks like a file of weights."""
+    """Return whether a file's first bytes are of a zip with `format.npy`, as weights files are."""
     return head.startswith(b"PK") and b"format.npy" in head
 
 
@@ -216,13 +217,13 @@ def load_weights(path: str | PathLike[str]) -> NetworkWeights:
 
 
 def load_shipped_weights(name: str = DEFAULT_WEIGHTS) -> NetworkWeights:
-    """Return weights that come with the package; raise WeightsError if missing or damaged."""
+    """Return the weights `name` of the package; raise WeightsError if missing or damaged."""
     with resources.as_file(resources.files("lipsync.models") / SHIPPED[name]) as path:
         return load_weights(path)
 
 
 def find_weights(name_or_path: str) -> NetworkWeights:
-    """Return shipped weights by name, or those of a file; raise WeightsError for neither."""
+    """Return shipped weights by name, or a file's; raise WeightsError if neither is usable."""
     _check_name(name_or_path)
     if name_or_path in SHIPPED:
         return load_shipped_weights(name_or_path)
@@ -230,7 +231,10 @@ def find_weights(name_or_path: str) -> NetworkWeights:
 
 
 def weights_digest(name_or_path: str) -> str:
-    """Return 16 hex digits of the SHA-256 of a weights file; raise WeightsError if unreadable."""
+    """Return 16 hex digits of the SHA-256 of a weights file, or of shipped weights by name.
+
+    Raises WeightsError if there is no such file, or it is unreadable.
+    """
     _check_name(name_or_path)
     shipped = SHIPPED.get(name_or_path)
     place = Path(name_or_path) if shipped is None else resources.files("lipsync.models") / shipped
@@ -241,10 +245,10 @@ def weights_digest(name_or_path: str) -> str:
 
 
 def check_weights(name_or_path: str) -> None:
-    """Raise WeightsError for what is neither shipped nor a file of weights that can be used.
+    """Raise WeightsError unless `name_or_path` is of shipped weights or of a usable weights file.
 
-    The default weights are not read: where they are damaged a lesser recogniser takes over. Other
-    weights are loaded to check them.
+    The default weights are not read: where they are damaged a lesser recogniser replaces them.
+    Other weights are loaded to check them.
     """
     if name_or_path != DEFAULT_WEIGHTS:
         find_weights(name_or_path)

@@ -44,14 +44,14 @@ FOLLOWING_LATENCY_S: Final = _WINDOW_S + FOLLOWING.settled_frames / FRAMES_PER_S
 
 
 class NetworkRecognizer:
-    """A `PreparingRecognizer` of phonemes; takes any rate and block size, gaps as silence.
+    """A `PreparingRecognizer` of phonemes; accepts any rate and block size, gaps count as silence.
 
     Where words are given it is a `TextFollower`: what it finds of them in the sound is reported as
-    soon as its phonemes, but settled later, when the network's last head has spoken. A look-ahead
-    waits as long anyway.
+    soon as its phonemes, but is final later, when the network's last head has scored it. A
+    look-ahead waits as long anyway.
 
-    latency_s: 25 ms plus so many frames as a head of the network waits, or more. It may revise only
-    what is not final. Memory stays bounded as long as `updates` is called.
+    latency_s: 25 ms plus the frames that a head of the network waits, or more. The recogniser
+    revises only phonemes that are not final. Memory stays bounded as long as `updates` is called.
     settings: of the decoder; None for those that fit the latency.
     """
 
@@ -74,17 +74,17 @@ class NetworkRecognizer:
 
     @property
     def latency_s(self) -> float:
-        """Seconds until phonemes are settled: at sound time t, those before t - latency_s are."""
+        """Seconds until a phoneme is final: at sound time t, those before t - latency_s are."""
         return _WINDOW_S + self._delay / FRAMES_PER_S
 
     @property
     def ahead_s(self) -> float:
-        """Seconds of sound that `prepare` is best given at once."""
+        """Seconds of sound that are best given to `prepare` at once, 0.64."""
         return _AHEAD_S
 
     @property
     def hearing(self) -> Hearing:
-        """The class of the last settled sound: speech until a pause, then noise or silence."""
+        """The class of the newest final sound: speech until a pause, then noise or silence."""
         if self._decoder.is_awake:
             return "speech"
         quiet_s = (self._n_heard - self._noticed_at) / FRAMES_PER_S
@@ -92,22 +92,22 @@ class NetworkRecognizer:
 
     @property
     def moved_by(self) -> MovedBy:
-        """`text` if the phonemes now settled were found in a given text, `sound` if recognised."""
+        """`text` if the phonemes now final were found in a given text, `sound` if recognised."""
         is_text = bool(self._followed) and self._followed[0] != HEARD
         return "text" if is_text else "sound"
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """The words around the one being spoken, and its index in them; ((), 0) without a text."""
+        """The words around the one being spoken, and its index among them; ((), 0) without text."""
         return ((), 0) if self._text is None else self._text.saying
 
     def forget(self) -> None:
-        """Drop the words of the given text that are not spoken yet."""
+        """Drop the words given by `tell` that are not spoken yet."""
         if self._text is not None:
             self._text.forget()
 
     def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
-        """Add the words that come next in the sound, after all earlier ones.
+        """Add the words that come next in the sound, after all words given before.
 
         Raises TextError for too many words.
 
@@ -120,7 +120,7 @@ class NetworkRecognizer:
         self._text.tell(words, behind_s)
 
     def reset(self) -> None:
-        """Forget everything, ready for a new stream at sound time 0."""
+        """Forget the stream, ready for a new one from time 0; keep the learned servo noise."""
         self._input = AudioInput()
         if self._own_noise is not None:
             self._own_noise.begin()
@@ -139,16 +139,16 @@ class NetworkRecognizer:
         self._followed: list[int] = []  # of the same newest frames, as the text has them
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """Note the speeds of the robot's servos, so that their noise is not taken for a voice.
+        """Store the speeds of the robot's servos, so that their noise is not recognised as voice.
 
         The noise is learned while sound is fed, and kept through `reset`.
 
         Parameters
         ----------
         sound_s : float
-            Seconds.
+            Seconds of sound time.
         speeds_deg_s : Array
-            (n_servos,) in deg/s.
+            (n_servos,) in deg/s; NaN: not known.
         """
         if self._own_noise is None:
             self._own_noise = OwnNoise(self._weights.delays[-1] + round(_AHEAD_S * FRAMES_PER_S))
@@ -158,7 +158,7 @@ class NetworkRecognizer:
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
         """Compute the scores of the blocks that will be fed next, all in one pass.
 
-        Raises ValueError for what `feed` refuses; then only `reset` helps.
+        Raises ValueError for blocks that `feed` refuses; after that only `reset` helps.
         """
         samples: list[Array32] = []
         counts: list[tuple[float, int, int, int]] = []
@@ -187,8 +187,8 @@ class NetworkRecognizer:
     def feed(self, block: AudioBlock) -> None:
         """Process the next block of any size; a gap before it counts as silence.
 
-        Raises ValueError for a block that starts before the last one's end, for another rate than
-        the stream began with, and for another block than the one prepared.
+        Raises ValueError for a block that starts before the last one's end, for another sample rate
+        than the stream began with, and for another block than the one prepared.
         """
         if not self._prepared:
             self.prepare([block])
@@ -210,7 +210,7 @@ class NetworkRecognizer:
             self._noticed_at = self._n_heard
 
     def updates(self) -> list[PhonemeUpdate]:
-        """Return one update if a frame's window was completed since the last call, else []."""
+        """Return one update if a 25 ms frame was completed since the last call, else []."""
         if self._n_heard == self._n_reported:
             return []
         self._n_reported = self._n_heard
@@ -267,10 +267,10 @@ class _Frames:
 
 @dataclass(frozen=True, slots=True)
 class _PreparedBlock:
-    """The frames that a block completes, and the number of frames jumped over in a gap.
+    """The frames that a block completes, and the number of frames jumped over in a gap before it.
 
     In order: the silence put in place of a gap, the jump over the rest of it, the block's sound.
-    is_noticed: whether a person would hear something in it.
+    is_noticed: whether a person would hear something in the block.
     """
 
     start_s: float
@@ -281,12 +281,12 @@ class _PreparedBlock:
 
 
 def frames_of_delay(latency_s: float) -> int:
-    """Return the number of frames after which a frame is settled, for a latency in seconds."""
+    """Return how many frames later a frame is settled, for a latency in seconds."""
     return int((latency_s - _WINDOW_S) * FRAMES_PER_S + 1e-6)
 
 
 def _n_frames(n_samples: int) -> int:
-    """Return the number of whole windows in `n_samples` samples."""
+    """Return how many 25 ms frames, one each 10 ms, are complete in `n_samples` at 16 kHz."""
     return max(0, (n_samples - WINDOW) // HOP + 1)
 
 

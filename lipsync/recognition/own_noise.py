@@ -5,9 +5,9 @@ that servo j adds at speed v is interpolated between a few speeds, and all servo
 
     N_b(v_1, ..., v_n) = sum_j sum_s phi_s(v_j) E_jsb
 
-E is learned where the network is sure that there is no speech, and only there: the mouth moves with
-the sound, so that what is learned beside a voice is partly that voice. Each such
-frame moves log N to where it was heard by a part of the way, shared among the E as they share in N
+E is learned only where the network is sure that there is no speech: the mouth moves with the sound,
+so that what is learned beside a voice is partly that voice. Each such frame moves log N a part of
+the way to the power heard, shared among the E as they share in N
 (normalised least mean squares, Haykin, Adaptive Filter Theory, in logarithms).
 
 Sound that is no louder than the servos are expected to be is explained by them. Nothing is
@@ -34,7 +34,7 @@ _MOST_S = 0.2
 
 
 class ServoSpeeds:
-    """Servo speeds from encoder readings."""
+    """Estimator of servo speeds from successive encoder readings."""
 
     def __init__(self) -> None:
         self._read: deque[tuple[float, Array]] = deque(maxlen=8)
@@ -45,15 +45,15 @@ class ServoSpeeds:
         Parameters
         ----------
         time_s : float
-            Time of the reading; one that is not newer than the last is ignored.
+            Time of the reading in s; a reading that is not newer than the last is ignored.
         positions_deg : Array
             (n_servos,), NaN for a servo that did not answer.
 
         Returns
         -------
         tuple[float, Array] | None
-            The middle of both times, and (n_servos,) in deg/s; None without a reading 25 to
-            200 ms earlier.
+            The middle of both times in s, and (n_servos,) in deg/s; None without a reading 25
+            to 200 ms earlier, and for a reading that is ignored.
         """
         if self._read and time_s <= self._read[-1][0]:
             return None
@@ -89,14 +89,14 @@ _EXPLAINED_AT_REST, _EXPLAINED_AWAKE, _AWAKE_FRAMES = 0.7, 0.25, 50
 
 
 class OwnNoise:
-    """The learned noise of one robot's servos; it outlives the streams of sound that it is used on.
+    """The learned noise of one robot's servos; it is kept from one stream of sound to the next.
 
     Call `note_speeds` for each reading, `explains` for each frame in order, `learn` once a frame is
     known to contain no speech. Memory and time of a call are bounded by the number of servos.
     """
 
     def __init__(self, most_frames: int) -> None:
-        """Create the model. most_frames: how many frames late `learn` may be called for a frame."""
+        """Create the model; `learn` may be called up to `most_frames` frames late."""
         self._speeds: deque[tuple[float, Array]] = deque(maxlen=_MOST_SPEEDS)
         self._heard: deque[tuple[Array32, Array | None]] = deque(maxlen=most_frames + 1)
         self._power = np.zeros((0, N_BANDS))  # (n_servos n_knots, n_bands)
@@ -105,20 +105,20 @@ class OwnNoise:
         self._n_explained = 0  # frames on end within the narrower margin
 
     def begin(self) -> None:
-        """Forget the speeds and frames of the last stream; the learned noise stays."""
+        """Begin a new stream: forget the last one's speeds and frames, keep the learned noise."""
         self._speeds.clear()
         self._heard.clear()
         self._louder, self._n_explained = None, 0
 
     def note_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """Note the servos' speeds at a sound time.
+        """Store the servos' speeds at a sound time; another number of servos forgets the noise.
 
         Parameters
         ----------
         sound_s : float
-            Seconds.
+            Seconds of sound time.
         speeds_deg_s : Array
-            (n_servos,) in deg/s; NaN: not known, taken for 0.
+            (n_servos,) in deg/s; NaN: not known, counts as 0.
         """
         n = len(speeds_deg_s) * len(_KNOTS_DEG_S)
         if n != len(self._power):
@@ -127,7 +127,7 @@ class OwnNoise:
         self._speeds.append((sound_s, knot_shares(speeds_deg_s)))
 
     def explains(self, frame: Array32, sound_s: float, *, is_awake: bool) -> bool:
-        """Return whether a frame's level is within a margin of the noise of the moving servos.
+        """Add a frame; return whether its level is within a margin of the moving servos' noise.
 
         Parameters
         ----------
@@ -141,7 +141,7 @@ class OwnNoise:
         Returns
         -------
         bool
-            True: the frame is the robot's own noise.
+            True: the frame is the robot's own noise; always False while no servo moves.
         """
         shares = self._shares_at(sound_s)
         self._heard.append((frame, shares))
@@ -157,7 +157,7 @@ class OwnNoise:
         return self._louder < _EXPLAINED_AT_REST
 
     def learn(self, n_ago: int) -> None:
-        """Learn servo noise from the frame `n_ago` frames before the last; it has no speech."""
+        """Learn servo noise from the frame `n_ago` frames before the last, free of speech."""
         if n_ago >= len(self._heard):
             return
         frame, shares = self._heard[-1 - n_ago]
@@ -174,7 +174,7 @@ class OwnNoise:
         self._power[used] *= np.exp(step[:, None] * share * off)
 
     def _shares_at(self, sound_s: float) -> Array | None:
-        """Return the weights (n_servos n_knots,) of learned noise at a time; None: no motion."""
+        """Return the weights (n_servos n_knots,) of learned noise then; None if no servo moves."""
         nearest = min(self._speeds, key=lambda entry: abs(entry[0] - sound_s), default=None)
         if nearest is None or abs(nearest[0] - sound_s) > _LASTS_S or not nearest[1].any():
             return None
@@ -182,12 +182,12 @@ class OwnNoise:
 
 
 def knot_shares(speeds_deg_s: Array) -> Array:
-    """Return the interpolation weight of each servo's speed knots at the servos' speeds.
+    """Return the weight of each servo's noise at each speed knot, by linear interpolation.
 
     Parameters
     ----------
     speeds_deg_s : Array
-        (n_servos,) in deg/s; NaN: 0.
+        (n_servos,) in deg/s; NaN counts as 0.
 
     Returns
     -------
@@ -212,7 +212,7 @@ _DB_PER_NAT = 10.0 / np.log(10.0)
 
 
 class SteadySoundDetector:
-    """Detector of steady sound (hum, fans) in one log-mel frame after the other."""
+    """Detector of steady sound (hum, fans), frame by frame of 10 ms."""
 
     def __init__(self) -> None:
         n_steps = round(FLOOR_S * FRAMES_PER_S) // _STEP_FRAMES
@@ -223,7 +223,7 @@ class SteadySoundDetector:
         self._floor: Array32 = self._minima[0].copy()
 
     def push(self, frame: Array32) -> bool:
-        """Add a frame; return whether the sound has been steady for `STEADY_S`.
+        """Add a frame; return whether the sound has been steady for `STEADY_S` (0.2 s).
 
         Parameters
         ----------

@@ -1,9 +1,9 @@
-"""From samples to the posteriors of phonemes: features, network, and detectors of what is no voice.
+"""From samples to phoneme posteriors: features, network, and detectors of sound that is no voice.
 
-No voice are digital silence, constant sound, and the robot's own servos, where speeds are given.
+That is digital silence, constant sound, and the robot's own servos, where speeds are given.
 
-One arithmetic for the live recogniser (a frame at a time), for a file that is worked on ahead of
-its time (many frames in one matrix product), and for whole recordings.
+The same arithmetic serves the live recogniser (a frame at a time), files that are processed ahead
+of their time (many frames in one matrix product), and whole recordings.
 """
 
 import math
@@ -36,14 +36,14 @@ NOTICEABLE = SPEECH_PEAK - 3.0 * math.log(10.0)
 
 
 class PosteriorStream:
-    """Samples in pieces of any size in, a frame's posteriors out as soon as its 25 ms are complete.
+    """Converter of samples in pieces of any size to phoneme posteriors, frame by frame of 25 ms.
 
     Pieces of several frames go through the network in one matrix product; the posteriors differ
     from those of single frames by rounding only (1e-5).
     """
 
     def __init__(self, weights: NetworkWeights, own_noise: OwnNoise | None = None) -> None:
-        """Create the stream. own_noise: the robot's servo noise; None: speeds are not known."""
+        """Create the stream; `own_noise`: the servos' noise, None if their speeds are unknown."""
         self._own_noise = own_noise
         self._n_samples = self._n_frames = 0
         self.format = PosteriorFormat(weights.phonemes, weights.delays)
@@ -58,21 +58,21 @@ class PosteriorStream:
         self._audible = np.ones(weights.delays[-1], np.bool_)
 
     def hear_own_noise(self, own_noise: OwnNoise) -> None:
-        """Set the noise model of the robot's servos, which gets the servo speeds from now on."""
+        """Use `own_noise`, the noise model of the robot's servos, from now on."""
         self._own_noise = own_noise
 
     def push(self, samples: Array32, until_s: float = 0.0, *, is_awake: bool = False) -> Array32:
-        """Return the posteriors of the frames that new samples complete.
+        """Add samples; return the phoneme posteriors of the frames that they complete.
 
         The head that waits d frames gives, at frame k, the posteriors of frame k - d. Where that
-        frame has no sound, or a constant one, it is silence, whatever the network gives.
+        frame is no voice, they are those of silence, whatever the network gives.
 
         Parameters
         ----------
         samples : Array32
             (m,) at 16 kHz.
         until_s : float
-            Sound time at which they end; used for the robot's own noise only.
+            Sound time in s at which the samples end; used for the robot's own noise only.
         is_awake : bool
             Whether speech was recognised just before; used for the robot's own noise only.
 
@@ -106,7 +106,7 @@ class PosteriorStream:
     def _explained(
         self, own_noise: OwnNoise, frames: Array32, until_s: float, *, is_awake: bool
     ) -> NDArray[np.bool_]:
-        """Return (n,): whether the servos' noise explains each of the newest frames (n, 40)."""
+        """Return (n,): whether the servos' noise explains each of `frames` (n, 40), the newest."""
         first = self._n_frames - len(frames)
         middles = (first + np.arange(len(frames))) * HOP + WINDOW // 2
         times_s = until_s - (self._n_samples - middles) / SAMPLE_RATE_HZ
@@ -117,14 +117,14 @@ class PosteriorStream:
         return np.array(found, np.bool_)
 
     def _learn(self, own_noise: OwnNoise, posteriors: Array32) -> None:
-        """Learn servo noise from frames that the last head has just found surely silent."""
+        """Learn servo noise from the frames that the last head is now sure are silent."""
         newest = len(posteriors) - 1
         for index in np.flatnonzero(posteriors[:, -1, SILENCE_INDEX] > SURE_OF_SILENCE):
             own_noise.learn(newest - int(index) + self.format.delays[-1])
 
 
 def whole_posteriors(weights: NetworkWeights, samples: Array32) -> FramePosteriors:
-    """Return the network's posteriors of a recording, from its beginning to its end.
+    """Return the network's phoneme posteriors of a whole recording.
 
     Parameters
     ----------

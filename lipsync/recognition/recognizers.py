@@ -1,4 +1,4 @@
-"""Live recognisers by name, and the ladder that each of them begins."""
+"""Live recognisers by name, each with the ladder of recognisers that replace it if it fails."""
 
 from collections.abc import Callable
 from functools import partial
@@ -10,7 +10,7 @@ from lipsync.recognition.network import DEFAULT_WEIGHTS, LATENCY_S
 
 
 def recognizer_kind(name: str) -> RecognizerKind:
-    """Load and return the recogniser kind of a name. Raises PluginError if there is none."""
+    """Return the recogniser kind registered as `name`. Raises PluginError if there is none."""
     kind = RECOGNIZERS.load(name)
     if not isinstance(kind, RecognizerKind):
         raise PluginError(f"recogniser {name}: what is installed under this name is none")
@@ -23,11 +23,12 @@ def make_recognizer(
     weights: str = DEFAULT_WEIGHTS,
     latency_s: float = LATENCY_S,
 ) -> FallbackRecognizer:
-    """Return a live recogniser that falls back from `engine` to the built-in ones below it.
+    """Return a live recogniser that falls back from `engine` to the built-in recognisers below it.
 
-    All built-in ones are below another package's. timer_s: a clock in seconds, to leave a level
-    that does not keep up with its sound, and to try better ones again; None in offline use.
-    latency_s: raised to what the slowest level needs. Raises PluginError.
+    Below another package's recogniser are all built-in ones. timer_s: a clock in seconds, to
+    replace one that does not keep up with its sound, and to try better ones again; None in offline
+    use. weights: name or file. latency_s: in seconds, raised to what the slowest recogniser needs.
+    Raises PluginError if `engine` is unknown or cannot be loaded.
     """
     ours = list(RECOGNIZERS.built_in)
     names = ours[ours.index(engine) :] if engine in ours else [engine, *ours]
@@ -40,5 +41,5 @@ def make_recognizer(
 
 
 def no_recognizer() -> FallbackRecognizer:
-    """Return a recogniser that gives only silence, for phonemes that are all known beforehand."""
+    """Return a recogniser that reports only silence, for phonemes all known beforehand."""
     return FallbackRecognizer((), 0.0)

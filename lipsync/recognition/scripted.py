@@ -1,4 +1,4 @@
-"""Phonemes that are known beforehand, from a label file or a voice, released in time."""
+"""Phonemes known beforehand, from a label file or a voice, released as their time comes."""
 
 import math
 from collections.abc import Iterable
@@ -10,9 +10,9 @@ from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 class ScriptedPhonemes:
     """A `PhonemeSource` that releases known events only as a perfect recogniser would find them.
 
-    For sound until t, it gives the starts before t + `lookahead_s` and the ends not after it,
-    nothing more; all of it is final. Raises ValueError for events out of order or overlapping, and
-    for an open one that is not the last.
+    For sound until t, it reports the starts before t + `lookahead_s` and the ends not after that;
+    all of it is final. Raises ValueError for events out of order or overlapping, and for an event
+    without an end that is not the last.
     """
 
     def __init__(self, events: Iterable[PhonemeEvent], lookahead_s: float = 0.0) -> None:
@@ -27,7 +27,7 @@ class ScriptedPhonemes:
 
     @property
     def latency_s(self) -> float:
-        """Seconds until phonemes are settled: 0, as scripted phonemes are settled at once."""
+        """Seconds until a phoneme is final: 0, as scripted phonemes are final at once."""
         return 0.0
 
     @property
@@ -36,7 +36,7 @@ class ScriptedPhonemes:
         return self._heard_until_s
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
-        """Return one update if `until_s` is later than in the last call, else []."""
+        """Return an update with all that is new until `until_s`; [] if that is no later time."""
         self._heard_until_s = max(self._heard_until_s, until_s)
         known_until_s = until_s + self._lookahead_s
         if known_until_s <= self._known_until_s:

@@ -1,11 +1,11 @@
-"""The one way to run a recogniser over a stream of sound: live, in replay, and when measured.
+"""How every recogniser is run over a stream of sound: live, in replay, and when measured.
 
-`RecognizerStream` feeds blocks, collects what became known, times it, and calls observers.
-`SoundAhead` gives out a source's blocks at their times; where no caller waits for a tick it gives
-the recogniser much sound at once before, which is cheaper and changes no result and no time of one.
+`RecognizerStream` feeds blocks, collects the updates, measures the cost, and calls observers.
+`SoundAhead` returns a source's blocks at their times; for sound that is not live it lets the
+recogniser compute ahead on many blocks at once, which is cheaper and changes no result and no time.
 
 Recognisers share `AudioInput`, which makes 16 kHz without gaps of blocks of any size and rate, and
-`UpdateBuilder`, which makes updates that never take back what is final of one phoneme a frame.
+`UpdateBuilder`, which makes updates from one phoneme a frame and never revises final ones.
 """
 
 import time
@@ -27,11 +27,11 @@ from lipsync.phonemes import SILENCE, LiveRecognizer, PhonemeEvent, PhonemeUpdat
 
 @runtime_checkable
 class PreparingRecognizer(LiveRecognizer, Protocol):
-    """A recogniser that can compute ahead on sound whose time has not come yet."""
+    """A recogniser that can compute ahead on sound that will be fed to it later."""
 
     @property
     def ahead_s(self) -> float:
-        """Seconds of sound that `prepare` is best given at once.
+        """Seconds of sound that are best given to `prepare` at once.
 
         0: nothing is prepared, as a caller waits for each tick.
         """
@@ -39,24 +39,24 @@ class PreparingRecognizer(LiveRecognizer, Protocol):
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
         """Compute ahead on the blocks that will be fed next, one by one.
 
-        What `updates` returns depends on what was fed, not on what was prepared.
+        What `updates` returns depends on the blocks that were fed, not on those prepared.
         """
 
 
 @runtime_checkable
 class BacklogRecognizer(LiveRecognizer, Protocol):
-    """A recogniser that takes all waiting blocks in one call."""
+    """A recogniser that accepts all waiting blocks in one call."""
 
     def feed_all(self, blocks: Sequence[AudioBlock]) -> None:
-        """Process blocks that follow each other, the oldest first."""
+        """Process blocks that follow each other in time, the oldest first."""
 
 
 @dataclass(frozen=True, slots=True)
 class StreamStep:
     """The input and the result of one step of a stream.
 
-    blocks: what was fed; updates: what became known by it; cost_s: processor time of this thread,
-    0 without an observer (reading that clock is a system call).
+    blocks: those fed; updates: the recogniser's updates after them; cost_s: processor time in s of
+    the step's thread, 0 without an observer (reading that clock is a system call).
     """
 
     blocks: Sequence[AudioBlock]
@@ -65,14 +65,14 @@ class StreamStep:
 
 
 class StreamObserver(Protocol):
-    """An observer, which is called with every step of a stream, in order."""
+    """An object that is called with every step of a stream, in order."""
 
     def observe(self, step: StreamStep) -> None:
-        """Process one step; called after the recogniser was fed."""
+        """Process one step; `RecognizerStream` calls it after the recogniser was fed."""
 
 
 class RecognizerStream:
-    """A recogniser that is fed step by step, with observers of each step."""
+    """A stream of sound through a recogniser, fed in steps, with observers of each step."""
 
     def __init__(
         self,
@@ -80,14 +80,18 @@ class RecognizerStream:
         observers: Sequence[StreamObserver] = (),
         clock_ns: Callable[[], int] = time.thread_time_ns,
     ) -> None:
-        """Create the stream. clock_ns: counts costs in ns; default: this thread's CPU time."""
+        """Create the stream with observers of its steps.
+
+        clock_ns: returns the time in ns by which a step's cost is measured; default: this thread's
+        CPU time.
+        """
         self._recognizer = recognizer
         self._backlog = recognizer if isinstance(recognizer, BacklogRecognizer) else None
         self._observers = tuple(observers)
         self._clock_ns = clock_ns
 
     def feed(self, blocks: Sequence[AudioBlock]) -> StreamStep:
-        """Feed the blocks, get the updates once, call the observers, and return the step."""
+        """Feed the blocks in one step, get the updates, call the observers; return the step."""
         began_ns = self._clock_ns() if self._observers else 0
         if self._backlog is not None:
             self._backlog.feed_all(blocks)
@@ -108,9 +112,9 @@ class RecognizerStream:
 
 
 class SoundAhead:
-    """A source's blocks at their times; a `PreparingRecognizer` gets them ahead of time.
+    """The blocks of a sound source at their times; a `PreparingRecognizer` gets them ahead of time.
 
-    Of a live source nothing is known ahead, and nothing is prepared.
+    Of a live source no sound is known ahead, and none is prepared.
     """
 
     def __init__(self, source: AudioSource, recognizer: LiveRecognizer) -> None:
@@ -166,10 +170,10 @@ HEARD_GAP_S = 2.0
 
 
 class AudioInput:
-    """The input of a stream, which puts silence into gaps between blocks, to keep sound time.
+    """The input of a stream: blocks of sound become 16 kHz samples, with silence in the gaps.
 
-    Sound at another rate is resampled as it comes (soxr), which holds back up to 40 ms of it. NaN
-    and infinity become silence, what is beyond full scale is clipped.
+    Sound at another rate is resampled as it comes (soxr), which delays up to 40 ms of it. NaN and
+    infinity become silence; samples beyond full scale are clipped.
     """
 
     def __init__(self) -> None:
@@ -178,7 +182,7 @@ class AudioInput:
         self._resampler: soxr.ResampleStream | None = None
 
     def take(self, block: AudioBlock) -> tuple[Array32, float, Array32]:
-        """Return the silence and the jump that fill a gap before a block, and its samples.
+        """Return the silence and the jump that fill the gap before a block, and its samples.
 
         Parameters
         ----------
@@ -188,8 +192,8 @@ class AudioInput:
         Returns
         -------
         tuple[Array32, float, Array32]
-            Silence that comes first, (n,) samples; seconds to jump over after it, a multiple of 10
-            ms; the block's own samples, (m,) at 16 kHz.
+            Silence that comes first, (n,) samples, at most 2 s; seconds of the gap to jump over
+            after it, a multiple of 10 ms; the block's own samples, (m,) at 16 kHz.
 
         Raises
         ------
@@ -230,10 +234,10 @@ class AudioInput:
 
 
 class UpdateBuilder:
-    """A builder of `PhonemeUpdate`s from a recogniser's phonemes, one for each frame.
+    """Builder of `PhonemeUpdate`s from a recogniser's phonemes, one for each frame.
 
-    Frames count from sound time 0, `frames_per_s` a second. The first `n_final` frames are final:
-    at each update all but the last `latency_frames` become so. An event is a run of equal frames.
+    Frames count from sound time 0, `frames_per_s` a second. At each update all frames but the last
+    `latency_frames` become final. An event is a run of frames with equal phonemes.
     """
 
     def __init__(self, frames_per_s: int, latency_frames: int) -> None:
@@ -249,10 +253,10 @@ class UpdateBuilder:
         return self._n_final
 
     def update(self, phonemes: Sequence[str], n_later: int = 0) -> PhonemeUpdate:
-        """Return the update for the phonemes of all frames from the first not final to now.
+        """Return the update for the phonemes of all frames from the first not final to the newest.
 
-        n_later: the number of frames more than usual that may still change. The first event keeps
-        its earlier start when the last final frame belongs to it.
+        n_later: number of frames beyond `latency_frames` that may still change. The first event
+        keeps its earlier start when the last final frame belongs to it.
         """
         runs = self._runs(phonemes)
         replace_from, heard = self._n_final, self._n_final + len(phonemes)
@@ -276,7 +280,10 @@ class UpdateBuilder:
         )
 
     def _runs(self, phonemes: Sequence[str]) -> list[tuple[str, int]]:
-        """Return (phoneme, first frame) of each run of equal phonemes."""
+        """Return (phoneme, first frame) of each run of equal phonemes.
+
+        A first run that continues the last final frame's phoneme has that run's first frame.
+        """
         runs, start = [], self._n_final
         for phoneme, frames in groupby(phonemes):
             goes_on = start == self._n_final > 0 and phoneme == self._last_final

@@ -45,20 +45,20 @@ MovedBy = Literal["sound", "text", "words", "phonemes", "visemes"]
 
 
 class TextError(UserError):
-    """Words cannot be followed; the message is one line."""
+    """Error for words that cannot be followed in the sound; the message is one line."""
 
 
 @runtime_checkable
 class MouthMover(Protocol):
-    """A source of phonemes that reports where they come from."""
+    """A source of phonemes that reports their origin and the words being spoken."""
 
     @property
     def moved_by(self) -> MovedBy | None:
-        """The origin of the phonemes now settled (`sound`, `text`, ...); None if not known."""
+        """The origin of the phonemes now final (`sound`, `text`, ...); None if not known."""
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """The words around the one being spoken, and its index in them; ((), 0) without a text."""
+        """The words around the one being spoken, and its index among them; ((), 0) without text."""
 
 
 @runtime_checkable
@@ -66,29 +66,29 @@ class TextFollower(MouthMover, Protocol):
     """A recogniser that finds given words in the sound."""
 
     def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
-        """Add the words that come next, after all earlier ones.
+        """Add the words that come next in the sound, after all words given before.
 
         They may be added before their sound, with it or late.
 
-        behind_s: seconds of their sound that were heard already. Raises TextError: too many words.
+        behind_s: seconds of their sound that were fed already. Raises TextError for too many words.
         """
 
     def forget(self) -> None:
-        """Drop the words of the given text that are not spoken yet."""
+        """Drop the words given by `tell` that are not spoken yet."""
 
 
 @dataclass(frozen=True, slots=True)
 class TextSettings:
     """Costs in natural-log units, chosen on two talkers that are not scored (docs/recognition.md).
 
-    settled_frames: so many frames after it the path to a frame is settled. n_heads: of the
-    network's, the quickest; the one that waits longest adds nothing where words are known.
-    lowest: a phoneme costs no more than this against the likeliest in one frame. silence: of every
-    frame of it: phonemes that begin or end softly are known. pause: of silence between two words.
-    left_out: of each word that is left out; again: of going back. escape: of every frame that the
-    escape takes; leave, resume: of going over to it and back; leave_pause: of going over to it from
-    silence, where other words are spoken most often. least_frames: of a phoneme.
-    late_s, late: a word may begin so much beside its time, if it has one; of each second beyond it.
+    settled_frames: frames after which the path to a frame is final. n_heads: number of the
+    network's heads used, the quickest; the one that waits longest adds nothing where words are
+    known. lowest: least score of a phoneme in one frame, relative to the likeliest. silence: of
+    every frame of it: phonemes that begin or end softly are known. pause: of silence between two
+    words. left_out: of each word that is left out; again: of going back. escape: of every frame on
+    the escape; leave, resume: of going over to it and back; leave_pause: of going over to it from
+    silence, where other words are spoken most often. least_frames: least duration of a phoneme.
+    late_s: a word may begin this much beside its time, if it has one; late: of each second more.
     """
 
     settled_frames: int = 17
@@ -120,9 +120,10 @@ class TextDecoder:
         first_frame: int = 0,
         settings: TextSettings = FOLLOWING,
     ) -> None:
-        """Create the decoder. first_frame: the number in its stream of the first frame pushed.
+        """Create the decoder for posteriors of the format `heard`.
 
-        Raises ValueError if a path would be settled before the last head has spoken.
+        first_frame: the number, in the stream, of the first frame that will be pushed. Raises
+        ValueError if a path would be settled before the last head used has scored it.
         """
         self._delays = heard.delays[: settings.n_heads]
         if settings.settled_frames < self._delays[-1]:
@@ -151,12 +152,12 @@ class TextDecoder:
 
     @property
     def place(self) -> int:
-        """The number of the word being spoken, as far as it is settled."""
+        """The number of the word being spoken, by the path that is settled."""
         return int(self._place)
 
     @property
     def saying(self) -> tuple[tuple[str, ...], int]:
-        """The words around the one being spoken, and its index among them."""
+        """The words around the one being spoken, and that one's index in them."""
         return self._words.around(self.place)
 
     @property
@@ -165,9 +166,9 @@ class TextDecoder:
         return self._n_idle > _IDLE_S * self._frames_per_s
 
     def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
-        """Add words of the text, after all earlier ones. Raises TextError for too many words.
+        """Add words of the text after all earlier ones. Raises TextError for too many words.
 
-        behind_s: seconds of their sound heard already: the voice is searched for around there.
+        behind_s: seconds of their sound heard already; the voice is searched for around that word.
         """
         n_waiting = self._words.n_words - self.place + len(words)
         if n_waiting > MOST_WORDS:
@@ -185,7 +186,7 @@ class TextDecoder:
             self._replace_newest(window, np.full(window.n_states, _NEVER), np.float32(0.0))
 
     def forget(self) -> None:
-        """Drop the words of the given text that are not spoken yet."""
+        """Drop the words given by `tell` that are not spoken yet."""
         newest = self._newest
         state = int(newest.scores.argmax())
         place = self.place
@@ -205,7 +206,7 @@ class TextDecoder:
         self._newest = self._kept[-1] = _Front(window, scores, escape, begins)
 
     def jump(self, n_frames: int) -> None:
-        """Advance the frame number by `n_frames` that are not pushed, after 2 s of silence."""
+        """Advance the frame number by `n_frames` of silence in a long gap, which are not pushed."""
         self._first_frame += n_frames
 
     def push(self, scores: Array32) -> list[int]:
@@ -219,7 +220,8 @@ class TextDecoder:
         Returns
         -------
         list[int]
-            Phonemes of the newest frames in order; `HEARD` where the sound leaves the text.
+            Phonemes' numbers in `PHONEMES` for the newest frames in order; `HEARD` where the sound
+            does not follow the text.
         """
         n, length = self._n_heard, len(self._recent)
         self._n_heard += 1
@@ -243,7 +245,10 @@ class TextDecoder:
         return self._path([*self._kept, *steps])
 
     def _step(self, front: "_Front", frame: int, age: int, *, keep: bool = False) -> "_Front":
-        """Return the search's front after one more frame. keep: the window of words may move."""
+        """Return the search's front after frame number `frame`, by the head that fits its `age`.
+
+        keep: the step is not searched again: the window of words may move, scores are normalised.
+        """
         settings = self._settings
         window = self._words.window(self.place) if keep else front.window
         scores = front.scores
@@ -273,7 +278,7 @@ class TextDecoder:
         return _Front(window, found, escape, begins)
 
     def _begins(self, window: "_Window", scores: Array32, escape: np.float32) -> Array32:
-        """Return the best score (n_words,) with which each word may begin in a frame."""
+        """Return the best score (n_words,) with which each word of a window may begin now."""
         ends = np.empty(window.ends.shape[1] + 1, np.float32)
         np.maximum.reduce(scores.take(window.ends), axis=0, out=ends[:-1])
         ends[-1] = escape
@@ -281,7 +286,7 @@ class TextDecoder:
         return begins
 
     def _path(self, fronts: "list[_Front]") -> list[int]:
-        """Return the best path's phonemes, one for each front but the first; settle the word."""
+        """Return the best path's phonemes, one per front after the first; settle the word there."""
         last = fronts[-1]
         state = int(last.scores.argmax())
         is_heard = bool(last.escape >= last.scores[state])
@@ -305,7 +310,7 @@ class TextDecoder:
         return path[::-1]
 
     def _left_from(self, front: "_Front") -> tuple[np.float32, int]:
-        """Return the best score of changing from a front to the escape, and the state it leaves."""
+        """Return the best score of changing from `front` to the escape, and the state left."""
         best = int(front.scores.argmax())
         pause = int(front.window.silences[front.scores.take(front.window.silences).argmax()])
         from_best = front.scores[best] - np.float32(self._settings.leave)
@@ -313,7 +318,10 @@ class TextDecoder:
         return (from_pause, pause) if from_pause > from_best else (from_best, best)
 
     def _source(self, front: "_Front", before: "_Front", state: int) -> tuple[bool, int]:
-        """Return (True, state) if a state was reached from the escape, else (False, its source)."""
+        """Return how the best path reached `state` of the front `front`.
+
+        (False, the state of the front before, `before`), or (True, `state`) if from the escape.
+        """
         window = front.window
         scores = before.scores if before.window is window else window.taken_over(before)
         shift = window.first_state - before.window.first_state
@@ -359,7 +367,7 @@ class _Window:
     has_times: bool
 
     def taken_over(self, front: "_Front") -> Array32:
-        """Return a front's scores (n_states,) of this window's states; -1e9 where it has none."""
+        """Return the scores (n_states,) of this window's states in `front`; -1e9 if not there."""
         scores = np.full(self.n_states, _NEVER)
         shift = front.window.first_state - self.first_state
         first, end = max(0, shift), min(self.n_states, shift + front.window.n_states)
@@ -369,7 +377,7 @@ class _Window:
 
 @dataclass(frozen=True, slots=True)
 class _Front:
-    """The best score of a path to each state, and to the escape, after a frame.
+    """The best score of a path to each state, and to the escape, after a frame of the search.
 
     begins: (n_words,), the score with which each word could begin in that frame.
     """
@@ -391,10 +399,10 @@ _IDLE_S: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class _Words:
-    """Words as states in one row; each is silence, then its pronunciations one after the other.
+    """Words as states in one row; each word is silence, then its pronunciations in succession.
 
-    States and words keep their numbers when those before them are dropped. phonemes, stays, kinds,
-    words: of each state. firsts, word_of_first: the states that a pronunciation begins with.
+    States and words keep their numbers when earlier ones are dropped. phonemes, stays, kinds,
+    words: of each state. firsts: the first state of each pronunciation, word_of_first: its word.
     silences (n_words,), ends (4, n_words), start_frames (n_words,): of each word.
     """
 
@@ -421,7 +429,7 @@ class _Words:
 
 
 class _WordGraph:
-    """The given words, laid out once, so that each tick only cuts a window out of them."""
+    """The given words as states, laid out once, so that a tick only cuts a window out of them."""
 
     def __init__(self, settings: TextSettings) -> None:
         self._settings = settings
@@ -436,7 +444,7 @@ class _WordGraph:
         return int(self._words.words[-1])
 
     def append(self, words: Sequence[PronouncedWord], frames_per_s: int) -> None:
-        """Append words; drop those before the present window."""
+        """Append words, which become states; drop those before the present window."""
         end_state = int(self._words.silences[-1])
         parts = [self._words.part(self._first_word, self.n_words)]
         for number, word in enumerate(words, self.n_words):
@@ -447,7 +455,7 @@ class _WordGraph:
         self._lay_out(*parts, _end(self.n_words + len(words), end_state))
 
     def drop_after(self, number: int) -> None:
-        """Drop all words after the one of this number."""
+        """Drop all words after word number `number`."""
         first, end = int(self._words.words[0]), max(self._first_word, min(number + 1, self.n_words))
         end_state = int(self._words.silences[end - first])
         del self._labels[end - first :]
@@ -463,7 +471,7 @@ class _WordGraph:
         self._window = None
 
     def around(self, place: int) -> tuple[tuple[str, ...], int]:
-        """Return the labels of the words around word number `place`, and its index in them."""
+        """Return the labels of the words around word number `place`, and that one's index."""
         labels = self._labels_from(self._first_word)
         return tuple(labels[:_WINDOW]), place - self._first_word
 
@@ -471,7 +479,7 @@ class _WordGraph:
         return self._labels[number - int(self._words.words[0]) :]
 
     def window(self, place: int) -> _Window:
-        """Return the window around word number `place`; silence after the last is a word."""
+        """Return the window around word number `place`; silence after the last word is one too."""
         first = self._first_word = max(self._first_word, min(place, self.n_words) - _BEHIND)
         if self._window is None or self._window.first_word != first:
             end = first + _WINDOW
@@ -532,9 +540,9 @@ def _window_of(words: _Words, place: int, settings: TextSettings) -> _Window:
 
 @cache
 def _between(n_words: int, place: int, settings: TextSettings) -> Array32:
-    """Return the scores (n_words + 1, n_words) of going from each word's end to a word's beginning.
+    """Return the scores (n_words + 1, n_words) of going from each word's end to each beginning.
 
-    The last row is from the escape. place: the present word. A score is a cost times -1.
+    The last row is from the escape. place: index of the present word. A score is a cost times -1.
     """
     ahead = np.arange(n_words)[None] - np.arange(n_words)[:, None] - 1
     words = np.where(

@@ -2,8 +2,8 @@
 
 The noise floor is the lowest level of the last second or so (minimum statistics, after R. Martin,
 "Noise power spectral density estimation", IEEE Trans. Speech and Audio Processing 9(5), 2001):
-between two sounds speech falls back to the noise, steady noise stays where it is. So a steady sound
-becomes floor within `FLOOR_WINDOW_S`, a held note too: the level cannot tell them apart.
+between two sounds speech falls back to the noise, steady noise keeps its level. So a steady sound
+becomes the floor within `FLOOR_WINDOW_S`, a held note too: the level cannot tell them apart.
 """
 
 import math
@@ -32,9 +32,9 @@ _NOTHING_DB = -120.0
 
 
 def level_db(frame: NDArray[np.float32]) -> float:
-    """Return the level of 10 ms of sound.
+    """Return the level of 10 ms of sound, without its slow components.
 
-    The parabola that fits the frame best is taken away first, and with it offset, hum and rumble
+    The parabola that fits the frame best is subtracted first, and with it offset, hum and rumble
     below the voice. (The first difference would do that too, but it drowns vowels in white noise:
     at 20 dB of signal to noise it kept 5 % of the loud frames, this keeps 98 %; measured.)
 
@@ -56,7 +56,7 @@ def level_db(frame: NDArray[np.float32]) -> float:
 
 @cache
 def _parabolas(n_samples: int) -> NDArray[np.float32]:
-    """Return an orthonormal basis (n_samples, 3) of the polynomials up to degree 2."""
+    """Return an orthonormal basis (n_samples, 3) of parabolas, to subtract them from a frame."""
     powers = np.vander(np.linspace(-1.0, 1.0, n_samples), 3)
     return np.linalg.qr(powers)[0].astype(np.float32)
 
@@ -65,7 +65,7 @@ class VoiceActivityDetector:
     """Detector of speech by the level of one 10 ms frame after the other.
 
     Speech begins `OPEN_AFTER_S` after the first loud frame, so a recogniser that needs the onset
-    keeps a pre-roll, and ends `HANG_OVER_S` after the last one.
+    keeps a pre-roll, and ends `HANG_OVER_S` after the last loud frame.
     """
 
     def __init__(self) -> None:
@@ -79,7 +79,7 @@ class VoiceActivityDetector:
 
     @property
     def is_open(self) -> bool:
-        """Whether the last frame was within speech."""
+        """Whether the last frame counts as speech."""
         return self._is_open
 
     @property
@@ -88,7 +88,7 @@ class VoiceActivityDetector:
         return min(self._step_minima_db)
 
     def push(self, frame_db: float) -> bool:
-        """Add the next frame's level in dB; return whether speech is going on."""
+        """Add the next frame's level in dB; return whether it counts as speech."""
         self._follow_floor(frame_db)
         above_floor_db = CLOSE_ABOVE_FLOOR_DB if self._is_open else OPEN_ABOVE_FLOOR_DB
         if frame_db >= max(QUIETEST_SPEECH_DB, self.floor_db + above_floor_db):

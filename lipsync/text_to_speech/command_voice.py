@@ -3,7 +3,8 @@
 `sound: {synthesizer: command, voice: "my-tts --out {wav}"}` in a face's YAML. The text of a
 sentence goes to the program's standard input in UTF-8; it writes the sound to `{wav}`, or to its
 standard output where the command does not name it. A program that knows times writes them to
-`{words}`, in any of the forms of docs/text.md. No shell: `sh -c '...'` is one.
+`{words}`, in any of the forms of docs/text.md. The command runs without a shell; for one, write
+`sh -c '...'`.
 """
 
 import shlex
@@ -39,7 +40,7 @@ _FULL_SCALE: Final = 32768.0
 
 
 class CommandVoice:
-    """The `Synthesizer` that runs a program for each text; the name of a voice is its command."""
+    """The speech `Synthesizer` that runs a program for each text; its voice names are commands."""
 
     longest_text = 5000
 
@@ -47,17 +48,17 @@ class CommandVoice:
         self._process = _process()
 
     def languages(self) -> tuple[str, ...]:
-        """Return an empty tuple: a program speaks its own language."""
+        """Return an empty tuple: the program determines the language."""
         return ()
 
     def voices(self) -> tuple[str, ...]:
-        """Return an empty tuple: every program is a voice."""
+        """Return an empty tuple: any program can be a voice."""
         return ()
 
     def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
         """Return the speech that the voice's command makes of a text. Raises SynthesisError.
 
-        Without phoneme times from the command, it has `units` in place of phonemes.
+        Where the command gives no phoneme times, the result has `units` in place of phonemes.
         """
         written = checked_text(text, self.longest_text)
         _check(voice)
@@ -70,9 +71,10 @@ class CommandVoice:
 def speech_of(
     sound: bytes, sample_rate_hz: int, text: str, words: str, name: str = _WORDS
 ) -> SynthesizedSpeech:
-    """Return the speech of int16 bytes, timed by `words`: JSON as in docs/text.md, or "".
+    """Return the speech with `text` and int16 samples as bytes, timed by `words`.
 
-    Raises SynthesisError for words that cannot be used, UnspeakableTextError for no sound.
+    words: JSON as in docs/text.md, or "" for no times; name: of its origin, for errors. Raises
+    SynthesisError for words that cannot be used, UnspeakableTextError for no sound.
     """
     samples = np.frombuffer(sound, np.int16).astype(np.float32) / np.float32(_FULL_SCALE)
     if not len(samples):
@@ -126,7 +128,10 @@ def _process() -> VoiceProcess:
 
 
 def _answered(request: Request) -> tuple[dict[str, object], bytes]:
-    """Run a request's command; return its sound, rate and words. Raises SynthesisError."""
+    """Run the command of a request; return its sample rate and words, and its int16 sound as bytes.
+
+    Raises SynthesisError if the command fails or its output cannot be used.
+    """
     with tempfile.TemporaryDirectory(prefix="lipservo-voice-") as folder:
         wav, words = Path(folder) / "sound.wav", Path(folder) / "words.json"
         named = {_WAV: str(wav), _WORDS: str(words), _LANGUAGE: request["language"]}

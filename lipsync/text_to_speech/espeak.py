@@ -105,7 +105,10 @@ def refined(
 
 
 def _with_joined_apart(phonemes: list[TimedPhones]) -> list[TimedPhones]:
-    """Return copies of phonemes; one without duration gets a third of the one before it."""
+    """Return copies of phonemes; one without duration gets the last third of the one before it.
+
+    Beside silence a phoneme without duration is left out.
+    """
     found: list[TimedPhones] = []
     for each in phonemes:
         each = replace(each)
@@ -120,7 +123,10 @@ def _with_joined_apart(phonemes: list[TimedPhones]) -> list[TimedPhones]:
 
 
 def _closure_start_s(burst_s: float, loud_s: NDArray[np.float64]) -> float:
-    """Return when the silence that ends with a burst began; the burst's time if there is none."""
+    """Return when the silence that ends with a burst began; the burst's time if there is none.
+
+    loud_s: times of all samples that are not silent, rising.
+    """
     n_before = int(np.searchsorted(loud_s, burst_s - _BURST_EARLY_S))
     start_s = float(loud_s[n_before - 1]) if n_before else 0.0
     return start_s if start_s < burst_s - 2 * _BURST_EARLY_S else burst_s
@@ -129,10 +135,10 @@ def _closure_start_s(burst_s: float, loud_s: NDArray[np.float64]) -> float:
 def _release_s(
     event_s: float, earliest_s: float, edges: NDArray[np.float32], sample_rate_hz: int
 ) -> float:
-    """Return when the sound rises most before a vowel's event; the event's time if it does not.
+    """Return when the sound rises most between `earliest_s` and a vowel's event at `event_s`.
 
-    edges: differences of successive samples, which weigh what an open mouth lets out, the higher
-    formants, above the murmur of a closed one.
+    The event's time if it does not rise enough. edges: differences of successive samples, which
+    weigh the higher formants, let out by an open mouth, above the murmur of a closed one.
     """
     n_compared = round(_COMPARED_S * sample_rate_hz)
     best_s, best_rise_db = event_s, _LEAST_RISE_DB
@@ -161,7 +167,7 @@ _SOUNDING_SHARE = 0.5
 
 
 class Espeak:
-    """The `Synthesizer` espeak-ng. Raises SynthesisError where it is not installed."""
+    """The speech `Synthesizer` espeak-ng. Raises SynthesisError where it is not installed."""
 
     longest_text = 5000
 
@@ -173,11 +179,11 @@ class Espeak:
         return self._process.languages()
 
     def voices(self) -> tuple[str, ...]:
-        """Return an empty tuple: a language is a voice."""
+        """Return an empty tuple: espeak-ng has one voice for each language."""
         return ()
 
     def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
-        """Return a spoken text with phoneme and word times. Raises SynthesisError."""
+        """Return a text's speech with phoneme and word times. Raises SynthesisError."""
         written = checked_text(text, self.longest_text)
         self._check_voice(voice)
         spoken = self._process.synthesize(written, voice)
@@ -212,7 +218,10 @@ class Espeak:
 
 
 def _timed_phones(spoken: Synthesis) -> tuple[list[TimedPhones], tuple[str, ...]]:
-    """Return phones from 0 to the end of the sound without gaps, and the IPA that was guessed."""
+    """Return phones from 0 to the end of the sound without gaps, and the IPA phonemes guessed.
+
+    Those are not in the table of IPA phonemes, and are replaced by similar ones.
+    """
     duration_s = len(spoken.samples) / spoken.sample_rate_hz
     found = [TimedPhones((SILENCE,), 0.0, duration_s)]
     guessed: dict[str, None] = {}
@@ -245,7 +254,10 @@ def _timed_phones(spoken: Synthesis) -> tuple[list[TimedPhones], tuple[str, ...]
 
 
 def _with_ends(spoken: Synthesis) -> list[tuple[PhonemeMark | WordMark, int]]:
-    """Return each mark but switches of language, and the sample of the next phoneme's mark."""
+    """Return each mark with the sample of the next phoneme's mark, or of the sound's end.
+
+    Marks that switch the language are left out.
+    """
     result: list[tuple[PhonemeMark | WordMark, int]] = []
     end = len(spoken.samples)
     for mark in reversed(spoken.marks):

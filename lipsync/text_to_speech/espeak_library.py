@@ -68,7 +68,7 @@ _Callback = ctypes.CFUNCTYPE(
 
 @dataclass(frozen=True, slots=True)
 class PhonemeMark:
-    """A mark of espeak-ng: the phoneme `ipa` begins at a sample; "" is a pause."""
+    """A mark of espeak-ng: the phoneme `ipa` begins at sample number `sample`; "" is a pause."""
 
     ipa: str
     sample: int
@@ -76,7 +76,7 @@ class PhonemeMark:
 
 @dataclass(frozen=True, slots=True)
 class WordMark:
-    """A mark of espeak-ng: a word begins, `length` characters from `position` (0: first)."""
+    """A mark of espeak-ng: a word of `length` characters begins at text `position` (0: first)."""
 
     position: int
     length: int
@@ -84,7 +84,7 @@ class WordMark:
 
 @dataclass(frozen=True, slots=True)
 class Synthesis:
-    """The library's output for a text: float32 samples in [-1, 1], and marks in order."""
+    """The speech of a text by the library: float32 samples in [-1, 1], and marks in order."""
 
     samples: NDArray[np.float32]
     sample_rate_hz: int
@@ -92,7 +92,7 @@ class Synthesis:
 
 
 class EspeakLibrary:
-    """The loaded library espeak-ng; one a process, for one thread."""
+    """The loaded library espeak-ng; one per process, to be used by one thread."""
 
     def __init__(self, library: ctypes.CDLL, data_path: str | None) -> None:
         self._library = library
@@ -120,11 +120,14 @@ class EspeakLibrary:
         self._voice_of = self._list_voices()
 
     def languages(self) -> tuple[str, ...]:
-        """Return the tags of all languages, in alphabetical order."""
+        """Return the tags of all languages that have a voice, in alphabetical order."""
         return tuple(sorted(self._voice_of))
 
     def synthesize(self, text: str, voice: Voice) -> Synthesis:
-        """Return sound and marks of a text without control characters in one of `languages()`."""
+        """Return sound and marks of a text without control characters.
+
+        voice: its `language` is one of `languages()`. Raises SynthesisError if the library fails.
+        """
         encoded = ctypes.create_string_buffer(text.encode("utf-8"))
         self._chunks, self._marks = [], []
         self._check(self._library.espeak_SetVoiceByName(self._voice_of[voice.language]))
@@ -141,7 +144,7 @@ class EspeakLibrary:
         return Synthesis((samples / _FULL_SCALE).astype(np.float32), self._sample_rate_hz, marks)
 
     def _take(self, sound: object, n: int, events: object) -> int:
-        """Store a piece of sound and the marks of its events; called back by the library."""
+        """Store `n` samples of sound and the marks in `events`; called back by the library."""
         if sound and n > 0:
             self._chunks.append(np.ctypeslib.as_array(sound, (n,)).copy())
         index = 0
@@ -160,7 +163,7 @@ class EspeakLibrary:
             raise SynthesisError(f"espeak-ng failed with status {status}; try another language")
 
     def _list_voices(self) -> dict[str, bytes]:
-        """Return the identifier of the best voice for each language tag."""
+        """Return the library's identifier of the best voice for each language tag."""
         best: dict[str, tuple[int, bytes]] = {}
         records = self._library.espeak_ListVoices(None)
         index = 0
@@ -173,7 +176,10 @@ class EspeakLibrary:
 
 
 def _languages(address: int) -> list[tuple[str, int]]:
-    """Return (tag, priority) of each language of a voice; the smaller, the better it speaks it."""
+    """Return (tag, priority) of each language in a voice's list at the memory `address`.
+
+    The smaller the priority, the better the voice speaks the language.
+    """
     found = []
     while priority := ctypes.string_at(address, 1)[0]:
         tag = ctypes.string_at(address + 1)
@@ -185,7 +191,8 @@ def _languages(address: int) -> list[tuple[str, int]]:
 def load_library() -> EspeakLibrary:
     """Return the espeak-ng of the system, else the one in the package espeakng-loader.
 
-    The library gives its sound to the object loaded last. Raises SynthesisError for neither.
+    The library passes its sound to the object loaded last. Raises SynthesisError if neither is
+    installed, or its voices' data are missing.
     """
     try:
         return EspeakLibrary(ctypes.CDLL(_LIBRARY), None)

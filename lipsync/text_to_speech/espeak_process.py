@@ -25,7 +25,7 @@ _FULL_SCALE: Final = 32768.0
 
 
 class EspeakProcess:
-    """A child process with espeak-ng, started again when lost; `espeak` returns the only one.
+    """A child process with espeak-ng, started again when it ended; `espeak` returns the only one.
 
     Raises SynthesisError where espeak-ng is not installed.
     """
@@ -39,17 +39,18 @@ class EspeakProcess:
 
     @property
     def pid(self) -> int | None:
-        """The id of the child process that was started last; None: none was."""
+        """The id of the child process that was started last; None before the first start."""
         return self._process.pid
 
     def languages(self) -> tuple[str, ...]:
-        """Return the tags of all languages, in alphabetical order."""
+        """Return the tags of all languages of espeak-ng, in alphabetical order."""
         return self._languages
 
     def synthesize(self, text: str, voice: Voice) -> Synthesis:
-        """Return sound and marks of a text without control characters in one of `languages()`.
+        """Return sound and marks of a text without control characters.
 
-        Raises SynthesisError, also for a text at which espeak-ng crashes or hangs.
+        voice: its `language` is one of `languages()`. Raises SynthesisError, also for a text at
+        which espeak-ng crashes or hangs.
         """
         answer, sound = self._process.request({"text": text, "voice": asdict(voice)})
         samples = np.frombuffer(sound, np.int16).astype(np.float32) / np.float32(_FULL_SCALE)
@@ -57,7 +58,7 @@ class EspeakProcess:
         return Synthesis(samples, answer["sample_rate_hz"], marks)
 
     def close(self) -> None:
-        """End the child process; a later text starts it again."""
+        """Kill the child process; the next text starts it again."""
         self._process.close()
 
 
@@ -65,7 +66,7 @@ _starting: Final = threading.Lock()
 
 
 def espeak() -> EspeakProcess:
-    """Return the `EspeakProcess` of this process, started at the first call."""
+    """Return the one `EspeakProcess` of the calling process, created at the first call."""
     with _starting:
         return _started_once()
 
@@ -80,7 +81,10 @@ def _mark(mark: Mapping[str, Any]) -> PhonemeMark | WordMark:
 
 
 def _answered(request: Request) -> tuple[dict[str, object], bytes]:
-    """Return the answer to a request, languages or speech. Raises SynthesisError for no library."""
+    """Return the answer to a request for the languages or for speech, and the speech's bytes.
+
+    Raises SynthesisError if there is no library or it fails.
+    """
     library = _library()
     if "languages" in request:
         return {"languages": library.languages()}, b""

@@ -1,4 +1,4 @@
-"""The synthesiser flite: English, small, and its segments include their closures already.
+"""The synthesiser flite: English, small; the times of its stops include their closures already.
 
 The command `flite -psdur` prints each segment with the time of its end, in seconds.
 """
@@ -41,7 +41,7 @@ _TIMEOUT_S = 60.0
 
 
 class Flite:
-    """The `Synthesizer` flite. Raises SynthesisError where it is not installed.
+    """The speech `Synthesizer` flite. Raises SynthesisError where it is not installed.
 
     It gives no times of words, and has one pitch for each voice.
     """
@@ -59,12 +59,12 @@ class Flite:
         return (_LANGUAGE,)
 
     def voices(self) -> tuple[str, ...]:
-        """Return the voices that `flite -lv` lists, such as `kal`, `rms` and `slt`."""
+        """Return the voices that `flite -lv` lists but the talking clock, in alphabetical order."""
         listed = self._run("-lv").partition(":")[2].split()
         return tuple(sorted(set(listed) - {_TALKING_CLOCK}))
 
     def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
-        """Return a spoken text with phoneme times; flite is started for each text."""
+        """Return a text's speech with phoneme times, by a run of flite. Raises SynthesisError."""
         written = checked_text(text, self.longest_text)
         self._check_voice(voice)
         name = voice.name or _BEST_VOICE
@@ -115,9 +115,9 @@ class Flite:
 
 
 def segments(printed: str, duration_s: float) -> list[TimedPhones]:
-    """Return the phones in the output of `-psdur`, `pau:0.193 p:0.271 ...`, up to the sound's end.
+    """Return the phones in flite's output `printed`, `pau:0.193 p:0.271 ...`, until `duration_s`.
 
-    The last pause is longer or shorter than the sound, by up to 0.12 s; it ends with the sound.
+    The end that flite prints for the last pause is up to 0.12 s off; `duration_s` replaces it.
     Raises SynthesisError for other output.
     """
     found: list[TimedPhones] = []

@@ -1,4 +1,4 @@
-"""gruut in a process of its own, at low priority: it takes seconds to load, in which no tick waits.
+"""gruut in a process of its own, at low priority, so that its loading, seconds, delays no tick.
 
 A text arrives while a face speaks. In the process that moves the mouth, loading gruut would hold
 the interpreter, and its 43 MB would stay.
@@ -15,9 +15,10 @@ _LOWER_PRIORITY: Final = 10
 
 
 def written_out(text: str, language: str) -> list[tuple[str, list[str]]]:
-    """Return the spoken words of a text with their IPA, numbers and abbreviations written out.
+    """Return the words of a text as spoken, each with its IPA phonemes.
 
-    Raises SynthesisError for a text that gruut cannot read.
+    Numbers and abbreviations are written out. language: a tag of gruut, such as `en-us`. Raises
+    SynthesisError for a text that gruut cannot read.
     """
     answer, _ = _process().request({"text": text, "language": language})
     return [(word, ipa) for word, ipa in answer["words"]]

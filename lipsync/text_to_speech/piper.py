@@ -1,8 +1,8 @@
 """Piper, a neural voice: the extra `piper` and a model, NAME.onnx with NAME.onnx.json beside it.
 
 It loads a model in a second or two, so it has a process of its own, which keeps the model that
-spoke last. Its phonemes are given, without the times that its network planned for them, and
-followed in the sound: P B M begin 34 ms before their planned times (docs/benchmarks.md). Why it is
+spoke last. Its phonemes are returned without the times that its network planned for them, to
+be found in the sound: P B M begin 34 ms before their planned times (docs/benchmarks.md). Why it is
 not imported into the face: docs/decisions/0062-voices-of-others.md.
 """
 
@@ -30,7 +30,7 @@ _RATES_WPM = range(80, 401)
 
 
 class Piper:
-    """The `Synthesizer` Piper; the name of a voice is the path of its model.
+    """The speech `Synthesizer` Piper; the name of a voice is the path of its model.
 
     Raises SynthesisError where Piper is not installed.
     """
@@ -45,15 +45,18 @@ class Piper:
         self._process = _process()
 
     def languages(self) -> tuple[str, ...]:
-        """Return an empty tuple: a model speaks one language."""
+        """Return an empty tuple: the model determines the language."""
         return ()
 
     def voices(self) -> tuple[str, ...]:
-        """Return an empty tuple: every model is a voice."""
+        """Return an empty tuple: any model can be a voice."""
         return ()
 
     def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
-        """Return a spoken text and its phonemes, without times; `[[ ]]` are read as text."""
+        """Return a text's speech and its phonemes, without times. Raises SynthesisError.
+
+        `[[` and `]]`, Piper's marks of phonemes, are read as text.
+        """
         written = checked_text(text, self.longest_text).replace("[[", "[ [")
         if not Path(voice.name).is_file():
             raise SynthesisError(
@@ -89,7 +92,10 @@ def _loaded(model: str) -> Any:
 
 
 def _answered(request: Request) -> tuple[dict[str, object], bytes]:
-    """Speak a request's text by its model; return phonemes and sound. Raises SynthesisError."""
+    """Speak a request's text by its model; return rate and phonemes, and int16 sound as bytes.
+
+    Raises SynthesisError if the model cannot be loaded or does not speak the request's language.
+    """
     from piper import SynthesisConfig
 
     try:
@@ -108,7 +114,7 @@ def _answered(request: Request) -> tuple[dict[str, object], bytes]:
 
 
 def joined(letters: Sequence[str]) -> list[str]:
-    """Return IPA letters with the two of each diphthong or affricate joined to one phoneme."""
+    """Return IPA letters, the two of each diphthong or affricate joined to one phoneme."""
     found: list[str] = []
     for letter in letters:
         if found and found[-1] + letter in ipa_table():

@@ -3,7 +3,7 @@
 English comes from gruut: its normaliser writes numbers, money, dates and abbreviations out in
 words, its lexicon (the CMU dictionary in IPA) has the pronunciations of 124,000, and its model
 guesses the others. Other languages, and English where gruut is not installed, come from espeak-ng,
-whose own phonemes for the text are taken. Why these: docs/decisions/0057-known-words.md.
+whose own phonemes for the text are used. Why these: docs/decisions/0057-known-words.md.
 
 Nothing here is quick: it is called where text arrives, never in a tick.
 """
@@ -47,14 +47,14 @@ _PHONES: Final = 6
 
 
 class PronunciationError(UserError):
-    """A word cannot be pronounced; the message is one line."""
+    """Error for a word or text that cannot be pronounced; the message is one line."""
 
 
 def pronounced(text: str, language: str = DEFAULT_LANGUAGE) -> tuple[PronouncedWord, ...]:
     """Return the words of a text with their pronunciations; () for a text without words (emoji).
 
-    SSML's marks are left out. Raises PronunciationError for a text longer than `LONGEST_TEXT`, a
-    language that cannot be pronounced, and where neither gruut nor espeak-ng is installed.
+    SSML's marks are left out. Raises PronunciationError for a text longer than `LONGEST_TEXT`, for
+    a language that cannot be pronounced, and where neither gruut nor espeak-ng is installed.
     """
     if len(text) > LONGEST_TEXT:
         raise PronunciationError(
@@ -87,7 +87,7 @@ def spoken_words(text: str) -> tuple[PronouncedWord, ...]:
 def pronounced_units(
     spoken: SpokenText, language: str = DEFAULT_LANGUAGE
 ) -> tuple[PronouncedWord, ...]:
-    """Return a spoken text's words with their pronunciations, and times in s where it has them.
+    """Return a spoken text's words with their pronunciations, and their start times in s if known.
 
     Phonemes become words of up to six phones. Raises PronunciationError as `pronounced` does.
     """
@@ -111,7 +111,7 @@ def pronounced_units(
 
 
 def _english(text: str) -> Iterator[PronouncedWord]:
-    """Yield an English text's words from the lexicon, or by gruut, which takes seconds to load."""
+    """Yield an English text's words from the lexicon if it has all, else by the slow gruut."""
     plain = _plain_words(text)
     if plain is not None:
         yield from plain
@@ -130,7 +130,10 @@ def _english(text: str) -> Iterator[PronouncedWord]:
 
 
 def _plain_words(text: str) -> list[PronouncedWord] | None:
-    """Return a text's words from the lexicon; None if it lacks one, or one may be abbreviated."""
+    """Return a text's words with their pronunciations in the lexicon.
+
+    None if it lacks one of them, or one may be a number or an abbreviation.
+    """
     words = []
     for written in text.split():
         word = written.strip(_PUNCTUATION)
@@ -167,7 +170,7 @@ def _phones(ipa: Sequence[str]) -> tuple[str, ...]:
 
 
 def _by_espeak(text: str, language: str) -> Iterator[PronouncedWord]:
-    """Yield the words of a text with espeak-ng's phonemes. Raises PronunciationError."""
+    """Yield a text's words with espeak-ng's phonemes. Raises PronunciationError if it fails."""
     from lipsync.text_to_speech.synthesis import SynthesisError, Voice
     from lipsync.text_to_speech.synthesizers import speak_in_pieces, synthesizer_for
 

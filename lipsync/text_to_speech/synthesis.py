@@ -1,4 +1,4 @@
-"""The contract of speech synthesisers, the texts that they get, and the speech that they make."""
+"""The protocol of speech synthesisers, the texts given to them, and the speech that they make."""
 
 import re
 import unicodedata
@@ -15,19 +15,19 @@ from lipsync.spoken_text import SpokenText
 
 
 class SynthesisError(UserError):
-    """A text cannot be spoken: what, why, and what to do, in one line."""
+    """Error for a text that cannot be spoken: what, why, and what to do, in one line."""
 
 
 class UnspeakableTextError(SynthesisError):
-    """A text contains nothing that sounds: empty, dashes, signs that the voice does not read."""
+    """Error for a text without sound: empty, dashes, signs that the voice does not read."""
 
 
 @dataclass(frozen=True, slots=True)
 class Voice:
-    """Language, voice, rate and pitch of speech; what a synthesiser lacks raises SynthesisError.
+    """Language, voice, rate and pitch of speech; SynthesisError where a synthesiser lacks one.
 
-    language: one of the synthesiser's `languages()`. name: one of its `voices()`; "" is its own
-    choice for the language. rate_wpm: words a minute, 80 to 400, 175 as the voice was made.
+    language: one of the synthesiser's `languages()`. name: one of its `voices()`; "" leaves the
+    choice for the language to it. rate_wpm: words a minute, 80 to 400, 175 as the voice was made.
     pitch: 0 to 99, 50 as the voice was made.
     """
 
@@ -43,7 +43,7 @@ DEFAULT_VOICE = Voice()
 
 @dataclass(frozen=True, slots=True)
 class SpokenWord:
-    """A word of the text, from the start of its first phoneme to the end of its last."""
+    """A word of a spoken text: start of its first phoneme and end of its last, in seconds."""
 
     text: str
     start_s: float
@@ -55,9 +55,10 @@ class SynthesizedSpeech:
     """Sound with its phonemes or units; times in seconds from the first sample.
 
     samples: float32 (n,), within [-1, 1]. phonemes: of our inventory, in order, each beginning
-    where the one before ends, SIL in pauses, from 0 to the end of the sound. A stop includes its
-    closure. Without phonemes of the voice, `units` has the text, phonemes without times, or words
-    with their starts. guessed: phonemes of the voice that lipsync/ipa.yaml lacks, each once.
+    where the one before ends, SIL in pauses, from 0 to the end of the sound; a stop includes its
+    closure. units: None with phonemes; for a voice without phoneme times it is the text, phonemes
+    without times, or words with their starts. guessed: phonemes of the voice that lipsync/ipa.yaml
+    lacks, each once.
     """
 
     samples: NDArray[np.float32]
@@ -74,22 +75,22 @@ class SynthesizedSpeech:
 
 
 class Synthesizer(Protocol):
-    """A speech synthesiser, which gives sound and its text or phonemes, mostly with times."""
+    """A speech synthesiser, from text to sound with words or phonemes, mostly with their times."""
 
     #: Texts longer than this, in characters, are to be cut (`speak_in_pieces` does).
     longest_text: int
 
     def languages(self) -> tuple[str, ...]:
-        """Return the languages that the synthesiser speaks, in alphabetical order."""
+        """Return the synthesiser's languages in alphabetical order; () if the voice has its own."""
 
     def voices(self) -> tuple[str, ...]:
-        """Return the names of its voices, in alphabetical order; () if each language is a voice."""
+        """Return the voices' names in alphabetical order; () if there is no list of them."""
 
     def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
         """Return the speech of a text of at most `longest_text` characters.
 
-        Text is text: marks of SSML are read out literally. Raises SynthesisError for a text in
-        which nothing can be spoken (UnspeakableTextError), and for a voice that it lacks.
+        Marks of SSML are read out literally. Raises UnspeakableTextError for a text in which
+        nothing can be spoken, SynthesisError for a longer text or a voice that is lacking.
         """
 
 
@@ -106,14 +107,14 @@ _SPACE = re.compile(r"\s+")
 
 
 def readable(text: str) -> str:
-    """Return the text with a space for each control or unassigned character, so positions stay."""
+    """Return the text with a space for each control or unassigned character, equally long."""
     return "".join(" " if unicodedata.category(each) in _NOT_TEXT else each for each in text)
 
 
 def checked_text(text: str, longest: int) -> str:
-    """Return the text with a space for each control or unassigned character.
+    """Return the text with a space for each control or unassigned character, equally long.
 
-    Raises UnspeakableTextError where it is empty, SynthesisError where it is longer than `longest`.
+    Raises UnspeakableTextError for an empty text, SynthesisError for one longer than `longest`.
     """
     if len(text) > longest:
         raise SynthesisError(
@@ -129,7 +130,7 @@ def checked_text(text: str, longest: int) -> str:
 def pieces(text: str, longest: int) -> Iterator[str]:
     """Yield the sentences of a text; one longer than `longest` is cut at a comma or a space.
 
-    White space alone gives no piece. A word longer than `longest` is cut where it must be.
+    White space alone gives no piece. A word longer than `longest` characters is cut there.
     """
     start = 0
     while start < len(text):
@@ -156,7 +157,7 @@ def _piece_end(text: str, start: int, longest: int) -> int:
 
 @dataclass(slots=True)
 class TimedPhones:
-    """A phoneme of a voice as phones of the inventory; `word` is the number of its word or -1."""
+    """A voice's phoneme as phones of the inventory; `word`: number of its word, -1 for none."""
 
     phones: tuple[str, ...]
     start_s: float
@@ -165,7 +166,10 @@ class TimedPhones:
 
 
 def phoneme_events(timed: list[TimedPhones]) -> tuple[PhonemeEvent, ...]:
-    """Return one event a phone: phones of one phoneme share its time, successive pauses are one."""
+    """Return one event for each phone, in order.
+
+    The phones of one phoneme share its time evenly; successive pauses become one event.
+    """
     events: list[PhonemeEvent] = []
     for each in timed:
         n = len(each.phones)

@@ -1,4 +1,4 @@
-"""The speech synthesisers by name, and long texts sentence by sentence."""
+"""Speech synthesisers by name, and long texts spoken sentence by sentence."""
 
 from collections.abc import Iterator
 
@@ -17,9 +17,9 @@ LONGEST_PIECE = 400
 
 
 def synthesizer_for(name: str = DEFAULT_SYNTHESIZER) -> Synthesizer:
-    """Return a new synthesiser of a name in `lipsync.plugins.SYNTHESIZERS`.
+    """Return a new speech synthesiser, by its name in `lipsync.plugins.SYNTHESIZERS`.
 
-    Raises PluginError for another, and SynthesisError where what it needs is not installed.
+    Raises PluginError for an unknown name, SynthesisError where what it needs is not installed.
     """
     synthesizer: Synthesizer = SYNTHESIZERS.load(name)()
     return synthesizer
@@ -30,9 +30,9 @@ def speak_in_pieces(
 ) -> Iterator[SynthesizedSpeech]:
     """Yield the speech of a text of any length by sentences, each made when the iterator advances.
 
-    So the first sounds soon, and no more than one is in memory. Pieces in which nothing can be
-    spoken, as a line of dashes, are left out. Raises UnspeakableTextError at the end where all
-    were, and SynthesisError as `speak` does.
+    So the first sentence sounds soon, and no more than one is in memory. Pieces in which nothing
+    can be spoken, such as a line of dashes, are left out. Raises UnspeakableTextError at the end
+    if all were left out, and SynthesisError as `speak` does.
     """
     is_spoken = False
     for piece in pieces(text, LONGEST_PIECE):

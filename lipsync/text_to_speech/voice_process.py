@@ -1,8 +1,8 @@
 """A voice in a process of its own: what crashes, hangs or grows costs one text, never the face.
 
 The process answers each line of JSON, a request, with a line of JSON, and bytes after it. It ends
-when its pipe does, with all that it has started, so that nothing outlives the caller, however
-that ended; it is killed with all of it when an answer takes too long.
+when its standard input does, with all that it has started, so that nothing outlives the caller,
+even one that crashed; it is killed, with all that it has started, when an answer is overdue.
 """
 
 import atexit
@@ -28,10 +28,10 @@ Request = Mapping[str, Any]
 
 
 class VoiceProcess:
-    """A child process that answers requests one by one, started at the first and again when lost.
+    """A child process that answers requests one by one; a request starts it if it is not running.
 
-    module: what it runs; ends in `serve`. failed: the error message for a text at which it crashes
-    or hangs.
+    module: the module that it runs, which calls `serve`. failed: the error message for a text at
+    which it crashes or hangs.
     """
 
     def __init__(self, module: str, failed: str) -> None:
@@ -43,11 +43,14 @@ class VoiceProcess:
 
     @property
     def pid(self) -> int | None:
-        """The id of the child process that was started last; None: none was."""
+        """The id of the child process that was started last; None before the first start."""
         return None if self._child is None else self._child.pid
 
     def request(self, request: Request) -> tuple[dict[str, Any], bytes]:
-        """Send a request to the child; return its answer and bytes. Raises SynthesisError."""
+        """Send a request to the child process; return its answer, and the bytes that follow it.
+
+        Raises SynthesisError with the child's message, or with `failed` if it crashes or hangs.
+        """
         with self._lock:
             if self._child is None or self._child.poll() is not None:
                 self._child = self._started()
@@ -65,7 +68,7 @@ class VoiceProcess:
         return answer, content
 
     def close(self) -> None:
-        """Kill the child process and all that it has started; a later request starts it again."""
+        """Kill the child process and all that it has started; the next request starts it again."""
         if self._child is not None:
             self._kill()
             self._child.communicate()
@@ -87,9 +90,9 @@ class VoiceProcess:
 
 
 def _exchange(child: "subprocess.Popen[bytes]", request: Request) -> tuple[dict[str, Any], bytes]:
-    """Send a request to the child process; return its answer and bytes.
+    """Send a request to the child process; return its answer and the bytes after it.
 
-    Raises OSError or ValueError when the process ends before its answer does.
+    Raises OSError or ValueError when the process ends before its answer is complete.
     """
     assert child.stdin is not None
     assert child.stdout is not None
@@ -103,9 +106,10 @@ def _exchange(child: "subprocess.Popen[bytes]", request: Request) -> tuple[dict[
 
 
 def serve(answered: Callable[[Request], tuple[dict[str, object], bytes]]) -> None:
-    """Answer requests until the pipe ends, then end this process and all that it has started.
+    """Answer requests from standard input until its end; then end this process and its children.
 
-    The message of a SynthesisError that `answered` raises is sent as the answer.
+    answered: returns for a request the answer, and bytes to be sent after it. The message of a
+    SynthesisError that it raises is sent as the answer.
     """
     import resource
 

@@ -1,4 +1,4 @@
-"""The skin of the twin at rest, its colours and its holes; and how it moves, as a thin shell.
+"""The skin of the twin (a head for displays), its colours and holes; its motion as a thin shell.
 
 The displacement d minimises k_s |grad d|^2 + k_b |lap d|^2 over the surface, with k_b = 1 and d
 given at some vertices (Botsch and Sorkine, "On linear variational surface deformation methods",
@@ -58,9 +58,9 @@ class MeanFace:
     """A head mesh without colour or motion.
 
     vertices_mm (n, 3): x to the picture's right, y up, z to the viewer; the first 468 are numbered
-    as in the 478-point face mesh. triangles (n_triangles, 3), outward. behind (n,): 0 on the face,
-    and how many rings behind its rim on the back of the head. irises_mm (2, 5, 3): centre and four
-    points of the edge, right and left eye.
+    as in the 478-point face mesh. triangles (n_triangles, 3), counter-clockwise seen from outside.
+    behind (n,): 0 on the face; on the back of the head, the number of rings behind the face's rim.
+    irises_mm (2, 5, 3): centre and four points of the edge, right and left eye.
     """
 
     vertices_mm: Array
@@ -70,7 +70,7 @@ class MeanFace:
 
 
 def load_mean_face() -> MeanFace:
-    """Return the mean face of the package. Raises OSError or ValueError where it is damaged."""
+    """Return the mean head of the package. Raises OSError or ValueError where it is damaged."""
     place = resources.files("lipsync.models") / f"{SHIPPED_FACE}.npz"
     with place.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
         return MeanFace(
@@ -98,7 +98,7 @@ _SEAM_MM, _SEAM_RINGS = (-115.0, -70.0, 30.0), (4.5, 1.6, 0.9)
 
 
 def skin_colours(mean: MeanFace) -> Array:
-    """Return the colour of each vertex of a head: skin, cheeks, lips, brows, lashes, robot's back.
+    """Return each vertex's colour: skin with cheeks, lips, brows and lashes, and a robot's back.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def _cheeks(places: Array) -> Array:
 
 
 def _lips(mean: MeanFace) -> Array:
-    """Return 0 to 1 (n,): 1 within the lips' outer line as the viewer sees it, with a soft edge."""
+    """Return how much each vertex is lip (n,): 1 within the outer lip line, with a soft edge."""
     outline = mean.vertices_mm[list(OUTER_LIP), :2]
     closed = np.vstack([outline, outline[:1]])
     flat = mean.vertices_mm[:, :2]
@@ -141,7 +141,7 @@ def _lips(mean: MeanFace) -> Array:
 
 
 def _brows(places: Array) -> Array:
-    """Return 0 to 1 (n,): 1 along the middle of each eyebrow, with soft edges, thin at the ends."""
+    """Return how much each vertex is brow (n,): 1 along the brows' middle, with soft edges."""
     amount = np.zeros(len(places))
     for lower, upper in (RIGHT_BROW, LEFT_BROW):
         line = _line((places[list(lower)] + places[list(upper)]) / 2, 10)
@@ -154,7 +154,7 @@ def _brows(places: Array) -> Array:
 
 
 def _lashes(places: Array) -> Array:
-    """Return 0 to 1 (n,): 1 along the edge of the upper lids, with a soft edge."""
+    """Return how much each vertex is lash (n,): 1 along the upper lids' edge, with a soft edge."""
     lines = [_line(places[list(each[:N_UPPER_LID])], 8)[8:] for each in (RIGHT_EYE, LEFT_EYE)]
     away, _ = cKDTree(np.vstack(lines)).query(places, distance_upper_bound=_FAR_MM)
     return np.asarray(np.clip(1.0 - away / _LASH_EDGE_MM, 0.0, 1.0), dtype=np.float64)
@@ -166,14 +166,14 @@ def _robot(mean: MeanFace) -> Array:
 
 
 def _line(corners: Array, steps: int) -> Array:
-    """Return points along a polygon line, `steps` from one corner to the next."""
+    """Return points along the line through `corners` (n, k), `steps` from each to the next."""
     at = np.linspace(0, len(corners) - 1, steps * (len(corners) - 1) + 1)
     known = np.arange(len(corners))
     return np.column_stack([np.interp(at, known, column) for column in corners.T])
 
 
 def _inside(points: Array, polygon: Array) -> Array:
-    """Return 1 (n,) for points within a polygon (m, 2), else 0: odd edges to their right."""
+    """Return 1 (n,) for points (n, 2) within a polygon (m, 2), else 0: odd edges to their right."""
     start, end = polygon, np.roll(polygon, -1, axis=0)
     x, y = points[:, :1], points[:, 1:]
     spans = (start[:, 1] > y) != (end[:, 1] > y)
@@ -190,9 +190,10 @@ _LEAST_AREA_MM2 = 1e-9
 
 
 def influence(stiffness: sparse.csr_array, handles: Sequence[int], anchors: Sequence[int]) -> Array:
-    """Return how far each vertex moves with each handle that moves by 1.
+    """Return how far each vertex of a surface moves when one handle vertex moves by 1.
 
-    1 at the handle itself, 0 at the others and at the anchors; a vertex that is both is a handle.
+    1 at the handle itself, 0 at the other handles and at the anchors, which do not move; a vertex
+    that is both is a handle.
 
     Parameters
     ----------
@@ -219,11 +220,10 @@ def influence(stiffness: sparse.csr_array, handles: Sequence[int], anchors: Sequ
 
 
 def spread(stiffness: sparse.csr_array, held: Indices, given: Array) -> Array:
-    """Return the displacements of all vertices of a surface when those of some are given.
+    """Return the displacements of all vertices of a shell from given ones of some vertices.
 
-    Raises ValueError if a piece of the surface has no vertex that is given.
-
-    Each of the k columns is independent of the others.
+    They have the least elastic energy; each of the k columns is independent of the others. Raises
+    ValueError if a piece of the surface has no given vertex.
 
     Parameters
     ----------
@@ -262,7 +262,10 @@ def spread(stiffness: sparse.csr_array, held: Indices, given: Array) -> Array:
 def shell_stiffness(
     vertices_mm: Array, triangles: Indices, membrane_per_mm2: float = MEMBRANE_PER_MM2
 ) -> sparse.csr_array:
-    """Return a shell's stiffness Q = L^T M^-1 L - k_s L: symmetric, positive semi-definite.
+    """Return a shell's stiffness matrix, by which `spread` computes its displacements.
+
+    Q = L^T M^-1 L - k_s L, with L the Laplacian and M the vertices' areas: symmetric, positive
+    semi-definite.
 
     Parameters
     ----------
@@ -271,7 +274,7 @@ def shell_stiffness(
     triangles : Indices
         (n_triangles, 3).
     membrane_per_mm2 : float
-        k_s.
+        k_s, the weight of stretching against bending.
 
     Returns
     -------
@@ -334,23 +337,23 @@ class HeadSurface:
 
     @cached_property
     def anchors(self) -> Indices:
-        """The vertices of the upper face, the eyes and the back of the head, which do not move."""
+        """Numbers of the vertices of upper face, eyes and back of the head, which do not move."""
         above = self.places_mm[:, 1] > _UPPER_FACE_MM
         behind = self.places_mm[:, 2] < _BACK_MM
         return np.flatnonzero(above | behind)
 
     @cached_property
     def stiffness(self) -> sparse.csr_array:
-        """The stiffness matrix of the surface's shell."""
+        """The stiffness matrix of the surface, as `shell_stiffness` returns it."""
         return shell_stiffness(self.places_mm, self.triangles)
 
     @cached_property
     def loops(self) -> list[list[int]]:
-        """The vertices along each hole of the surface, in order."""
+        """The numbers of the vertices round each hole of the surface, in order."""
         return boundary_loops(self.triangles)
 
     def loop_from(self, first: int, then: int) -> list[int]:
-        """Return the vertices round a hole from `first` on, in the direction of `then`."""
+        """Return a hole's vertices in order, from `first` on in the shorter direction to `then`."""
         (loop,) = (each for each in self.loops if first in each)
         at = loop.index(first)
         turned = loop[at:] + loop[:at]
@@ -360,12 +363,12 @@ class HeadSurface:
 
 
 def head_surface(mean: MeanFace) -> HeadSurface:
-    """Return the surface of a mean face with the colours in which it is drawn."""
+    """Return the surface of a mean head with the colours in which it is drawn."""
     return HeadSurface(mean.vertices_mm, mean.triangles, skin_colours(mean))
 
 
 def boundary_loops(triangles: Indices) -> list[list[int]]:
-    """Return the vertices round each hole, in order: its edges belong to one triangle only."""
+    """Return the vertices round each hole, in order; a hole's edges have one triangle each."""
     start = triangles.ravel()
     end = np.roll(triangles, -1, axis=1).ravel()
     n = int(triangles.max()) + 1

@@ -1,9 +1,9 @@
-"""A twin as bytes for a page: a header in JSON, then arrays, little-endian.
+"""A twin (a head for displays) as bytes for a web page: JSON header, then little-endian arrays.
 
 The first four bytes are the length of the header (u32); arrays begin after it, at multiples of four
-bytes, and the header gives the byte at which each begins, counted from the first one. Places are
-float32 in mm; morph targets int16 times a step in mm, and their turn of the normals int8 times a
-step; colours and triangles are u8 and u16.
+bytes, and the header gives the byte at which each begins, counted from the first array. Places are
+float32 in mm; morph targets int16 times a step in mm, and the changes of the normals with them int8
+times a step; colours and triangles are u8 and u16.
 """
 
 import json
@@ -36,7 +36,7 @@ _MOST = {np.dtype(np.int16): 32767, np.dtype(np.int8): 127}
 
 
 def pack(twin: Twin) -> bytes:
-    """Return the twin as bytes; the header's fields are those of `Twin`, `Part` and `Eyeball`."""
+    """Return a twin as bytes; the header's fields are those of `Twin`, `Part` and `Eyeball`."""
     body = Body()
     amounts = dict(zip(twin.components, twin.deviations.tolist(), strict=True))
     header = {
@@ -61,9 +61,10 @@ def pack(twin: Twin) -> bytes:
 
 
 def unpack(packed: bytes) -> dict[str, dict[str, Any]]:
-    """Return a packed twin's parts by name, each with `places_mm` (n, 3), `triangles` and `morphs`.
+    """Return a packed twin's parts by name: places, triangles and morph targets of each.
 
-    Places and morphs are float32, in mm, as a page reads them.
+    `places_mm` (n, 3) and each of `morphs` by name (n, 3) are float32 in mm, as a page decodes
+    them; `triangles` (n_triangles, 3) int64.
     """
     (length,) = struct.unpack_from("<I", packed)
     header = json.loads(packed[4 : 4 + length])
@@ -84,20 +85,20 @@ def unpack(packed: bytes) -> dict[str, dict[str, Any]]:
 
 
 class Body:
-    """Arrays as bytes, one after another, at multiples of four bytes."""
+    """The arrays of a packed twin as bytes, one after another, at multiples of four bytes."""
 
     def __init__(self) -> None:
         self.pieces: list[bytes] = []
         self._length = 0
 
     def behind(self, header: Mapping[str, object]) -> bytes:
-        """Return the packed bytes: the header in JSON, then all arrays."""
+        """Return the packed twin: the length of the header, the header in JSON, all arrays."""
         text = json.dumps(header).encode()
         text += b" " * (-(4 + len(text)) % 4)
         return struct.pack("<I", len(text)) + text + b"".join(self.pieces)
 
     def add(self, values: NDArray[Any], kind: str) -> dict[str, object]:
-        """Append an array; return its first byte, its number of values and their type."""
+        """Append an array as NumPy type `kind`; return its first byte, number of values, type."""
         data = np.ascontiguousarray(values, dtype=kind).tobytes()
         place = {"at": self._length, "count": int(values.size), "type": kind}
         padded = data + b"\0" * (-len(data) % 4)
@@ -106,7 +107,10 @@ class Body:
         return place
 
     def add_scaled(self, values: Array, kind: str) -> dict[str, object]:
-        """Append an array as whole numbers times a step; return `add`'s result and the step."""
+        """Append an array as whole numbers of type `kind` times a step.
+
+        Return what `add` returns, and the step.
+        """
         most = _MOST[np.dtype(kind)]
         step = max(float(np.abs(values).max()), 1e-9) / most
         return {**self.add(np.rint(values / step), kind), "step": step}
@@ -133,14 +137,17 @@ def _part(part: Part, amounts: Mapping[str, float], body: Body) -> dict[str, obj
 
 
 def _rotated(part: Part, moves: Array, amount: float) -> Array:
-    """Return the change of the normals (n, 3) with 1 of a morph target, over +-`amount` of it."""
+    """Return the change of a part's normals (n, 3) per unit of a morph target `moves` (n, 3).
+
+    It is their mean change between -`amount` and `amount` of the target.
+    """
     there = vertex_normals(part.places_mm + amount * moves, part.triangles)
     back = vertex_normals(part.places_mm - amount * moves, part.triangles)
     return np.asarray((there - back) / (2 * amount), dtype=np.float64)
 
 
 def vertex_normals(places: Array, triangles: Indices) -> Array:
-    """Return a mesh's normals of length 1: the mean over the triangles round each vertex, by area.
+    """Return a mesh's unit normals: of the triangles round each vertex, weighted by their area.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The parts of a twin beside the skin: eyeballs, jaw, teeth, tongue and neck.
+"""The parts of a twin (a head for displays) beside the skin: eyeballs, jaw, teeth, tongue and neck.
 
 Simple shapes that are generated, not measured.
 """
@@ -18,9 +18,9 @@ from lipsync.twin.head_surface import LEFT_EYE, RIGHT_EYE, HeadSurface
 class Part:
     """One mesh of a twin.
 
-    places_mm (n, 3), triangles (n_triangles, 3), outward; colours (n, 3), 0 to 1, sRGB.
-    morphs: displacements in mm (n, 3) of the targets that move it, by name. It turns with the head
-    unless it `stays`.
+    places_mm (n, 3), triangles (n_triangles, 3), counter-clockwise seen from outside; colours
+    (n, 3), 0 to 1, sRGB. morphs: displacements in mm (n, 3) of the morph targets that move the
+    part, by name. stays: True for a part that does not turn with the head.
     """
 
     name: str
@@ -33,7 +33,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Eyeball:
-    """A sphere that turns about its centre (3,); it looks straight ahead along z."""
+    """An eyeball, a sphere that turns about `centre_mm` (3,); at rest its gaze is along z."""
 
     side: Literal["left", "right"]
     centre_mm: Array
@@ -59,7 +59,7 @@ def eyeballs(surface: HeadSurface, irises_mm: Array) -> tuple[Eyeball, Eyeball]:
     surface : HeadSurface
         Surface of the head.
     irises_mm : Array
-        (2, 5, 3), right first: how wide the irises are.
+        (2, 5, 3), right first: centre and four points of the edge of each iris.
 
     Returns
     -------
@@ -74,7 +74,10 @@ def eyeballs(surface: HeadSurface, irises_mm: Array) -> tuple[Eyeball, Eyeball]:
 
 
 def _eyeball(side: Literal["left", "right"], rim_mm: Array, iris_mm: float) -> Eyeball:
-    """Return an eyeball between the eye's corners, just behind the middle third of both lids."""
+    """Return an eye's eyeball, between its corners, just behind the middle third of both lids.
+
+    rim_mm: (n, 3), the lids' edge from a corner round; iris_mm: radius of the iris.
+    """
     corners = rim_mm[[0, len(rim_mm) // 2]]
     x = corners[:, 0].mean()
     y = (rim_mm[:, 1].max() + rim_mm[:, 1].min()) / 2
@@ -85,21 +88,21 @@ def _eyeball(side: Literal["left", "right"], rim_mm: Array, iris_mm: float) -> E
 
 
 def lid_lining(surface: HeadSurface, morphs: dict[str, Array], eye: Eyeball) -> Part:
-    """Return the inner lids of one eye: a strip from the rim backwards, dark at the lashes.
+    """Return the lining of one eye's lids: a strip from their edge backwards, dark at the lashes.
 
     Parameters
     ----------
     surface : HeadSurface
         Surface of the head.
     morphs : dict[str, Array]
-        Displacements of the head's vertices, (n_vertices, 3) mm each.
+        Displacements of the head's vertices by morph target, (n_vertices, 3) mm each.
     eye : Eyeball
         Eyeball of that eye.
 
     Returns
     -------
     Part
-        A part with the lids' own morphs.
+        The strip, with the morph targets that move the lids' edge.
     """
     rim = np.array(surface.loop_from(*(LEFT_EYE if eye.side == "left" else RIGHT_EYE)[:2]))
     n = len(rim)
@@ -123,16 +126,16 @@ def lid_lining(surface: HeadSurface, morphs: dict[str, Array], eye: Eyeball) -> 
 
 
 def jaw_motion(chin_mm: Array, joint_mm: Array, chin_moves_mm: Array) -> Array:
-    """Return the jaw's opening, forward and sideways motion that best explain the chin's.
+    """Return the jaw's opening, forward and sideways motion that fit the chin's best.
 
     Parameters
     ----------
     chin_mm : Array
-        (n, 3).
+        (n, 3), points of the chin.
     joint_mm : Array
-        (3,).
+        (3,), the joint of the jaw.
     chin_moves_mm : Array
-        (n_morphs, n, 3), displacements.
+        (n_morphs, n, 3), displacements of the points by morph target.
 
     Returns
     -------
@@ -145,14 +148,14 @@ def jaw_motion(chin_mm: Array, joint_mm: Array, chin_moves_mm: Array) -> Array:
 
 
 def jaw_modes(places_mm: Array, joint_mm: Array) -> Array:
-    """Return how places of the jaw move with 1 rad of opening, 1 mm forward and 1 mm sideways.
+    """Return how points of the jaw move with 1 rad of opening, 1 mm forward and 1 mm sideways.
 
     Parameters
     ----------
     places_mm : Array
-        (n, 3).
+        (n, 3), the points.
     joint_mm : Array
-        (3,).
+        (3,), the joint of the jaw.
 
     Returns
     -------
@@ -170,14 +173,14 @@ def jaw_modes(places_mm: Array, joint_mm: Array) -> Array:
 
 
 def on_jaw(places_mm: Array, joint_mm: Array, motion: Array) -> Array:
-    """Return the displacements of places on the jaw for given motions of the jaw.
+    """Return the displacements of points on the jaw for given motions of the jaw.
 
     Parameters
     ----------
     places_mm : Array
-        (n, 3).
+        (n, 3), the points.
     joint_mm : Array
-        (3,).
+        (3,), the joint of the jaw.
     motion : Array
         (n_morphs, 3), as `jaw_motion` returns it.
 
@@ -208,10 +211,11 @@ _ROWS, _INSIDE_MM = 9, (24.0, 15.0)
 
 @dataclass(frozen=True, slots=True)
 class MouthFrame:
-    """The position of the mouth, and its displacements in each morph.
+    """The position of the mouth, and its displacements by morph target.
 
     places_mm (n, 3): the inner rim of the lips, in order; morphs: its displacements (n, 3).
-    middle_mm: between both lips. joint_mm: of the jaw. jaw: its motion (3,) in each morph.
+    middle_mm: between both lips. joint_mm: the jaw's joint. jaw: the jaw's motion (3,) by morph
+    target, as `jaw_motion` returns it.
     """
 
     places_mm: Array
@@ -221,12 +225,12 @@ class MouthFrame:
     jaw: Mapping[str, Array]
 
     def with_jaw(self, places_mm: Array) -> dict[str, Array]:
-        """Return the displacements of places on the lower jaw, by morph.
+        """Return the displacements of points on the lower jaw, by morph target.
 
         Parameters
         ----------
         places_mm : Array
-            (n, 3).
+            (n, 3), the points.
 
         Returns
         -------
@@ -258,7 +262,11 @@ Piece = tuple[Array, Indices, Array]
 
 
 def _dental_arch(at: Array, widths_mm: tuple[float, ...], height_mm: float, up: float) -> Piece:
-    """Return teeth and gum of both sides; `at`: the edge of the front teeth, in the middle."""
+    """Return the mesh of the teeth and gum of both sides.
+
+    at: the edge of the front teeth, in the middle. widths_mm: of the teeth of one side, from the
+    middle on. up: 1 for upper teeth, -1 for lower.
+    """
     pieces = []
     edges = np.concatenate([[0.0], np.cumsum(widths_mm)])
     for side in (-1.0, 1.0):
@@ -277,7 +285,7 @@ def _dental_arch(at: Array, widths_mm: tuple[float, ...], height_mm: float, up: 
 
 
 def _on_arch(along_mm: float) -> tuple[float, float, float]:
-    """Return x, z (mm) and heading (rad) of the dental parabola, `along_mm` from its middle."""
+    """Return x, z (mm) and heading (rad) on the dental parabola, `along_mm` from its middle."""
     bend = _ARCH_DEPTH_MM / _ARCH_HALF_WIDTH_MM**2
     x = np.linspace(0.0, 2 * _ARCH_HALF_WIDTH_MM, 400)
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(bend * x**2)))])
@@ -286,7 +294,7 @@ def _on_arch(along_mm: float) -> tuple[float, float, float]:
 
 
 def _gum(at: Array, half_length_mm: float) -> Piece:
-    """Return a round bar along the dental arch, as the gum of both sides."""
+    """Return the mesh of the gum of both sides: a round bar along the dental arch through `at`."""
     stations = np.linspace(-half_length_mm, half_length_mm, 25)
     round_it = np.linspace(0, 2 * np.pi, 10, endpoint=False)
     rows = []
@@ -308,7 +316,10 @@ def _ball(
     colour: tuple[float, ...],
     roundness: float = 1.0,
 ) -> Piece:
-    """Return a superellipsoid: an ellipsoid at roundness 1, a box with round edges below."""
+    """Return the mesh of a superellipsoid about `middle` with half axes `half_mm`.
+
+    It is an ellipsoid at roundness 1, a box with round edges below.
+    """
     up = np.linspace(-np.pi / 2, np.pi / 2, 9)
     about = np.linspace(0, 2 * np.pi, 16, endpoint=False)
 
@@ -331,7 +342,7 @@ def _ball(
 def _inside(frame: MouthFrame) -> Part:
     """Return the inside of the mouth: from the lips' inner rim backwards, wider, to a dark end.
 
-    Its front moves with the lips, its lower back with the jaw, its upper back not at all.
+    The front moves with the lips, the lower back with the jaw, the upper back not at all.
     """
     n = len(frame.places_mm)
     lips = frame.places_mm
@@ -363,7 +374,7 @@ def _inside(frame: MouthFrame) -> Part:
 
 
 def _grid(n_rows: int, n_round: int) -> Indices:
-    """Return the triangles between rows of vertices, each row a closed ring."""
+    """Return the triangles between `n_rows` rows of vertices, each a closed ring of `n_round`."""
     corner = np.arange(n_rows * n_round).reshape(n_rows, n_round)
     here, above = corner[:-1], corner[1:]
     ahead, above_ahead = np.roll(here, -1, axis=1), np.roll(above, -1, axis=1)
@@ -400,7 +411,7 @@ _NECK_ROWS = 40
 
 
 def neck() -> Part:
-    """Return the neck, from inside the head downwards; it does not turn with the head."""
+    """Return the neck's mesh, from inside the head downwards; it does not turn with the head."""
     profile = np.array(_PROFILE)
     steps = np.linspace(0, len(profile) - 1, _NECK_ROWS)
     height, radius, grey = PchipInterpolator(np.arange(len(profile)), profile)(steps).T

@@ -1,6 +1,6 @@
-"""The twin of a face model: its mouth on the mean face, as morph targets.
+"""The twin of a face model, a head for displays: the model's mouth on a head, as morph targets.
 
-The shell is linear and so is the face model, so the whole is too: with markers m = mu + c P the
+The skin is a shell, linear like the face model, so both together are: with markers m = mu + c P the
 skin is V + W (m - V_markers) = (V + T_0) + sum_k c_k T_k. One target a component, one number a
 component a frame, and nothing is solved after the start.
 
@@ -71,10 +71,10 @@ _SMILING_LID_MM = 0.9
 
 
 def expression_morphs(surface: HeadSurface, eyes: tuple[Eyeball, ...]) -> dict[str, Array]:
-    """Return the displacements for 1 of each expression: lid_left, lid_right, brow, smile.
+    """Return the skin's displacements for 1 of lid_left, lid_right, brow and smile, by name.
 
-    And lid_left_over, lid_right_over, for lid (1 - lid) of each: a straight path would lead a lid
-    through the eyeball; with it the lid passes over.
+    And lid_left_over, lid_right_over, to be applied by lid (1 - lid) of each: a straight path
+    would lead a lid through the eyeball; with this target the lid passes over it.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def expression_morphs(surface: HeadSurface, eyes: tuple[Eyeball, ...]) -> dict[s
 
 
 def _lower_lid(n: int) -> Array:
-    """Return (n,): 0 on the upper lid, along the lower one from 0 at a corner up to 1 and back."""
+    """Return weights (n,) round an eye: 0 on the upper lid, 0 up to 1 and back on the lower lid."""
     along = np.arange(n) / n
     return np.maximum(0.0, -np.sin(2 * np.pi * along))
 
@@ -124,7 +124,10 @@ def _smile_mm(landmark: int) -> tuple[float, float, float]:
 
 
 def _shutting(rim_mm: Array) -> Array:
-    """Return displacements (n, 3) that shut both lids; the rim's first half is the upper lid."""
+    """Return displacements (n, 3) of the lids' edge `rim_mm` (n, 3) that shut both lids.
+
+    The first half of the edge is the upper lid.
+    """
     half = len(rim_mm) // 2
     upper, lower = rim_mm[: half + 1], np.vstack([rim_mm[half:], rim_mm[:1]])[::-1]
     meeting = (1 - _LOWER_SHARE) * lower + _LOWER_SHARE * upper
@@ -136,7 +139,11 @@ def _shutting(rim_mm: Array) -> Array:
 
 
 def _over_eyeball(name: str, places: Array, lid: Array, eye: Eyeball) -> dict[str, Array]:
-    """Return the two targets of a lid, which keep it outside the eyeball, shut and half shut."""
+    """Return a lid's targets `name` and `name`_over, which keep it outside the eyeball.
+
+    lid: displacements (n, 3) of the skin `places` that shut it in a straight line. The first target
+    shuts it, the second corrects half shut lids.
+    """
     near = np.linalg.norm(lid, axis=1) > 0.05
 
     def outside(at: Array) -> Array:
@@ -151,7 +158,7 @@ def _over_eyeball(name: str, places: Array, lid: Array, eye: Eyeball) -> dict[st
 
 
 class TwinError(UserError):
-    """A face model cannot be shown on this head; the message says why."""
+    """Error for a face model that cannot be shown on a head; the message says why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,10 +166,11 @@ class Twin:
     """A head to draw, with morph targets of mouth and expression.
 
     parts: the first is the skin. components: names of the targets of the mouth, in the order of the
-    model's coefficients; rest: (n_components,), the closed mouth; deviations: (n_components,), how
-    much each component varies in speech. The other targets are lid_left, lid_right, brow and smile
-    as in `Expression`, and lid_left_over, lid_right_over for lid (1 - lid). pivot_mm: what the head
-    turns about. face_vertices (n,): which of the skin are face, and not the back of the head.
+    model's coefficients; rest: (n_components,), the closed mouth; deviations: (n_components,),
+    standard deviation of each coefficient in speech. The other targets are lid_left, lid_right,
+    brow and smile as in `Expression`, and lid_left_over, lid_right_over for lid (1 - lid).
+    pivot_mm: the point that the head turns about. face_vertices (n,): whether a vertex of the skin
+    is face, not back of the head.
     """
 
     parts: tuple[Part, ...]
@@ -178,8 +186,9 @@ class Twin:
 class SkinMorphs:
     """The skin of a head as a linear function of a face model's coefficients.
 
-    places_mm (n, 3): V + T_0. targets_mm (n_components, n, 3). weights (n, n_points): of the shell,
-    the points being those of the model that lie on skin; `points`: their rows in the model.
+    places_mm (n, 3): V + T_0, at coefficients 0. targets_mm (n_components, n, 3): T_k. weights
+    (n, n_points): how far each vertex moves with each of the model's points that lie on skin;
+    `points`: their numbers in the model.
     """
 
     places_mm: Array
@@ -189,7 +198,7 @@ class SkinMorphs:
 
 
 def make_twin(face: FaceModel, mean: MeanFace | None = None, own: Array | None = None) -> Twin:
-    """Return the twin of a face model, on the shipped head or a given one. Raises TwinError.
+    """Return the twin of a face model, on the shipped head or a given head. Raises TwinError.
 
     Parameters
     ----------
@@ -198,13 +207,13 @@ def make_twin(face: FaceModel, mean: MeanFace | None = None, own: Array | None =
     mean : MeanFace | None
         A head; None: the shipped one.
     own : Array | None
-        (n_components,), the model's coefficients of that head's own mouth: it keeps its own lips,
-        and moves by what a frame differs from this. None: the model's lips are laid on it.
+        (n_components,), the model's coefficients of that head's own mouth: the head keeps its own
+        lips, and moves by a frame's difference from them. None: the model's lips are laid on it.
 
     Returns
     -------
     Twin
-        Parts in mm.
+        The head to draw, in mm.
     """
     mean = mean or load_mean_face()
     surface = head_surface(mean)
@@ -230,7 +239,10 @@ def make_twin(face: FaceModel, mean: MeanFace | None = None, own: Array | None =
 
 
 def skin_morphs(face: FaceModel, surface: HeadSurface) -> SkinMorphs:
-    """Return skin V + T_0 and targets T_k of a face model on a head surface. Raises TwinError."""
+    """Return the skin V + T_0 and the targets T_k of a face model on a head's surface.
+
+    Raises TwinError if the model has fewer than three points on the 478-point face mesh.
+    """
     landmarks = face.layout.landmarks
     points = tuple(i for i, landmark in enumerate(landmarks) if landmark < N_SKIN)
     handles = [landmarks[i] for i in points]
@@ -248,7 +260,7 @@ def skin_morphs(face: FaceModel, surface: HeadSurface) -> SkinMorphs:
 
 
 def worn_face(face: FaceModel, on_head_mm: Array, points: tuple[int, ...]) -> tuple[Array, Array]:
-    """Return mean and basis of a face model, laid on the head by a similarity.
+    """Return mean and basis of a face model, laid on a head by a similarity.
 
     The model's head is turned as its speaker sat, and another speaker's has another size; the
     similarity that lays the closed mouth on the head's own removes both.
@@ -260,7 +272,7 @@ def worn_face(face: FaceModel, on_head_mm: Array, points: tuple[int, ...]) -> tu
     on_head_mm : Array
         (n_points, 3) mm: the points on the head.
     points : tuple[int, ...]
-        Their numbers in the model.
+        The points' numbers in the model.
 
     Returns
     -------

@@ -1,10 +1,10 @@
-"""Detection of faces in a picture by BlazeFace, and the square for the network of landmarks.
+"""Detection of faces in a picture by BlazeFace, and of the square for the landmark network.
 
 Bazarevsky, Kartynnik, Vakunov, Raveendran and Grundmann, "BlazeFace: sub-millisecond neural face
 detection on mobile GPUs", 2019: 896 anchors on grids of 16 x 16 (two a place) and 8 x 8 (six), and
 boxes that overlap blended by their scores rather than suppressed (section 3.4).
 
-The square is cut as MediaPipe's graphs do: half as large again as the face, turned so that the eyes
+The square is cut as by MediaPipe's graphs: 1.5 times as large as the face, turned so that the eyes
 are level.
 """
 
@@ -41,7 +41,7 @@ class Detection:
 
 
 def _anchors() -> Array:
-    """Return (896, 2): the middles that boxes are relative to, 0 to 1."""
+    """Return the detector's anchors (896, 2): the middles that boxes are relative to, 0 to 1."""
     rows = []
     for n_places, n_each in _GRIDS:
         steps = (np.arange(n_places) + 0.5) / n_places
@@ -99,7 +99,7 @@ def _blended(scores: Array, boxes: Array, eyes: Array) -> tuple[Detection, ...]:
 
 
 def _overlaps(box: Array, boxes: Array) -> Array:
-    """Return (n,): the shared area of a box (4,) and each of (n, 4) over that of their union."""
+    """Return the intersection over union (n,) of a box (4,) with each of `boxes` (n, 4)."""
     low = np.maximum(box[:2], boxes[:, :2])
     high = np.minimum(box[2:], boxes[:, 2:])
     shared = np.clip(high - low, 0.0, None).prod(axis=1)
@@ -114,7 +114,10 @@ _MARGIN = 1.5
 
 @dataclass(frozen=True, slots=True)
 class FaceBox:
-    """A square in a picture, in pixels; turn_rad: of its x axis, clockwise to the viewer."""
+    """A square in a picture: its middle and side in pixels.
+
+    turn_rad: angle of its x axis, clockwise to the viewer.
+    """
 
     x_px: float
     y_px: float
@@ -122,12 +125,12 @@ class FaceBox:
     turn_rad: float
 
     def to_picture(self, points: Array) -> Array:
-        """Return points of the square, 0 to 1, as pixels of the picture.
+        """Return points given relative to the square as pixels of the picture.
 
         Parameters
         ----------
         points : Array
-            (n, 3), 0 to 1, z at the same scale.
+            (n, 3), 0 to 1 across the square, z at the same scale.
 
         Returns
         -------
@@ -153,7 +156,7 @@ def box_around(points_px: Array, right_eye_px: Array, left_eye_px: Array) -> Fac
     points_px : Array
         (n, 2), of the face.
     right_eye_px,left_eye_px : Array
-        (2,), the speaker's.
+        (2,), middles of the speaker's eyes.
 
     Returns
     -------
@@ -172,14 +175,14 @@ def box_around(points_px: Array, right_eye_px: Array, left_eye_px: Array) -> Fac
 
 
 def cut_out(picture: Picture, box: FaceBox, n_pixels: int) -> NDArray[np.float32]:
-    """Return a square of a picture, interpolated linearly; beyond its edge the edge is repeated.
+    """Return a square of a picture, interpolated linearly; beyond the picture its edge is repeated.
 
     Parameters
     ----------
     picture : Picture
         (height, width, 3).
     box : FaceBox
-        The square.
+        The square to cut out.
     n_pixels : int
         Number of pixels of each side.
 
@@ -214,7 +217,10 @@ def cut_out(picture: Picture, box: FaceBox, n_pixels: int) -> NDArray[np.float32
 def _split(
     places_px: NDArray[np.floating], n_pixels: int
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return the pixel before each position, kept in the picture, and the fraction behind it."""
+    """Return the number of the pixel before each position, kept within `n_pixels`, and the rest.
+
+    The rest, 0 to 1, is the fraction of the way to the next pixel, with an axis added.
+    """
     inside = np.clip(places_px, 0, n_pixels - 1).astype(np.float32)
     before = np.minimum(inside.astype(np.int32), max(0, n_pixels - 2))
     return before, (inside - before).astype(np.float32)[..., None]

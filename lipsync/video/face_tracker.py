@@ -1,15 +1,15 @@
-"""Trackers, which find the points of faces in pictures, and the choice of one.
+"""Face trackers, which find the points of faces in pictures, and the choice of a tracker.
 
 Points are numbered as the 478-point face mesh does (`lipsync/markers.py`).
 
-By the networks inside a `face_landmarker.task`, run by `ai-edge-litert`: Grishchenko, Ablavatski,
-Kartynnik, Raveendran and Grundmann, "Attention mesh: high-fidelity face mesh prediction in
-real-time", 2020. The file is the user's (docs/own-face.md): a zip archive of TensorFlow Lite
-networks. Everything around the networks is here: the squares that they get, and the positions of
-their outputs in the picture.
+One tracker uses the networks inside a `face_landmarker.task`, run by `ai-edge-litert`: Grishchenko,
+Ablavatski, Kartynnik, Raveendran and Grundmann, "Attention mesh: high-fidelity face mesh prediction
+in real-time", 2020. The file is the user's (docs/own-face.md): a zip archive of TensorFlow Lite
+networks. Everything around the networks is here: the squares of the picture that are their inputs,
+and the positions of their outputs in the picture.
 
-By mediapipe's own face mesh, whose network its wheel carries: only the versions before 0.10.30 have
-it (docs/decisions/0026-video-and-face-tracking.md).
+The other uses mediapipe's own face mesh, whose network its wheel contains: only the versions before
+0.10.30 have it (docs/decisions/0026-video-and-face-tracking.md).
 """
 
 import zipfile
@@ -36,7 +36,7 @@ from lipsync.video.face_detection import (
 
 
 class TrackerError(UserError):
-    """No tracker can be used; the message is one line: what is missing, what to do."""
+    """Error for a tracker that cannot be used; the message is one line: what is missing, remedy."""
 
 
 class FaceTracker(Protocol):
@@ -74,7 +74,10 @@ _MOST_BYTES = 64_000_000
 
 
 class LitertTracker:
-    """A tracker by the networks of a landmarker file. Raises TrackerError for another file."""
+    """A tracker by the networks of a landmarker file.
+
+    Raises TrackerError for another file, MissingExtraError without `ai-edge-litert`.
+    """
 
     def __init__(self, landmarker: Path) -> None:
         check_extra("ai_edge_litert", "--landmarker")
@@ -90,7 +93,7 @@ class LitertTracker:
 
     @property
     def name(self) -> str:
-        """The tracker's name: its model file and library."""
+        """The tracker's name: file name of the landmarker, and library."""
         return self._name
 
     def faces(self, picture: Picture) -> tuple[Array, ...]:
@@ -141,7 +144,7 @@ def _box_of(detection: Detection, square: FaceBox) -> FaceBox:
 
 
 class _Network:
-    """One TensorFlow Lite network of one input."""
+    """One TensorFlow Lite network with one input."""
 
     def __init__(self, content: bytes) -> None:
         from ai_edge_litert.interpreter import Interpreter
@@ -176,7 +179,10 @@ def _networks(landmarker: Path) -> dict[str, bytes]:
 
 
 class MediapipeTracker:
-    """A tracker by mediapipe's face mesh with attention, each picture by itself."""
+    """A tracker by mediapipe's face mesh with attention, each picture by itself.
+
+    Raises MissingExtraError without mediapipe.
+    """
 
     def __init__(self) -> None:
         check_extra("mediapipe", "tracking without --landmarker")
@@ -213,9 +219,10 @@ class MediapipeTracker:
 
 
 def open_tracker(landmarker: Path | None) -> FaceTracker:
-    """Return a tracker by a landmarker file; None: by mediapipe.
+    """Return a tracker by the landmarker file `landmarker`; None: by mediapipe.
 
-    Raises TrackerError or MissingExtraError where what it needs is missing.
+    Raises TrackerError for an unusable file or without mediapipe, MissingExtraError without the
+    library that runs the file.
     """
     if landmarker is not None:
         return LitertTracker(landmarker)

@@ -28,12 +28,15 @@ _HOLE_S = 0.02
 
 
 class VideoError(UserError):
-    """A video cannot be used; the message is one line: which, why, what to do."""
+    """Error for a video that cannot be used; the message is one line: which, why, what to do."""
 
 
 @dataclass(frozen=True, slots=True)
 class VideoSound:
-    """samples: (n,) in [-1, 1] at 16 kHz, mono; begins_s: their start in the pictures' time."""
+    """The sound of a video.
+
+    samples: (n,) in [-1, 1] at 16 kHz, mono; begins_s: time of the first one on the pictures' axis.
+    """
 
     samples: NDArray[np.float32]
     begins_s: float
@@ -53,9 +56,10 @@ def video_pictures(path: Path) -> Iterator[tuple[float, Picture]]:
 
 
 def video_sound(path: Path) -> VideoSound:
-    """Return the sound of a video, or of NAME.wav beside it, which begins with the first picture.
+    """Return a video's sound: that of NAME.wav if it is beside the video, else the video's own.
 
-    Raises VideoError for a video without any, or with nothing in it but digital silence.
+    NAME.wav counts as begun at the first picture. Raises VideoError for a video without sound, or
+    with digital silence alone.
     """
     separate = path.with_suffix(".wav")
     if separate.is_file():
@@ -68,7 +72,7 @@ def video_sound(path: Path) -> VideoSound:
 
 
 def video_duration_s(path: Path) -> float:
-    """Return the duration in s that a video file states; 0 if it states none. Raises VideoError."""
+    """Return the duration in s in a video file's header, 0 if none is. Raises VideoError."""
     with _opened(path) as video:
         duration: float = (video.duration or 0) / _av().time_base
         return duration
@@ -106,7 +110,10 @@ def _first_picture_s(path: Path) -> float:
 
 
 def _upright(frame: Any, aspect: float) -> Picture:
-    """Return a picture, rotated as the camera was, and widened where its pixels are not square."""
+    """Return a decoded frame as an upright picture with square pixels.
+
+    aspect: width of the frame's pixels divided by their height.
+    """
     width = round(frame.width * aspect)
     picture: Picture = frame.to_ndarray(format="rgb24", width=width, height=frame.height)
     n_right_angles = round(frame.rotation / 90) % 4

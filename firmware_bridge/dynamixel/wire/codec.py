@@ -74,7 +74,10 @@ class StatusError(IntEnum):
 
 
 class Status(NamedTuple):
-    """The answer of one servo. error: a `StatusError`, plus `ALERT_BIT`."""
+    """The answer of one servo. error: a `StatusError`, plus `ALERT_BIT` after a hardware error.
+
+    data: the bytes that were read; empty in an acknowledgement.
+    """
 
     servo_id: int
     error: int
@@ -92,7 +95,7 @@ def unstuff(body: bytes) -> bytes:
 
 
 def packet(packet_id: int, instruction: int, parameters: bytes = b"") -> bytes:
-    """Return a whole packet, ready for the wire.
+    """Return a whole packet to or from servo `packet_id`, stuffed and with its CRC.
 
     Raises ValueError when the parameters do not fit: the length field counts to 65,535.
     """
@@ -111,12 +114,15 @@ def ping(servo_id: int) -> bytes:
 
 @lru_cache(maxsize=1024)
 def read(servo_id: int, address: int, size: int) -> bytes:
-    """Return the request for `size` bytes of one servo; cached, since a tick sends it often."""
+    """Return the request for `size` bytes of one servo from `address` on.
+
+    Cached, since a tick sends it often.
+    """
     return packet(servo_id, Instruction.READ, struct.pack("<HH", address, size))
 
 
 def write(servo_id: int, address: int, data: bytes) -> bytes:
-    """Return the packet that sets bytes of one servo, or of all by `BROADCAST_ID`."""
+    """Return the packet that sets bytes of one servo from `address` on; `BROADCAST_ID`: of all."""
     return packet(servo_id, Instruction.WRITE, struct.pack("<H", address) + data)
 
 
@@ -126,16 +132,19 @@ def reboot(servo_id: int) -> bytes:
 
 
 def sync_read(ids: Sequence[int], address: int, size: int, *, fast: bool = False) -> bytes:
-    """Return the request to several servos for `size` bytes each; they answer in the order of ids.
+    """Return the request to several servos for `size` bytes each from `address` on.
 
-    fast: in one common frame instead of one frame each.
+    They answer in the order of ids. fast: in one common frame instead of one frame each.
     """
     instruction = Instruction.FAST_SYNC_READ if fast else Instruction.SYNC_READ
     return packet(BROADCAST_ID, instruction, struct.pack("<HH", address, size) + bytes(ids))
 
 
 def sync_write(address: int, size: int, data: Iterable[tuple[int, bytes]]) -> bytes:
-    """Return the packet that sets `size` bytes of each servo in `data`; no servo answers it."""
+    """Return the packet that sets `size` bytes of several servos from `address` on.
+
+    data: (id, bytes) of each servo. No servo answers the packet.
+    """
     blocks = b"".join(bytes((servo_id,)) + each for servo_id, each in data)
     parameters = struct.pack("<HH", address, size) + blocks
     return packet(BROADCAST_ID, Instruction.SYNC_WRITE, parameters)
@@ -213,7 +222,8 @@ class FrameParser:
     """Parser of a byte stream: feed it what arrives, and it returns every whole packet, in order.
 
     A damaged packet costs that packet only: the search goes on at the next header inside it. Noise
-    is skipped and counted. Bounded: it never keeps more than one packet of the longest length.
+    is skipped. Bounded: it never keeps more than one packet of the longest length. n_bad: damaged
+    packets so far; n_noise: bytes skipped so far.
     """
 
     def __init__(self) -> None:
@@ -268,7 +278,9 @@ class FrameParser:
 
     @staticmethod
     def _whole_packet_inside(buffer: bytes, start: int) -> int | None:
-        """Return where a whole packet begins inside an unfinished, so damaged one; None: nowhere.
+        """Return where a whole packet begins inside the unfinished one at `start`; None: nowhere.
+
+        The unfinished packet is damaged if it contains another.
 
         Stuffing keeps headers out of packets, except out of fast replies, which a CRC that holds
         over a whole inner packet tells apart.
@@ -295,7 +307,7 @@ def _frame(raw: bytes) -> Frame:
 
 
 def _header_begun(buffer: bytes, at: int) -> int:
-    """Return how many of the last bytes may be the beginning of a header, 0 to 3."""
+    """Return how many of the last bytes, from `at` on, may begin a header: 0 to 3."""
     for n in (3, 2, 1):
         if len(buffer) - at >= n and buffer.endswith(HEADER[:n]):
             return n
@@ -307,7 +319,7 @@ _BLOCKS_AT: Final = 8
 
 
 class GoalWrite:
-    """A prepared sync write of one four-byte register of several servos."""
+    """A prepared sync write of one four-byte register of several servos; only values are new."""
 
     def __init__(self, ids: Sequence[int], address: int) -> None:
         self._blocks = np.zeros(len(ids), dtype=[("id", "u1"), ("value", "<i4")])
@@ -341,7 +353,7 @@ class GoalWrite:
 
 
 class CommonFrame(Sequence[Status]):
-    """An undisturbed answer of all servos of a request, in one frame.
+    """The undisturbed answer to a fast sync read: the statuses of all servos, in one frame.
 
     Statuses are made when they are read one by one; `values` has all of them at once. errors: one
     byte for each servo, in order.
@@ -415,7 +427,10 @@ class CommonFrame(Sequence[Status]):
 
 
 class SpanRead:
-    """A prepared request to several servos for `size` bytes each from `address` on."""
+    """A prepared request to several servos for `size` bytes each from `address` on.
+
+    fast: they answer in one common frame instead of one frame each.
+    """
 
     def __init__(self, ids: Sequence[int], address: int, size: int, *, fast: bool) -> None:
         self.ids = tuple(ids)
@@ -437,9 +452,10 @@ class SpanRead:
         self._wider: dict[int, SpanRead] = {}
 
     def widened(self, size: int) -> "SpanRead":
-        """Return a read of `size` bytes that includes this one, beginning earlier where possible.
+        """Return a read of `size` bytes that includes this read, beginning earlier where possible.
 
-        Every control table begins at 0; their ends differ.
+        Another size tells its answers from late ones to earlier requests. Every control table
+        begins at 0; their ends differ.
         """
         if size == self.size:
             return self
@@ -464,7 +480,10 @@ class SpanRead:
         return stream[-self._step : 8 - self._step] == self._heads[-1]
 
     def take_undisturbed(self, stream: bytes) -> Sequence[Status] | None:
-        """Return all statuses when `stream` is exactly the expected answer, else None."""
+        """Return all statuses when `stream` is exactly the expected answer; None for all else.
+
+        None, too, for an answer with stuffed data, which `Line` parses.
+        """
         if len(stream) != self.reply_size:
             return None
         if self.fast:

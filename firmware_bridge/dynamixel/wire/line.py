@@ -28,9 +28,9 @@ _IDENTITY_SIZE: Final = 7
 
 
 class Line(HalfDuplex):
-    """Master of the line. Answers that may be late ones to earlier requests do not count.
+    """The computer's side of a line of Dynamixels: sends requests and returns the answers.
 
-    n_bad: damaged packets received.
+    Answers that may be late ones to earlier requests do not count. n_bad: damaged packets received.
     """
 
     def __init__(
@@ -45,7 +45,10 @@ class Line(HalfDuplex):
         self._parser = FrameParser()
 
     def ping(self, servo_id: int, extra_wait_s: float = 0.0) -> Status | None:
-        """Ping one servo; return model number (2 bytes) and firmware version (1); None: silent."""
+        """Ping one servo; return model number (2 bytes) and firmware version (1); None: silent.
+
+        extra_wait_s: how long to wait beyond the deadline.
+        """
         request = codec.ping(servo_id)
         if self._has_pending() and self._pending.looks_like(servo_id, _PONG_SIZE, request):
             status = self.read(servo_id, 0, _IDENTITY_SIZE, extra_wait_s)
@@ -88,7 +91,10 @@ class Line(HalfDuplex):
     def read(
         self, servo_id: int, address: int, size: int, extra_wait_s: float = 0.0
     ) -> Status | None:
-        """Read `size` bytes of one servo; None: no answer. extra_wait_s: beyond the deadline."""
+        """Read `size` bytes of one servo from `address` on; None: no answer.
+
+        extra_wait_s: how long to wait beyond the deadline.
+        """
         if self._pending.any and self._has_pending():
             span = SpanRead((servo_id,), address, size, fast=False)
             wide = span.widened(self._pending.free_size(span.ids, size))
@@ -100,9 +106,9 @@ class Line(HalfDuplex):
     def write(
         self, servo_id: int, address: int, data: bytes, extra_wait_s: float = 0.0
     ) -> Status | None:
-        """Write bytes of one servo and return its status; None: not confirmed.
+        """Write bytes of one servo from `address` on and return its status; None: not confirmed.
 
-        EEPROM may need extra_wait_s.
+        extra_wait_s: how long to wait beyond the deadline, as EEPROM may need.
         """
         request = codec.write(servo_id, address, data)
         if self._acknowledgement_is_ambiguous(servo_id, request):
@@ -120,7 +126,7 @@ class Line(HalfDuplex):
         return self._ask_one(servo_id, request, 0)
 
     def sync_read(self, span: SpanRead) -> Sequence[Status]:
-        """Return the statuses that arrived in time, in the order of the ids."""
+        """Send request `span`; return the statuses that came in time, in the order of its ids."""
         if not (self._pending.any and self._has_pending()):
             return self._ask_span(span)
         if span.fast:
@@ -159,7 +165,10 @@ class Line(HalfDuplex):
         return [by_id[each] for each in span.ids if each in by_id]
 
     def _note_missing(self, span: SpanRead, statuses: Sequence[Status]) -> None:
-        """Note which servos may still answer late; a common frame comes late as a whole."""
+        """Note the servos of `span` without a status: they may still answer late.
+
+        A common frame comes late as a whole.
+        """
         now_s = self._clock.now()
         if span.fast:
             self._pending.note(BROADCAST_ID, span.answer_size, span.request, now_s)
@@ -176,7 +185,7 @@ class Line(HalfDuplex):
         *,
         exact: bool = False,
     ) -> Status | None:
-        """Send a request; return the status with `n_data` bytes or an error, None if none comes.
+        """Send a request; return the status with `n_data` bytes or an error; None: none in time.
 
         exact: a status with an error does not count either, since it may answer an earlier request.
         """
@@ -204,7 +213,7 @@ class Line(HalfDuplex):
         return found[0]
 
     def _has_pending(self) -> bool:
-        """Return whether late answers may still come; those that have arrived no longer count."""
+        """Return whether late answers may still come, after discarding those that have arrived."""
         if not self._pending.any:
             return False
         self._note_late(self.transport.discard_input(), requested_size=None)
@@ -213,7 +222,8 @@ class Line(HalfDuplex):
     def _note_late(self, stream: bytes, requested_size: int | None) -> None:
         """Remove from the pending answers those in `stream` to earlier requests.
 
-        Answers with `requested_size` bytes count as answers to the newest request.
+        requested_size: answers with so many bytes count as answers to the newest request; None:
+        every answer is late.
         """
         for status in self._statuses(stream):
             if len(status.data) != requested_size:

@@ -61,7 +61,7 @@ class SdkTransport:
         claim(self.handler.ser.fileno())
 
     def call(self, ask: Callable[[], _Result]) -> _Result:
-        """Call an SDK function and return its result. Raises PortGone when the port fails.
+        """Return the result of `ask`, a call of the SDK. Raises PortGone when the port fails.
 
         Afterwards the port is not marked as in use, whatever happened.
         """
@@ -77,7 +77,7 @@ class SdkTransport:
         self.call(lambda: self.handler.writePort(data))
 
     def read(self, deadline_s: float) -> bytes:
-        """Return the bytes that the SDK's port has received; does not wait."""
+        """Return the bytes that the SDK's port has received; does not wait for `deadline_s`."""
         del deadline_s
         return bytes(self.call(lambda: self.handler.readPort(4096)))
 
@@ -119,7 +119,10 @@ class SdkLine(Line):
     def read(
         self, servo_id: int, address: int, size: int, extra_wait_s: float = 0.0
     ) -> Status | None:
-        """Read `size` bytes of one servo; None if it does not answer. extra_wait_s is ignored."""
+        """Read `size` bytes of one servo from `address` on; None if it does not answer.
+
+        extra_wait_s is ignored.
+        """
         del extra_wait_s
         ask = self._packets.readTxRx
         data, result, error = self._sdk.call(
@@ -130,7 +133,10 @@ class SdkLine(Line):
     def write(
         self, servo_id: int, address: int, data: bytes, extra_wait_s: float = 0.0
     ) -> Status | None:
-        """Set bytes of one servo; None if silent. The SDK waits 34 ms; extra_wait_s is ignored."""
+        """Set bytes of one servo from `address` on; return its status, None if it is silent.
+
+        The SDK waits 34 ms; extra_wait_s is ignored.
+        """
         del extra_wait_s
         ask = self._packets.writeTxRx
         result, error = self._sdk.call(

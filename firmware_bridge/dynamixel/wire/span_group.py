@@ -27,7 +27,7 @@ _AGAIN_S: Final = 0.0015
 class SpanGroup:
     """A request for the same bytes of all `ids`; a fast read while that works; unreliable ids last.
 
-    leaves_out: whether some are silent for so long that they are polled only now and then.
+    leaves_out: whether servos have been silent for so long that they are polled only now and then.
     """
 
     def __init__(self, ids: Sequence[int], address: int, size: int) -> None:
@@ -79,12 +79,12 @@ class SpanGroup:
         return statuses
 
     def _ask_again(self, line: Line, statuses: Sequence[Status]) -> Sequence[Status]:
-        """Request missing answers again, one frame a servo, as far as time allows; return them.
+        """Request missing answers again, one frame a servo, as far as time allows; return these.
 
-        Not when no servo answered, since then single packets are not the problem; and not servos
-        that were silent several times. The first one missing is read last: it may cut off the
-        others. While fast reads have yet to work once, a retry costs time but no answers: all are
-        read again.
+        statuses: the answers that came. No retry when no servo answered, since then single packets
+        are not the problem; and none for servos that were silent several times. The first missing
+        servo is read last: it may cut off the others. While fast reads have yet to work once, a
+        retry costs time but no answers: all are read again.
         """
         on_trial = self.request.fast and not self._proven
         if not statuses and not on_trial:
@@ -107,13 +107,16 @@ class SpanGroup:
         return again
 
     def trust(self, servo_id: int) -> None:
-        """Include a servo again that was left out, since it has answered another request."""
+        """Include a servo again that was left out, since it has answered another read."""
         if self._silent[servo_id] >= _ABSENT_AFTER:
             self._silent[servo_id] = 0
             self._prepare()
 
     def _judge(self, span: SpanRead, statuses: Sequence[Status], again: Sequence[Status]) -> None:
-        """Count silent servos; `again`: answers to the second request for what was missing."""
+        """Count silent servos, and adapt the next request to them.
+
+        statuses: the answers to `span`; again: those to the retry for what was missing.
+        """
         at_once = {status.servo_id for status in statuses}
         late = {status.servo_id for status in again}
         answered = at_once | late
@@ -142,7 +145,7 @@ class SpanGroup:
             self._prepare()
 
     def _count_bad_fast(self, missing: list[int]) -> None:
-        """Count a bad fast read, and use plain reads for a while after too many.
+        """Count a fast read that lacks ids `missing`; after too many, use plain reads for a while.
 
         Not counted where every missing servo is known to be silent: fast reads are not at fault.
         """

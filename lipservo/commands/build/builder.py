@@ -116,7 +116,10 @@ def new_face(
 
 
 def _first_hour(output: Path, ports: Sequence[str], sim: str | None, *, open_page: bool) -> None:
-    """Serve the setup page of a new face until Ctrl-C; then its running step ends, torque off."""
+    """Serve the setup page of a new face until Ctrl-C; then its running step ends, torque off.
+
+    output: the face's YAML. ports: one at most. sim: `pty`: simulated servos.
+    """
     from lipservo.access.token_file import read_token
     from lipservo.commands.run.dashboard import check_dashboard, serve_page
     from lipservo.commands.run.voice_choice import access_file
@@ -139,7 +142,11 @@ def _first_hour(output: Path, ports: Sequence[str], sim: str | None, *, open_pag
 
 
 def _wired(output: Path, part: "NewBus", taken: Sequence[str], *, yes: bool) -> str:
-    """Return the YAML of hobby servos, wired as --channel says or as the user answers prompts."""
+    """Return the YAML of hobby servos, wired as given by --channel or by the user's answers.
+
+    output: the YAML, whose stem names the face. part: the bus. taken: names of joints on other
+    buses. yes: no prompts.
+    """
     from lipservo.runtime.servos.new_face import check_wiring, parse_channel, pulse_face_yaml
 
     joints: list[WiredJoint] = []
@@ -170,7 +177,11 @@ def _wired(output: Path, part: "NewBus", taken: Sequence[str], *, yes: bool) -> 
 def _found(
     output: Path, part: "NewBus", taken: Sequence[str], baud_rate: int, ranges: Path | None
 ) -> str:
-    """Find the servos at the port, nudge each, ask for its joint; return the face's YAML text."""
+    """Find the servos at the port, nudge each, ask for its joint; return the face's YAML text.
+
+    output: the YAML, whose stem names the face. part: the bus. taken: names of joints on other
+    buses. baud_rate: tried first. ranges: a LeRobot range file.
+    """
     from calibration.capture.lerobot_ranges import by_id, read_ranges
     from lipservo.runtime.servos.new_face import FoundJoint, check_joint_name, face_yaml, nudge
     from lipservo.settings.settings import parse_face
@@ -209,7 +220,8 @@ def _found(
 def _clear_foreign(tools: Any, port: str, rate: int, found: Mapping[int, str]) -> None:
     """Show settings that other programs wrote into the servos, and reset them if the user agrees.
 
-    Raises UserError if the user refuses; nothing is written then.
+    tools: functions for single servos of this kind of bus. rate: baud. found: models by id. Raises
+    UserError if the user refuses; nothing is written then.
     """
     foreign = tools.foreign_settings(port, rate, found)
     if not foreign:
@@ -223,7 +235,7 @@ def _clear_foreign(tools: Any, port: str, rate: int, found: Mapping[int, str]) -
 
 
 def _joint_name(check: Callable[[str, Sequence[str]], str], taken: Sequence[str], text: str) -> str:
-    """Return `text` checked as a joint's name.
+    """Return `text` as a joint's name, checked by `check`, with the names already `taken`.
 
     Raises BadParameter, so that the prompt repeats, for an invalid or taken name.
     """

@@ -50,7 +50,10 @@ def builder_process(
 
 
 def _find(request: Request, page: "PageLine") -> None:
-    """Find the servos at the port; send their models and foreign settings to the page."""
+    """Find the servos at the port; send the page their models and other programs' settings.
+
+    With `clear` in the request these settings are reset.
+    """
     from firmware_bridge.bus_kinds import bus_kind
 
     tools, port = bus_kind(request["kind"]).workshop(), request["port"]
@@ -229,7 +232,7 @@ def _finish(
 
 
 def _speak(request: Request, _page: "PageLine") -> None:
-    """Run the command `daemon` with the request's face and port until it is stopped."""
+    """Run the command `daemon` with the request's face and port until that face is stopped."""
     from lipservo.commands.run.dashboard_beside import with_sounds
     from lipservo.commands.run.run import ANY_PORT, daemon
 

@@ -32,7 +32,7 @@ _OTHER_SYSTEM: Final = (
 
 
 def _examined(settings: "FaceSettings") -> "Iterator[Finding]":
-    """Yield the findings of each bus; of several buses an unreachable one is a finding, too."""
+    """Yield the findings on each bus; of several, an unreachable bus is a finding, too."""
     from firmware_bridge.bus_kinds import Finding, Severity
 
     if not settings.buses:
@@ -49,7 +49,11 @@ def _examined(settings: "FaceSettings") -> "Iterator[Finding]":
 
 
 def _lags(settings: "FaceSettings", config: str) -> "Iterator[Finding]":
-    """Yield a finding on the lags of mouth servos that cannot report positions: known or not."""
+    """Yield a finding whether the lags of mouth servos that report no position are known.
+
+    Lag: of the servo behind its goals, from the calibration. Nothing is yielded without such servos
+    or without a calibration.
+    """
     from firmware_bridge.bus_kinds import Finding, Severity
     from lipservo.runtime.servos.assembly import assemble_face
 
@@ -150,7 +154,11 @@ def _report(
     move: str | None,
     yes: bool,
 ) -> None:
-    """Measure the hardware and write the report as JSON and text; a stop before leaves no file."""
+    """Measure the hardware and write the report as JSON and text; if stopped, write nothing.
+
+    file: the report, .json. seconds: of reading and writing. move: the joint to step; None: the
+    first one, if the user agrees. yes: no questions.
+    """
     from firmware_bridge.stop_signals import DeferredSignals, StopRequested
     from lipservo.health.hardware_report import about_face, as_text, examined, scrubbed, secrets_of
     from lipsync.output_file import check_output, written_whole
@@ -215,7 +223,7 @@ def _move_question(joint: str) -> str:
 
 
 def _wants_steps(joint: str, *, yes: bool) -> bool:
-    """Return whether the user agrees to the step test; False with `yes` or without a terminal."""
+    """Return whether the user agrees to steps of `joint`; False with `yes` or without terminal."""
     if yes or not sys.stdin.isatty():
         return False
     return typer.confirm(_move_question(joint), default=False, err=True)
@@ -248,9 +256,10 @@ def _limp_loop(settings: "FaceSettings", seconds: float) -> dict[str, Any]:
 
 
 def _steps(settings: "FaceSettings", joint: str) -> dict[str, Any]:
-    """Step the joint to and fro; return its label, the rate (Hz), number of steps and answers.
+    """Step the joint to and fro; return its label, the tick rate (Hz), and how it answered.
 
-    Raises FaceStopped when a person stops it, and what bus and bridge raise.
+    Answers are empty for a servo that reports no position. Raises FaceStopped when a person stops
+    it, and what bus and bridge raise.
     """
     from firmware_bridge.clock import MonotonicClock
     from firmware_bridge.stopping import StopLevel

@@ -163,7 +163,10 @@ def _jog_with_keys(settings: "FaceSettings", config: str, name: str) -> None:
 
 
 def _with_limit(hand: "KeyedJoint", config: str, limit: Any) -> str:
-    """Write the joint's present pulse as `limit` into the face's YAML; return a line of result."""
+    """Write the joint's present pulse as `limit` into the face's YAML; return a result line.
+
+    limit: which pulse limit. The line reports what was written, or why nothing was.
+    """
     from lipservo.settings.found_limits import own_yaml, what_next, with_pulse_limit
 
     if hand.pulse is None:
@@ -177,7 +180,10 @@ def _with_limit(hand: "KeyedJoint", config: str, limit: Any) -> str:
 
 
 def _turn(settings: "FaceSettings", config: str, port: str | None, names: list[str]) -> None:
-    """Switch torque off, record how far joints are turned by hand; key w writes it to the YAML."""
+    """Switch torque off, and record how far joints are turned by hand; w writes it to the YAML.
+
+    names: of the joints. port: None: the YAML's. config: the face's name or YAML path.
+    """
     from firmware_bridge.clock import MonotonicClock
     from firmware_bridge.stop_signals import DeferredSignals, StopRequested
     from firmware_bridge.stopping import named_by_reason

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 class _Work:
     """The planned changes of servo registers and those done, as (joint, register).
 
-    tools: functions that set up servos on this kind of bus (`BusKind.workshop`).
+    plans: for one servo each. tools: functions that set up servos on this kind of bus
+    (`BusKind.workshop`).
     """
 
     tools: Any
@@ -31,7 +32,7 @@ class _Work:
     done: set[tuple[str, str]] = field(default_factory=set)
 
     def rows(self, *, done: bool) -> list[str]:
-        """Return a line for each register change written (`done`), or for each not written."""
+        """Return a line for each register change: the written ones if `done`, else the others."""
         return [
             f"{plan.servo.joint.name}: {each.name} {each.found} -> {each.wanted}"
             for plan in self.plans
@@ -93,7 +94,10 @@ def setup_servos(
 
 
 def _say_nothing_to_set_up(kind: str, unknown: list[str], *, as_json: bool) -> None:
-    """Print that this bus's servos keep no settings. Raises UserError for an unknown joint."""
+    """Print that servos on this kind of bus keep no settings, so that none is set up.
+
+    unknown: joints typed that the face lacks: UserError for the first.
+    """
     if unknown:
         raise UserError(f"no joint {unknown[0]!r} in this face")
     if as_json:
@@ -130,7 +134,11 @@ def _set_up(work: _Work, servos: list[Any], signals: "DeferredSignals", *, ask: 
 
 
 def _carry_out(work: _Work, line: Any, plan: Any, signals: "DeferredSignals") -> None:
-    """Write one servo's register changes, a signal waiting for each; in a dry run print them."""
+    """Write one servo's register changes; in a dry run only print them.
+
+    line: the open serial bus. plan: the servo's changes. signals: a signal is handled between two
+    changes, never within one.
+    """
     name = plan.servo.joint.name
     if work.dry_run:
         for each in plan.changes:

@@ -121,7 +121,10 @@ def sim_bus(
 
 
 def _turn(host: Any, lines: str) -> None:
-    """Turn the simulated servo as a hand would for each line `INDEX DEG`; ignore other lines."""
+    """Turn a simulated servo as a hand would for each line `INDEX DEG`; ignore other lines.
+
+    host: the simulator.
+    """
     for line in lines.splitlines():
         with contextlib.suppress(ValueError):
             index, by_deg = line.split()

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class _Session:
-    """The poses made (deg) and the report of torque off; None while torque was not switched off."""
+    """The poses made by hand (deg), and the report on torque off; None: not switched off yet."""
 
     made_deg: "Mapping[str, Array]"
     report: StopReport | None = None
@@ -105,7 +105,11 @@ def by_hand(
 def _pose(
     at: "CalibrationSetup", session: _Session, keep: Path | None, signals: "DeferredSignals"
 ) -> None:
-    """Switch torque off if the user agrees, record hand poses, and switch torque off again last."""
+    """Switch torque off if the user agrees, and record hand poses in the session.
+
+    Torque is switched off once more at the end. keep: file for each pose at once; None: none.
+    Raises UserError if the user refuses.
+    """
     from calibration.fit.guided import keep_poses
     from firmware_bridge.clock import Clock, MonotonicClock
     from lipservo.calibrating.calibration_setup import check_places

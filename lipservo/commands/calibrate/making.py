@@ -81,7 +81,8 @@ Accept = Annotated[
 def load_setup(config: str, model: Path | None, ranges: Path | None = None) -> "CalibrationSetup":
     """Return a face's settings and face model as a setup for calibration.
 
-    ranges: a LeRobot range file that the face's limits must lie within. Raises UserError.
+    model: the face model's file; None: the shipped one. ranges: a LeRobot range file that the
+    face's limits must lie within. Raises UserError.
     """
     if config.endswith((".yaml", ".yml")):
         check_inputs(Path(config))
@@ -107,7 +108,10 @@ def load_setup(config: str, model: Path | None, ranges: Path | None = None) -> "
 def setup_at_port(
     setup: "CalibrationSetup", port: str | None, sim: str | None, config: str
 ) -> Iterator["CalibrationSetup"]:
-    """Yield the setup with its servos at `port`, or at one made for `--sim pty`; else unchanged."""
+    """Yield the setup with its servos at `port`, or at a port made for `--sim pty`.
+
+    Unchanged if `port` and `sim` are None. config: the face to simulate.
+    """
     from lipservo.runtime.servos.sim_process import servo_port
 
     with servo_port(port, sim, config) as found:
@@ -120,7 +124,11 @@ def setup_at_port(
 def mesh_options(
     landmarker: Path | None, eye_distance_mm: float | None, camera: str = "0"
 ) -> "MeshOptions":
-    """Return the options of a face tracker; its networks are opened only once it is used."""
+    """Return the options of a face tracker; its networks are opened only once it is used.
+
+    landmarker: the tracker's file; None: the default one. eye_distance_mm: between the person's
+    eyes; None: not given. camera: by number or name.
+    """
     from lipservo.calibrating.face_source import MeshOptions
     from lipsync.video.face_tracker import open_tracker
 
@@ -159,7 +167,10 @@ def check_files(
     plots: Path | None = None,
     inputs: Sequence[Path | None] = (),
 ) -> None:
-    """Raise UserError unless all inputs can be read and all outputs can be written."""
+    """Raise UserError unless all inputs can be read and all outputs can be written.
+
+    keep: file for captured poses, which may exist. plots: folder for pictures.
+    """
     check_inputs(*inputs)
     from lipservo.settings.sections import CALIBRATION_NAME
 
@@ -178,10 +189,10 @@ def check_files(
 def saved(
     setup: "CalibrationSetup", result: "CalibrationResult", output: Path
 ) -> "tuple[Calibration, list[str]]":
-    """Save a calibration with the hand-made parts of the file it replaces.
+    """Save a calibration to `output`, with the hand-made parts of the file that it replaces.
 
-    Returns it, and notes on what was kept. Raises UserError for a grade that is too bad, unless
-    `setup.accept`; nothing is written then.
+    Returns the calibration as saved, and notes on the parts kept. Raises UserError for a grade that
+    is too bad, unless `setup.accept`; nothing is written then.
     """
     from calibration.files.calibration_file import save_calibration
     from calibration.fit.measured_grade import too_bad
@@ -207,7 +218,11 @@ def finish(
     check_plan: Path | None = None,
     as_json: bool,
 ) -> None:
-    """Save the calibration, draw it and write poses to grade it if wanted, print its report."""
+    """Save the calibration to `output`, and print its report.
+
+    plots: folder for a picture of its coverage; check_plan: file for poses by which it can be
+    graded; None: not written.
+    """
     from lipservo.calibrating.measured_calibration import jaw_check
     from lipservo.calibrating.shown_calibration import report_lines
     from lipservo.calibrating.within_speeds import speed_line, within_speeds

@@ -27,7 +27,10 @@ class PhoneFileError(UserError):
 
 
 def check_phone_file(path: Path, inputs: Iterable[Path | None]) -> None:
-    """Raise PhoneFileError unless `path` is a .TextGrid or .json; OutputError if not writable."""
+    """Raise PhoneFileError unless `path` is .TextGrid or .json; OutputError if not writable.
+
+    inputs: files that must not be overwritten.
+    """
     if path.suffix.lower() == _TEXTGRID:
         check_output(path, replaces=is_textgrid, kind="TextGrid", inputs=inputs)
     elif path.suffix.lower() == _JSON:
@@ -40,7 +43,10 @@ def check_phone_file(path: Path, inputs: Iterable[Path | None]) -> None:
 
 
 def write_phone_file(path: Path, tiers: Tiers) -> None:
-    """Write interval tiers: a TextGrid, or {"phones": [[label, start_s, end_s], ...], ...}."""
+    """Write tiers of labelled intervals, as a TextGrid or as JSON by the ending of `path`.
+
+    The JSON: {"phones": [[label, start_s, end_s], ...], ...}, one entry a tier.
+    """
     if path.suffix.lower() == _TEXTGRID:
         write_tiers(path, tiers)
     else:

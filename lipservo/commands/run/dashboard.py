@@ -77,6 +77,7 @@ def serve_page(
 ) -> None:
     """Serve the dashboard until a signal ends it; print its address, and open a browser if wanted.
 
+    bound: the listening socket. token: that browsers must send; None: not needed on this computer.
     model: file of the face model; None: the shipped one. hour: the setup of a new face, or None.
     """
     from lipservo.dashboard.child import address_of
@@ -110,10 +111,11 @@ def _has_a_screen() -> bool:
 
 
 def found_face(face: str | None, control: Path | None) -> Callable[[], Path]:
-    """Return a function that finds the control socket of the face of that name, or of the only one.
+    """Return a function that finds the control socket of a running face.
 
-    The function keeps to the face it found first, also when that was started again. It raises
-    UserError, ControlError.
+    The face named `face`, at `control`, or the only one that runs. At later calls the function
+    finds a face of the same name, also if that was started again. It raises UserError,
+    ControlError.
     """
     meant = [face]
 
@@ -131,7 +133,7 @@ def found_face(face: str | None, control: Path | None) -> Callable[[], Path]:
 
 
 def _serve_beside(parent: int) -> None:
-    """Run at low priority, and end with the parent process; raise typer.Exit if that has ended."""
+    """Run at low priority, and end with process `parent`; raise typer.Exit if that has ended."""
     from firmware_bridge.process.operating_system import die_with_parent, write_from_background
 
     die_with_parent()

@@ -20,7 +20,7 @@ _SOUNDS: Final = Path("lipservo") / "sounds"
 
 
 def with_sounds(voice: VoiceOptions | None) -> VoiceOptions:
-    """Return the voice (a new one for None) with its folder of sounds, by default one made here."""
+    """Return the voice, silent for None, with a folder of sounds: its own, or one created here."""
     voice = voice or VoiceOptions()
     if voice.sounds is not None:
         return voice
@@ -35,7 +35,8 @@ def dashboard_beside(
 ) -> Iterator[None]:
     """Serve, in a child process, the page of the face that the block runs, until the block ends.
 
-    token_file: from `access_file`. Raises UserError before anything moves.
+    listen: HOST:PORT; None: a free port of this computer. token_file: from `access_file`. Raises
+    UserError before anything moves.
     """
     from lipservo.commands.run.dashboard import check_dashboard
 
@@ -60,7 +61,10 @@ def check_page_options(
     token_file: Path | None = None,
     open_to_this_computer: bool = False,
 ) -> None:
-    """Raise typer.BadParameter for an option of the dashboard where none is shown."""
+    """Raise typer.BadParameter for an option of the dashboard if not `is_shown`.
+
+    The other arguments: the dashboard's options as typed.
+    """
     for name, given in (
         ("--dashboard-listen", listen is not None),
         ("--open", open_page),

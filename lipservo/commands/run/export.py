@@ -100,7 +100,7 @@ def export(
 
 
 def _format(output: Path, given: Format | None) -> Format:
-    """Return the format, as given or by the ending. Raises UserError for an ending of no format."""
+    """Return the format, `given` or by the ending of `output`. Raises UserError if none fits."""
     ending = output.suffix.lower()
     found = given or _FORMAT_OF.get(ending)
     if found is None:

@@ -35,7 +35,7 @@ from lipsync.face.model import load_face
 class Exported:
     """The request for an export. ending: of the output file, lower case.
 
-    phonemes: a TextGrid, or None: recognise them, following `text` unless it is empty.
+    phonemes: a TextGrid; None: they are recognised, following `text` unless it is empty.
     """
 
     file_format: Literal["rhubarb", "arkit", "ovr"]
@@ -61,7 +61,11 @@ def motion_shapes(spoken: SpokenSound) -> list[MouthCue]:
 def exported_text(
     request: Exported, chosen: ChosenMotion, config: str, model: Path | None
 ) -> tuple[str, dict[str, object]]:
-    """Return the export file's text, and its duration and counts by name. Raises UserError."""
+    """Return the export file's text, and its duration, counts and the like by name.
+
+    chosen: motion options typed. config: the face's name or YAML path. model: the face model's
+    file; None: the shipped one. Raises UserError.
+    """
     heard = spoken_sound(request.sound, request.phonemes, chosen, config, model)
     spoken = replace(heard, text=request.text)
     duration_s = spoken.duration_s

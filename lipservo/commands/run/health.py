@@ -92,7 +92,7 @@ def _print(name: str, history: History) -> None:
 
 
 def _row(days: Sequence[ServoDay]) -> list[str]:
-    """Return a servo's table cells: its newest figures; extremes, errors, counts of all days."""
+    """Return a servo's table cells: newest figures, and extremes, errors and counts of all days."""
     errors = 0
     for day in days:
         errors |= day.errors

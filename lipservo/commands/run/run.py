@@ -227,7 +227,8 @@ def run_once(
     """Play a request live to the end of its sound, print its result, and end with its exit status.
 
     sim: `pty`: the servos are simulated behind a port made for this run; None: they are not.
-    listener: where voice agents connect; endless: the face goes on when the sound is over.
+    listener: where voice agents connect; None: no agents are served; endless: the face goes on when
+    the sound is over.
     """
     with servo_port(request.port, sim, request.config) as at_port, entered_sound(request) as source:
         request = replace(request, port=at_port)
@@ -265,13 +266,16 @@ def _sound(
 
 
 def motion_of(chosen: ChosenMotion, config: str) -> MotionOptions:
-    """Return the user's motion options, completed by the face's YAML."""
+    """Return the user's motion options, completed by the YAML of the face `config`."""
     settings, folder = load_settings(config)
     return motion_options(chosen, settings.motion, folder)
 
 
 def avatars_of(config: str, osc: str | None, live_link: str | None) -> AvatarTargets:
-    """Return the targets of OSC and Live Link that the user gave, completed by the face's YAML."""
+    """Return the avatars' targets that the user gave, completed by the YAML of face `config`.
+
+    osc, live_link: HOST or HOST:PORT for each protocol; None: not given.
+    """
     written = load_settings(config)[0].avatars
     return AvatarTargets(osc or written.osc, live_link or written.live_link)
 

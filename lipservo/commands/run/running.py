@@ -16,7 +16,7 @@ Answer = dict[str, Any]
 
 
 def chosen_faces(face: str | None, control: Path | None) -> list[RunningFace]:
-    """Return the running faces at `control`, named `face`, or all where both are None.
+    """Return the running faces: the one at `control`, else those named `face`, else all.
 
     Raises UserError for a name that no running face has, and ControlError.
     """
@@ -42,8 +42,9 @@ def ask_faces(
 ) -> None:
     """Send a request to each chosen face, and print its answer as a line, or all answers as JSON.
 
-    ask_one: sends it, returns the answer, {"error": one line} if refused; line: text of an answer.
-    Raises UserError where no face runs, typer.Exit with 1 where one refused or did not answer.
+    ask_one: sends the request to one face, returns the answer, {"error": one line} if refused;
+    line: returns an answer as text. Raises UserError where no face runs, typer.Exit with 1 where
+    one refused or did not answer.
     """
     faces = chosen_faces(face, control)
     if not faces:

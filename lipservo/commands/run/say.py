@@ -109,7 +109,10 @@ def _text_in(path: Path) -> Sound:
 def read_through(
     url: str, token_file: Path | None, tell: "Callable[[Face], dict[str, Any]]"
 ) -> dict[str, Any]:
-    """Return the answer of `tell`, called with the running face at `url`. Raises UserError."""
+    """Return the result of `tell`, called with a client of the running face at `url`.
+
+    token_file: has the face's token; None: no token is sent. Raises UserError.
+    """
     from lipservo_client.blocking_face import Face
     from lipservo_client.protocol import FaceError
 

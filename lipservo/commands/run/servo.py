@@ -47,7 +47,10 @@ def servo(
 
 
 def _confirmed(face: RunningFace, name: str, switch: ServoSwitch) -> dict[str, Any]:
-    """Poll the face until the servo has switched, 5 s at most; return its state, or an error."""
+    """Poll the face until servo `name` has switched, 5 s at most.
+
+    Returns {"state"}, with "error", one line, if that is not the state requested.
+    """
     give_up_s = time.monotonic() + _PATIENCE_S
     while True:
         status = ask(face.path, "status")

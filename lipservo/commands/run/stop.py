@@ -34,9 +34,10 @@ _FLAGS: Final = {"--limp": "limp", "--freeze": "freeze", "--end": "end"}
 
 
 def run_without_parser(arguments: Sequence[str]) -> bool:
-    """Run `stop`, `start` or `status` if all options are plain; return False if nothing was done.
+    """Run `stop`, `start` or `status` if all options are plain; else return False.
 
-    The parser takes as long to load as all else together; it reports the options unknown here.
+    arguments: of the command line, the command first. The parser takes as long to load as all else
+    together; it reports the options unknown here.
     """
     name, *words = arguments
     given: dict[str, Any] = {}
@@ -114,7 +115,10 @@ def start(face: FaceName = None, control: Control = None, as_json: Json = False)
 
 
 def _come_back(face: RunningFace) -> dict[str, Any]:
-    """Poll the face until all servos are driven, 20 s at most; return states or {"error": why}."""
+    """Poll a started face until all servos are driven, 20 s at most.
+
+    Returns {"state", "servos"}, the servos by name, or {"error": why} if they are not.
+    """
     give_up_s = time.monotonic() + _START_S
     while True:
         try:

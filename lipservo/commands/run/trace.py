@@ -93,7 +93,10 @@ def diff(
 
 
 def _models(traces: Sequence[Trace], files: Sequence[Path]) -> list[FaceModel]:
-    """Return each trace's face model, by checksum. Raises IncomparableError if one is missing."""
+    """Return each trace's face model, found by checksum in `files` and the shipped one.
+
+    Raises IncomparableError if a model is missing, or does not fit its trace.
+    """
     known = {each.checksum: each for each in [load_face(), *map(load_face, files)]}
     for trace in traces:
         found = known.get(trace.model)

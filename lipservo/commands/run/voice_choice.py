@@ -22,9 +22,10 @@ def chosen_voice(*, play: bool, is_needed: bool = False) -> VoiceOptions | None:
 def daemons_voice(
     voice: VoiceOptions | None, listen: str | None, agents: VoiceOptions
 ) -> VoiceOptions | None:
-    """Return the voice that voice agents speak through; `voice` itself if `listen` is `none`.
+    """Return the voice that voice agents speak through, with the loudspeaker of `voice`.
 
-    agents: the options typed for them. Raises typer.BadParameter for these without a listener.
+    Without a listener (`listen` is `none`) it returns `voice`. agents: the options typed for
+    agents; typer.BadParameter is raised for any without a listener.
     """
     if listen == "none":
         if agents != VoiceOptions():
@@ -34,9 +35,10 @@ def daemons_voice(
 
 
 def access_file(token_file: Path | None, *, open_to_this_computer: bool) -> Path | None:
-    """Return the file of the token that a face's servers require; None: they require none here.
+    """Return the file of the token that a face's servers require; None: none from local clients.
 
-    Raises UserError, ControlError, and typer.BadParameter if both options are given.
+    token_file: given by the user; None: the runtime folder's. open_to_this_computer: local clients
+    need no token. Raises UserError, ControlError, and typer.BadParameter if both options are given.
     """
     if token_file is None:
         return None if open_to_this_computer else runtime_token_file()
@@ -47,7 +49,7 @@ def access_file(token_file: Path | None, *, open_to_this_computer: bool) -> Path
 
 
 def with_access(voice: VoiceOptions, config: str, token_file: Path | None) -> VoiceOptions:
-    """Return the voice with this token file, and with the origins and queue of the face's YAML."""
+    """Return the voice with `token_file`, and with the origins and queue of the face's YAML."""
     access = load_settings(config)[0].access
     origins = ",".join(access.origins)
     return replace(voice, token_file=text_of(token_file), origins=origins, queue=access.queue)
@@ -59,7 +61,7 @@ def text_of(path: Path | None) -> str | None:
 
 
 def spoken_text(typed: str) -> str:
-    """Return the text as typed, or after an @ the content of that file. Raises UserError."""
+    """Return the text as typed, or for `@FILE` the content of that file. Raises UserError."""
     if not typed.startswith("@"):
         return typed
     path = Path(typed[1:])

@@ -66,8 +66,9 @@ class FirstHour:
     ) -> None:
         """Prepare the setup; where a port is given and no YAML exists, find the servos there.
 
-        port: None: the YAML's, or chosen on the page. token_file: the token of the face's servers.
-        simulated: start simulated servos. Raises UserError for an unfit path or several buses.
+        port: None: as in the YAML, or chosen on the page later. token_file: the token of the face's
+        servers. simulated: start simulated servos. Raises UserError for an unfit path or several
+        buses.
         """
         if not path.exists():
             check_face_file(path)
@@ -101,7 +102,10 @@ class FirstHour:
     # ---- what is so ----
 
     def state(self) -> JsonObject:
-        """Return everything that a page draws; if unpolled for 15 s, steps for a person end."""
+        """Return everything that the page draws.
+
+        A step in which servos wait for a person ends 15 s after the last call.
+        """
         self._seen_s = time.monotonic()
         with self._lock:
             settings, trouble = self._settings()
@@ -154,7 +158,8 @@ class FirstHour:
     def choose_port(self, port: str | None, kind: str | None, *, simulated: bool) -> None:
         """Set the servos' port and kind of bus, and start finding servos that can be found.
 
-        simulated: at the port of simulated servos, which are started now. Raises FaceError.
+        port None: the bus kind needs none. kind None: as the port reveals. simulated: at the port
+        of simulated servos, which are started now. Raises FaceError.
         """
         with self._lock:
             self._check_idle()
@@ -172,7 +177,10 @@ class FirstHour:
             self.start("find")
 
     def start(self, step: str, **options: Any) -> None:
-        """Start a step's process on the servos. Raises FaceError while another step runs."""
+        """Start a step's process on the servos. Raises FaceError while another step runs.
+
+        options: of the step, as in `StepBody`.
+        """
         with self._lock:
             self._check_idle()
             request: JsonObject = {"port": self._port, "kind": self._kind, **options}
@@ -225,7 +233,7 @@ class FirstHour:
             self._named[servo_id] = joint
 
     def wire(self, channel: str) -> None:
-        """Add a hobby servo by its wiring, `jaw=0:opens`, or remove it by its name alone."""
+        """Add a hobby servo by its wiring, `jaw=0:opens`; remove one by its name alone, `jaw`."""
         with self._lock, _refusals():
             left = [each for each in self._wired if each.name != channel]
             if len(left) == len(self._wired):
@@ -233,7 +241,10 @@ class FirstHour:
             self._wired = left
 
     def write_face(self, board: str | None = None) -> None:
-        """Write the face's YAML from the stored servos, over no existing file. Raises FaceError."""
+        """Write the face's YAML from the stored servos, over no existing file.
+
+        board: of hobby servos; None: the usual one of their kind of bus. Raises FaceError.
+        """
         with self._lock, _refusals():
             check_face_file(self.path)
             kind = bus_kind(self._kind or "")
@@ -252,7 +263,10 @@ class FirstHour:
             write_whole(self.path, text)
 
     def set_end(self, servo: str, end: str) -> None:
-        """Store a joint's present angle as its `min`, `neutral` or `max`. Raises FaceError."""
+        """Store a joint's present angle as its `end`: `min`, `neutral` or `max`.
+
+        Raises FaceError where no angle is known now.
+        """
         with self._lock:
             step = self._step
             turned = {} if step is None or step.step != "limits" else step.events.get("turned", {})
@@ -363,7 +377,7 @@ class FirstHour:
         return str(models[str(servo_id)])
 
     def _wiring_of(self, kind: str) -> str | None:
-        """Return the YAML key of a hobby servo board for that kind of bus; None for other kinds."""
+        """Return the YAML key of the board, for a `kind` of bus with hobby servos; else None."""
         try:
             return bus_kind(kind).board_key or None
         except BusError:
@@ -389,7 +403,7 @@ class FirstHour:
         return is_wanted if step in _FOR_A_PERSON else lambda: True
 
     def _over(self, step: StepProcess) -> None:
-        """Store the results of a step that has ended; called in the step's own thread."""
+        """Store the results of `step`; called in the step's own thread when it has ended."""
         with self._lock:
             self._robot_s[step.step] = self._robot_s.get(step.step, 0.0) + step.seconds
             if (found := step.events.get("found")) is not None:
@@ -428,7 +442,7 @@ def _stamp(path: Path) -> Stamp:
 
 
 def _limits_of(name: str, ends: Mapping[str, float], settings: FaceSettings) -> dict[str, float]:
-    """Return the YAML values for a joint's ends (deg). Raises UserError with the joint's name."""
+    """Return the YAML values for joint `name` from its ends (deg). Raises UserError."""
     low_deg, high_deg = sorted((ends["min"], ends["max"]))
     offset_deg = settings.servos[name].zero_offset_deg
     try:

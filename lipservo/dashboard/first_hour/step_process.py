@@ -33,7 +33,7 @@ class StepProcess:
     Methods may be called by any thread; only `wait` blocks.
 
     step: its name. events: the newest of each kind, by name. notes: its messages, the newest last.
-    error: why it failed, one line; None: it runs, or ended well. was_left: it was ended since no
+    error: why it failed, one line; None: it runs, or ended well. was_left: it was ended because no
     page was open. let_go: whether its servos confirmed torque off as it ended.
     """
 
@@ -46,9 +46,11 @@ class StepProcess:
         ended: Callable[["StepProcess"], object] = lambda _: None,
         end_s: float = END_S,
     ) -> None:
-        """Start it. is_wanted: polled; False: it is ended softly. ended: called once, at the end.
+        """Start the process for `step`.
 
-        end_s: seconds that a soft end may last before the process is killed.
+        end_s: seconds that a soft end may last before the process is killed. request: what the step
+        needs, sent as JSON. is_wanted: polled; once False, the process is ended softly. ended:
+        called once, at the end.
         """
         self.step = step
         self.events: dict[str, Mapping[str, Any]] = {}
@@ -78,7 +80,7 @@ class StepProcess:
         return None if self._process is None else self._process.pid
 
     def order(self, order: Mapping[str, Any]) -> None:
-        """Send the process an order; it is dropped where the process hangs or has ended."""
+        """Send the process an order; the order is lost if that hangs or has ended."""
         process = self._process
         if process is not None and process.stdin is not None:
             with contextlib.suppress(OSError, ValueError):
@@ -114,7 +116,7 @@ class StepProcess:
         self._over(self._why(status, signalled=signalled))
 
     def _follow(self, process: "subprocess.Popen[bytes]") -> bool:
-        """Wait until the process has ended and its output is read, ending it when requested.
+        """Wait until the process has ended and its output is read; end it when requested.
 
         Return whether it was ended on request.
         """

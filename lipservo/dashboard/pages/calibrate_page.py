@@ -32,7 +32,7 @@ def read_calibration(config: str | None) -> tuple[JsonObject | None, str | None]
 
 
 def calibrate_page(config: str | None, values: JsonObject | None, trouble: str | None) -> None:
-    """Draw the page from `values` of the calibration or, without one, the reason in `trouble`."""
+    """Draw the page from `values` of the calibration; if None, show the reason in `trouble`."""
     if values is not None and not values["fits_the_face"]:
         trouble = "the face has changed since it was calibrated: calibrate it again"
     with card("Present calibration", _origin(values)):
@@ -197,7 +197,10 @@ PULSE_STEPS: Final = {
 
 
 def steps_of(face: str, *, has_place: bool) -> str:
-    """Return the steps to calibrate a face, as HTML. has_place: its servos report positions."""
+    """Return the steps to calibrate a face, as HTML. has_place: its servos report positions.
+
+    face: as the commands name it.
+    """
     other = {} if has_place else PULSE_STEPS
     # A way that measures where servos stand is none for those that cannot say it.
     steps = (other.get(step[0], step) for step in STEPS if has_place or step[0] != "dots")

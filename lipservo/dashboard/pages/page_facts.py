@@ -34,10 +34,10 @@ GROUPS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class _Rule:
-    """A servo's channel in the drawing, by its part and words of its name.
+    """A rule that finds the channel of the robot's drawing that a servo moves.
 
-    named: sets of words, of each of which its name has one. plus, minus: words of a positive
-    direction that is, or is opposite to, the drawing's.
+    part: the servo's part. named: sets of words; the servo's name must have a word of each. plus,
+    minus: words for a positive direction that is the drawing's, or opposite to it.
     """
 
     part: str
@@ -66,9 +66,10 @@ _RULES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class RigServo:
-    """What a servo moves in the drawing. channel: None where unknown, drawn as a dial.
+    """What a servo moves in the robot's drawing.
 
-    sign: -1 where a positive angle is the drawing's negative direction.
+    sign: -1 where a positive angle is the drawing's negative direction. channel: None: not known;
+    the servo is drawn as a dial.
     """
 
     channel: Channel | None
@@ -77,7 +78,10 @@ class RigServo:
 
 
 def robot_rig(servos: Mapping[str, ServoSettings]) -> dict[str, RigServo]:
-    """Return each servo's RigServo, by name; a servo whose channel is already used is a dial."""
+    """Return what each servo moves in the drawing, by name.
+
+    A servo whose channel is used already by another has none, and is drawn as a dial.
+    """
     taken: dict[Channel, set[Side]] = {}
     rig = {}
     for name, settings in servos.items():
@@ -112,7 +116,7 @@ def _found(name: str, settings: ServoSettings) -> RigServo:
 
 
 def settings_of(config: str | None) -> FaceSettings | None:
-    """Return the settings of a face by name or YAML path; None without one or if unreadable."""
+    """Return the settings of a face by name or YAML path; None for None or an unreadable one."""
     if config is None:
         return None
     try:
@@ -139,7 +143,10 @@ def page_facts(config: str | None) -> dict[str, object]:
 
 
 def servo_facts(servo: ServoSettings) -> dict[str, object]:
-    """Return a servo's id, model, limits (joint degrees), pulse and bounds; None where unknown."""
+    """Return a servo's id, model, part, direction, limits (joint degrees), pulse and bounds.
+
+    None for an id, model or pulse that the servo does not have.
+    """
     return {
         "id": servo.address,
         "model": servo.make,

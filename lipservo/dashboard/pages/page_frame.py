@@ -57,7 +57,8 @@ def page_frame(
     """Draw the frame of the page at path `here`, and enter it for the page's content.
 
     status: the face's newest, None before its first answer; only its name and port are used, since
-    the page itself requests the rest. scripts: files of static/ that the page loads.
+    the page itself requests the rest. facts: of the face, for the page's scripts (`page_facts`).
+    scripts: files of static/ that the page loads.
     """
     ui.page_title(f"{PLACES[here]} · {(status or {}).get('name') or 'lipservo'}")
     # The framework writes no language into its page; readers of screens need it.
@@ -81,7 +82,10 @@ def page_frame(
 
 @contextmanager
 def card(title: str, hint: str = "", classes: str = "") -> Iterator[None]:
-    """Draw a card with a heading, and enter it for its content. hint: a sentence beside it."""
+    """Draw a card with a heading, and enter it for its content. hint: a sentence beside it.
+
+    classes: CSS classes of the card.
+    """
     with ui.element("section").classes(f"card {classes}".strip()):
         aside = f"<small>{escape(hint)}</small>" if hint else ""
         html(f"<h2>{escape(title)}</h2>{aside}", "card-head")
@@ -89,12 +93,15 @@ def card(title: str, hint: str = "", classes: str = "") -> Iterator[None]:
 
 
 def grid(classes: str) -> ui.element:
-    """Return a new element of the page; the CSS classes arrange its children."""
+    """Return a new element of the page, whose children the CSS `classes` arrange."""
     return ui.element("div").classes(classes)
 
 
 def html(text: str, classes: str = "", tag: str = "div") -> None:
-    """Draw HTML unsanitised: never pass text of a user or a file that is not escaped."""
+    """Draw HTML unsanitised: never pass text of a user or a file that is not escaped.
+
+    classes: CSS classes; tag: of the element that has the text.
+    """
     ui.html(text, sanitize=False, tag=tag).classes(classes)
 
 
@@ -130,5 +137,5 @@ def _head(here: str, status: Mapping[str, Any], places: Mapping[str, str]) -> st
 
 
 def _for_script(value: Mapping[str, object]) -> str:
-    """Return JSON that cannot end a script element, whatever text a YAML contains."""
+    """Return `value` as JSON that cannot end a script element, whatever text it contains."""
     return json.dumps(value).replace("<", "\\u003c")

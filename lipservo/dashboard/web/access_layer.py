@@ -87,7 +87,10 @@ async def answer_json(
     *,
     is_websocket: bool = False,
 ) -> None:
-    """Send one JSON object as the answer to a request, or to a WebSocket's handshake."""
+    """Send one JSON object as the answer to a request, or to a WebSocket's handshake.
+
+    status: HTTP status. is_websocket: the answer refuses a handshake.
+    """
     of_json = [(b"content-type", b"application/json"), (b"cache-control", b"no-store"), *headers]
     await answer_bytes(send, status, of_json, json.dumps(answer).encode(), is_websocket)
 
@@ -95,7 +98,10 @@ async def answer_json(
 async def answer_bytes(
     send: Send, status: int, headers: Headers, body: bytes, is_websocket: bool = False
 ) -> None:
-    """Send a whole answer: status, headers with length and security headers, and body."""
+    """Send a whole answer to a request, or to a WebSocket's handshake.
+
+    Its length and the security headers are added to `headers`.
+    """
     kind = "websocket.http.response" if is_websocket else "http.response"
     length = (b"content-length", str(len(body)).encode())
     whole = [*headers, length, *SECURITY_HEADERS]
@@ -124,7 +130,10 @@ class OneTimeCode:
         self._is_used = False
 
     def admits(self, given: str, client_port: int, server_port: int) -> bool:
-        """Return whether a request with this code may get the token's cookie; True only once."""
+        """Return whether a request with code `given` may get the token's cookie; True only once.
+
+        client_port, server_port: of its connection, by which its user is found.
+        """
         if self._is_used or not is_same_token(given, self.code):
             return False
         if are_listed() and self._user not in connected_users(client_port, server_port):
@@ -143,7 +152,7 @@ class AccessLayer:
         origins: Callable[[], tuple[str, ...]] = tuple,
         code: OneTimeCode | None = None,
     ) -> None:
-        """Wrap `app`. token, origins: of `Policy`; origins are read at each request.
+        """Wrap `app`. token, origins: as in `Policy`; `origins` is called at each request.
 
         code: admits the browser that was started with the program; None: no code does.
         """
@@ -220,7 +229,7 @@ def most_bytes(path: str) -> int:
 
 
 def cors_headers(request: Request, policy: Policy) -> Headers:
-    """Return the headers that let a listed origin's scripts read an answer; none for others."""
+    """Return the headers that let a listed origin's scripts read an answer; else none."""
     origin = request.headers.get("origin", "")
     if origin not in policy.origins:
         return []

@@ -109,7 +109,7 @@ def _operations(openapi: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _resolved(schema: Any, openapi: Mapping[str, Any]) -> Any:
-    """Return a schema without titles, each `$ref` replaced by what it refers to; none is cyclic."""
+    """Return a schema without titles, each `$ref` replaced by what it refers to."""
     if isinstance(schema, list):
         return [_resolved(each, openapi) for each in schema]
     if not isinstance(schema, dict):

@@ -244,7 +244,7 @@ def file_routes(link: FaceLink) -> APIRouter:
 
 
 def shown_settings(status: Mapping[str, Any] | None) -> dict[str, float]:
-    """Return a face's lasting settings by name, as they are now; empty without a status."""
+    """Return a face's present settings by name, without mood and gaze; empty without status."""
     if status is None:
         return {}
     lively = (status.get("expression") or {}).get("expression")
@@ -253,7 +253,11 @@ def shown_settings(status: Mapping[str, Any] | None) -> dict[str, float]:
 
 
 async def change_settings(link: FaceLink, values: dict[str, float], *, save: bool) -> JsonObject:
-    """Change settings now, with `save` in the face's YAML too: all or none. Raises FaceError."""
+    """Change settings now, with `save` in the face's YAML too: all or none.
+
+    Settings that only a restart changes are saved, not changed now. Returns which were set, and
+    whether and which were saved. Raises FaceError.
+    """
     if not save:
         await link.change(values)
         return {"set": values, "saved": False}

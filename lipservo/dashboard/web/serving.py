@@ -88,7 +88,10 @@ def make_app(
 def with_access(
     app: App, link: FaceLink, token: str | None, code: OneTimeCode | None = None
 ) -> App:
-    """Return `app` wrapped in the access policy, and that in the route that answers stops."""
+    """Return `app` wrapped in the access policy, and that in the route that answers stops.
+
+    token, code: as for `make_app`.
+    """
     return StopRoute(AccessLayer(app, token, lambda: link.origins, code), link, token)
 
 
@@ -127,7 +130,11 @@ def bounded(listener: socket.socket) -> socket.socket:
 def server_of(
     app: App, on_ready: Callable[[], None] = lambda: None, ping_s: float = _PING_S
 ) -> uvicorn.Server:
-    """Return a server of `app` with limits; a client that answers no ping for ping_s is dropped."""
+    """Return a server of `app` with its limits; it is not running yet.
+
+    on_ready: called once clients can connect. ping_s: a client that answers no ping for so long is
+    dropped.
+    """
     config = uvicorn.Config(
         app,
         ws=_BoundedSocket,

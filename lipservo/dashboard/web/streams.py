@@ -43,13 +43,16 @@ class FrameHub:
         self.n_dropped = 0
 
     def tick(self) -> None:
-        """Send the newest frame to every client that waits for one."""
+        """Send the newest frame to every client that waits for one; call once per new frame."""
         waiting, self._next = self._next, None
         if waiting is not None:
             waiting.set_result((self._layout(), self._message()))
 
     async def serve(self, socket: WebSocket) -> None:
-        """Send frames to one client until it disconnects or reads none for 5 s; at most 64."""
+        """Send frames to one client until it disconnects or reads none for 5 s.
+
+        Beyond 64 clients it is refused.
+        """
         if self.n_clients >= MOST_CLIENTS:
             await socket.close(_TRY_AGAIN_LATER, f"{MOST_CLIENTS} clients are connected already")
             return

@@ -35,7 +35,7 @@ from lipsync.face.model import load_face as load_face_model
 
 
 def prevent_rules(face: FaceSettings) -> list[PreventRule]:
-    """Return the face's upper limits on weighted sums of joint angles, as rules for the gate."""
+    """Return the face's upper limits on weighted sums of joint angles, for the safety gate."""
     return [
         PreventRule(rule.factors(face.servos), rule.above, rule.because) for rule in face.prevent
     ]
@@ -52,10 +52,12 @@ def bridge_for(
     given_up: Mapping[int, str] | None = None,
     switched_off: Collection[int] = (),
 ) -> Bridge:
-    """Return a bridge from `channel` to `bus` with the face's joints and rules.
+    """Return a bridge: the loop that sends targets from `channel` through the safety gate to `bus`.
 
-    rate_hz: ticks a second; None: the face's. given_up: reasons for servos that stay limp, by
-    index. switched_off: indices of servos that a person switched off.
+    rate_hz: ticks a second; None: the face's. tolerant: servos that cannot be enabled at the start
+    are tried again in later ticks; False: all start or none. dry_run: servos are read and never
+    moved. given_up: reasons for servos that stay limp, by index. switched_off: indices of servos
+    that a person switched off.
     """
     return Bridge(
         bus,
@@ -87,8 +89,9 @@ def mouth_rules(face: FaceSettings) -> tuple[CouplingRule, ...]:
 def servo_memories(face: FaceSettings) -> tuple[ServoMemory | None, ...]:
     """Read the settings stored in the mouth's servos; () if no servo of the face stores any.
 
-    One entry a mouth servo; None: it does not answer, or stores nothing. Opens the port for this
-    alone. Raises PortError, and ServoError where a servo differs from the face's YAML.
+    One entry a mouth servo, in the YAML's order; None: it does not answer, or stores no settings.
+    Opens the port for this alone. Raises PortError, and ServoError where a servo differs from the
+    face's YAML.
     """
     keys = [field.name for field in fields(ServoMemory)]
     kept: dict[str, ServoMemory | None] = {}
@@ -129,7 +132,7 @@ def bus_for(face: FaceSettings, clock: Clock, *, strict: bool = True) -> ServoBu
 
 
 def wiring_of(face: FaceSettings) -> Wiring:
-    """Return the wiring of a face with one bus, with the file that keeps the pulses sent last."""
+    """Return the wiring of a face with one bus, with the file that keeps the last pulses sent."""
     port = face.servo_port
     kept = None if port is None else kept_pulses_path(face.name, port, os.environ)
     return replace(face.wiring, kept=kept)
@@ -142,7 +145,7 @@ def allow_first_start(face: FaceSettings) -> None:
 
 
 def simulated_wire(face: FaceSettings) -> tuple[ServoBus, ManualClock]:
-    """Return the face's servos, simulated byte by byte in memory, as (bus, its manual clock)."""
+    """Return the face's servos, simulated byte by byte in memory, as (bus, the bus's clock)."""
     bus, clock = face.bus_kind.simulator().simulated_wire(face.wiring)
     return bus, clock
 
@@ -174,9 +177,10 @@ def load_settings(config: str) -> tuple[FaceSettings, Path | None]:
 
 
 def assemble_face(config: str, model_path: Path | None) -> Face:
-    """Load a face by name or path; refuse a model or calibration made for another face.
+    """Load the face `config` by name or YAML path; refuse a model or calibration that does not fit.
 
-    Raises SettingsError, ModelError or CalibrationError, each with one line for each mistake.
+    model_path: the face model's file; None: the shipped one. Raises SettingsError, ModelError or
+    CalibrationError, each with one line for each mistake.
     """
     return assembled_face(*load_settings(config), model_path)
 
@@ -184,7 +188,8 @@ def assemble_face(config: str, model_path: Path | None) -> Face:
 def assembled_face(settings: FaceSettings, folder: Path | None, model_path: Path | None) -> Face:
     """Return the face of loaded settings, with model and calibration loaded and checked.
 
-    folder: of the settings' YAML; None: a shipped face. Raises ModelError or CalibrationError.
+    folder: of the settings' YAML; None: a shipped face. model_path: the face model's file; None:
+    the shipped one. Raises ModelError or CalibrationError.
     """
     model = load_face_model(model_path)
     file = calibration_file(settings, folder)
@@ -196,7 +201,7 @@ def assembled_face(settings: FaceSettings, folder: Path | None, model_path: Path
 
 
 def check_servos(face: Face) -> None:
-    """Raise CalibrationError, with the remedy, if servos' settings changed since calibration.
+    """Raise CalibrationError, with a remedy, if settings in servos changed since calibration.
 
     Does nothing if the calibration was made without servos. Raises PortError, and ServoError where
     a servo differs from the face's YAML.

@@ -57,9 +57,10 @@ class ControlOptions:
 class Supervised:
     """The state that a supervisor hands to the process that drives its servos.
 
-    control_fd: descriptor of the face's listening control socket. stopped: a person's stop that was
-    in force when the previous bridge process died. given_up: reasons for servos that stay limp, by
-    index. switched_off: indices of servos that a person switched off.
+    lifeline: the connection to the supervisor. control_fd: descriptor of the face's listening
+    control socket. stopped: a person's stop that was in force when the previous bridge process
+    died. given_up: reasons for servos that stay limp, by index. switched_off: indices of servos
+    that a person switched off.
     """
 
     lifeline: Heartbeat
@@ -104,8 +105,8 @@ def driven_face(
 ) -> Iterator[DrivenFace]:
     """Open the bus and the control socket, yield the driven face, and switch torque off at the end.
 
-    channel: of the targets. bus: not yet entered; None: the face's own. Raises what the bus raises,
-    and ControlError where no socket can be made.
+    channel: yields the servo targets. bus: not yet entered; None: the face's own. Raises what the
+    bus raises, and ControlError where no socket can be made.
     """
     how = options or DriveOptions()
     watched = how.supervised
@@ -131,8 +132,8 @@ def face_life(
 ) -> Iterator[LifeCycle]:
     """Yield the life cycle of a bridge, with its logs, its health log and its control socket.
 
-    port: of its servos, None: simulated in memory. With a manual clock the life cycle has no logs
-    and no control socket.
+    name: of the face. port: of its servos, None: simulated in memory. With a manual clock the life
+    cycle has no logs and no control socket.
     """
     if isinstance(clock, ManualClock):
         with LifeCycle(bridge, clock) as life:

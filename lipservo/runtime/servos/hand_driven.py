@@ -1,6 +1,7 @@
 """A face that a person moves with keys or from its page: without speech or calibration.
 
-It is held in neutral through the usual gate; jogging uses the orders that a speaking face accepts.
+It is held in neutral through the usual safety gate; moving single joints (jogging) uses the orders
+that a speaking face accepts.
 """
 
 from collections.abc import Callable
@@ -32,9 +33,9 @@ def drive_by_hand(
 ) -> tuple[StopReport, int | None]:
     """Hold the face in neutral until a person stops it; return (stop report, number of the signal).
 
-    The number is None if no signal stopped it. config: as its status names it. act: called with the
-    bridge and the time in each tick, to give orders to the bridge; it returns False to end: the
-    face comes to rest and goes limp. Raises what bus and bridge raise.
+    The number is None if no signal stopped it. config: the face's name or YAML path, for its
+    status. act: called with the bridge and the time in each tick, to give orders to the bridge; it
+    returns False to end: the face comes to rest and goes limp. Raises what bus and bridge raise.
     """
     channel = MemoryTargetChannel()
     with SilentBoard.create(settings, config) as board:
@@ -72,7 +73,7 @@ _RENEW_S: Final = 1.0
 class KeyedJoint:
     """One joint that a person moves with keys of a terminal.
 
-    place: its goal position, in us of a hobby servo, in degrees of another.
+    place: its goal position, in us for a hobby servo, in degrees for any other.
     """
 
     def __init__(self, settings: FaceSettings, name: str) -> None:
@@ -91,7 +92,10 @@ class KeyedJoint:
         return f"{self.name} {self.place:.0f} us ({self.pulse.deg(self.place):.1f} deg)"
 
     def press(self, key: str, bridge: Bridge, time_s: float) -> str | None:
-        """Act on a pressed key; return "" if done, why not if refused, None for other keys."""
+        """Act on a pressed key; return "" if done, why not if refused, None for other keys.
+
+        bridge: gets the jog order. time_s: monotonic time of the present tick.
+        """
         if key == AGREE_KEY and self._may_confirm:
             self._may_go_beyond = True
             return ""
@@ -104,9 +108,10 @@ class KeyedJoint:
         return self._go(round(self.place + step, 1), bridge, time_s)
 
     def renew(self, bridge: Bridge, time_s: float) -> bool:
-        """Renew the jog order each second within the limits; return False once the bridge ended it.
+        """Renew the jog order once a second; return False in the tick after the bridge ended it.
 
-        Call in each tick. After the end the joint is back at neutral, and so is `place`.
+        Call in each tick, at monotonic `time_s`. An order beyond the joint's limits is not renewed,
+        and so ends by itself. After the end the joint is back at neutral, and so is `place`.
         """
         if self.name not in bridge.jogged:
             was_led, self._renewed_s = np.isfinite(self._renewed_s), -np.inf

@@ -1,6 +1,6 @@
 """A face whose servos are held with torque on and moved from pose to pose through the bridge.
 
-All goals pass the last gate. One thread uses the bus; code that waits for a person or a tracker
+All goals pass the safety gate. One thread uses the bus; code that waits for a person or a tracker
 does so in `hold_while` or `work`, so that the servos receive goals all the time.
 """
 
@@ -51,7 +51,10 @@ _TWICE = 1.6
 
 
 def held_rate_hz(settings: FaceSettings) -> float:
-    """Return the face's rate, or 50 Hz (for chirps) where that is more and its buses allow it."""
+    """Return the tick rate of a held face: its own, or 50 Hz (for chirps) if higher and possible.
+
+    Possible: the face's buses allow it.
+    """
     if settings.rate_hz >= _DRIVE_RATE_HZ:
         return settings.rate_hz
     rate_hz = _TWICE * _DRIVE_RATE_HZ
@@ -62,9 +65,9 @@ def held_rate_hz(settings: FaceSettings) -> float:
 class HeldFace:
     """Servos with torque on from `__enter__` to `__exit__`, on a bus and a life cycle of their own.
 
-    Poses are joint degrees (n_joints,) of the joints named, by default the mouth's in the order of
-    the YAML; all others stay at their goals of the beginning. Raises what `Bridge` and the bus
-    raise, and FaceStopped when a person stops the face; it is limp then.
+    Poses are joint degrees (n_joints,) of the joints in `joints`, by default the mouth's in the
+    order of the YAML; all others stay at their goals of the beginning. Methods raise what `Bridge`
+    and the bus raise, and FaceStopped when a person stops the face; it is limp then.
     """
 
     def __init__(
@@ -81,9 +84,10 @@ class HeldFace:
     ) -> None:
         """Create the face; no port is opened. bus: not yet entered; None: the face's own.
 
-        joints: names of the joints in poses; None: the mouth's. from_neutral: move all joints to
-        neutral on entry. end: kind of stop when the block ends without an error. config: the face's
-        name or path in the status, for pages that watch it; None: no live board is made.
+        speed_deg_s: of all moves between poses. joints: names of the joints in poses; None: the
+        mouth's. from_neutral: move all joints to neutral on entry. end: kind of stop when the block
+        ends without an error. config: the face's name or path in the status, for pages that watch
+        it; None: no live board is made.
         """
         self._settings, self._config = settings, config
         self.rate_hz = held_rate_hz(settings)
@@ -105,7 +109,7 @@ class HeldFace:
 
     @property
     def life(self) -> LifeCycle:
-        """The life cycle, with the report of its end. Raises RuntimeError before entry."""
+        """The life cycle, with the stop report at its end. Raises RuntimeError before entry."""
         return self._driven.life
 
     @property
@@ -148,7 +152,7 @@ class HeldFace:
         return self._feedback().effort[self._posed]
 
     def move(self, goal_deg: Array) -> Array:
-        """Move the posed joints to a goal at limited speed; wait until their encoders are still.
+        """Move the posed joints to a goal at limited speed; wait until still, 1.5 s at most.
 
         Parameters
         ----------
@@ -262,7 +266,7 @@ class HeldFace:
         """Send goals, one a tick, through the gate, and return the positions measured after each.
 
         An encoder is read half a tick after its goal was sent: a goal that is held for a tick is on
-        average half a tick old. Ticks that the computer missed are filled in by interpolation.
+        average half a tick old. Positions of ticks that the computer missed are interpolated.
 
         Parameters
         ----------
@@ -339,7 +343,10 @@ class HeldFace:
         self._tell_stopped(error)
 
     def _tell_stopped(self, error: BaseException | None) -> None:
-        """Raise FaceStopped if a person stopped the face, also where a BusError followed."""
+        """Raise FaceStopped if `error`, which ended the block, comes from a person's stop.
+
+        It is an ImmediateStop then, or a BusError after the stop.
+        """
         if self._opened is None or self.life.report is None:
             return
         life, report = self.life, self.life.report
@@ -375,7 +382,10 @@ class HeldFace:
         return self.stands_deg
 
     def _heard_deg(self) -> Array:
-        """Return the positions, in degrees, of servos that measure any; NaN: no fresh reading."""
+        """Return the measured positions, in degrees, of the servos that can report one.
+
+        NaN for a servo without a reading from this tick.
+        """
         feedback = self._feedback()
         return np.where(feedback.age_s == 0.0, feedback.positions_deg, np.nan)[self._measured]
 
@@ -394,7 +404,10 @@ class HeldFace:
         self._send(*self._next_tick())
 
     def _next_tick(self) -> tuple[float, int]:
-        """Wait for the next tick: (time, ticks missed). Raises FaceStopped once stopped."""
+        """Wait for the next tick; return (its time, ticks missed before it).
+
+        Raises FaceStopped once the face is stopped.
+        """
         for time_s, late in self._ticks:
             return time_s, late
         raise FaceStopped(self._driven.bridge.stop_report(), self.life.signal_number)
@@ -407,7 +420,11 @@ class HeldFace:
 
 
 def _filled(columns: Array) -> Array:
-    """Return (n, k) with rows that contain NaN interpolated linearly between the complete rows."""
+    """Return `columns` (n, k) with rows that contain NaN interpolated between complete rows.
+
+    Linear in the row number; before the first and after the last complete row, that row is
+    repeated.
+    """
     rows = np.arange(len(columns))
     seen = np.isfinite(columns).all(axis=1)
     return np.stack([np.interp(rows, rows[seen], column[seen]) for column in columns.T], axis=1)

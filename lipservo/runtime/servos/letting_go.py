@@ -66,7 +66,7 @@ class Outcome:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether there was no problem and no servo failed to confirm."""
+        """Whether there was no problem and no servo failed to confirm torque off."""
         return not (self.problem or self.unconfirmed)
 
     def as_dict(self) -> dict[str, Any]:
@@ -78,7 +78,7 @@ class Outcome:
         }
 
     def text(self, done: str) -> str:
-        """Return the outcome in one line for a person. done: the state ordered, as in "limp"."""
+        """Return the outcome in one line for a person. done: the state reached, as "limp"."""
         if self.problem:
             return f"{self.name}: {self.problem}"
         if self.released and not self.unconfirmed:
@@ -97,8 +97,9 @@ def stop_faces(
 ) -> list[Outcome]:
     """Stop faces and return the outcome of each; a hung one is killed and its port released.
 
-    Every face is sent the stop before the first is waited for, so that none in trouble delays
-    another. A hung face is not killed for FREEZE. end: a daemon ends; otherwise it waits, limp.
+    Every face is sent the stop before any answer is awaited, so that no hung face delays another.
+    level: kind of stop; for FREEZE no hung face is killed. end: a daemon ends; otherwise it waits,
+    limp.
     """
     sent: list[socket.socket | None] = []
     for face in faces:
@@ -154,7 +155,7 @@ def _await_stop(
 
 
 def _ports_of(face: RunningFace) -> list[str]:
-    """Return the ports that the processes behind a face's socket have locked at present."""
+    """Return the ports that the processes behind a face's socket have locked now."""
     held = [port for pid in holders_of_socket(face.path) for port in ports_held_by(pid)]
     return list(dict.fromkeys(held))
 
@@ -167,10 +168,10 @@ def _troubles_of(face: RunningFace) -> list[str]:
 
 
 def release(port: str, face: "FaceSettings | None" = None) -> Outcome:
-    """Switch torque off at a port, ending any face of ours that holds it, and return the outcome.
+    """Switch torque off at a port, ending lipservo processes that hold it; return the outcome.
 
-    face: the one whose servos must confirm; None: all servos that were driven at the port since it
-    was plugged in, or that answer there.
+    face: settings of the face whose servos must confirm; None: all servos that were driven at the
+    port since it was plugged in, or that answer there.
     """
     named = named_ports(port)
     if named is not None:
@@ -197,7 +198,9 @@ def _released(
 ) -> Outcome:
     """Switch torque off on one board at a port and return the outcome.
 
-    shared: other boards use the same port, so each servo is named with its board.
+    kind: of the board's bus. driven: the bus settings it was driven with; None: not known. wiring:
+    its joints; None: not known. shared: other boards use the same port, so each servo is named with
+    its board.
     """
     from firmware_bridge.bus_kinds import AT_A_PORT, Wiring
     from firmware_bridge.bus_settings import BusSettings
@@ -229,7 +232,8 @@ def _release_all(
 ) -> Outcome:
     """Switch torque off at several ports at once, by bus name; return one combined outcome.
 
-    faces: settings of single buses whose servos must confirm, by bus name; may lack some.
+    name: of the face, for the outcome. faces: settings of single buses whose servos must confirm,
+    by bus name; may lack some.
     """
     outcome = Outcome(name, name)
     if len(ports) == 1:
@@ -261,10 +265,10 @@ def faces_at(port: str, faces: Sequence[RunningFace]) -> list[RunningFace]:
 
 
 def _free(port: str) -> None:
-    """End the processes of ours that hold a port: two SIGTERM, which mean limp, then SIGKILL.
+    """End lipservo's processes that hold a port: two SIGTERM (limp at once), then SIGKILL.
 
-    A bridge process is ended with its supervisor, which would start it again; never with any other
-    parent.
+    Only processes that this user may end. A bridge process is ended with its supervisor, which
+    would start it again; any other process without its parent.
     """
     holders = [pid for pid in holders_of(port) if is_ours(pid)]
     pids = list(dict.fromkeys(supervisor_of(pid) or pid for pid in holders))

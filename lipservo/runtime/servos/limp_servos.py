@@ -36,7 +36,7 @@ _SILENT: Final = "does not answer; check its power and cable"
 class LimpPose:
     """The joint positions of limp servos: (n_servos,) degrees, NaN for a servo without a reading.
 
-    obstacles: reasons why the pose cannot be kept, by servo name; empty: it can be kept.
+    obstacles: reasons why the pose cannot be stored, by servo name; empty: it can be stored.
     """
 
     positions_deg: Array
@@ -44,7 +44,7 @@ class LimpPose:
 
 
 class LimpServos:
-    """Some servos of an open bus, to be switched off and read. Other servos are not touched."""
+    """A choice of servos of an open bus, to be switched off and read; no other is changed."""
 
     def __init__(
         self,
@@ -53,7 +53,7 @@ class LimpServos:
         clock: Clock,
         names: Sequence[str] | None = None,
     ) -> None:
-        """Select servos of the face that the bus was made for.
+        """Select servos of the face `settings`, for which `bus` was made.
 
         names: of the servos; None: the mouth's, in the order of the YAML.
         """
@@ -99,10 +99,10 @@ class LimpServos:
         return self.steady(readings)
 
     def steady(self, readings: Sequence[LimpPose]) -> LimpPose:
-        """Return the median positions of several readings, with obstacles.
+        """Return the median positions of several readings, with the reasons against storing them.
 
-        An obstacle is a servo that held torque in any reading, is silent in most, or moved by over
-        1 deg.
+        A servo is an obstacle if it held torque in any reading, was silent in most, or moved by
+        over 1 deg.
         """
         places_deg: list[float] = []
         obstacles: dict[str, str] = {}
@@ -124,7 +124,7 @@ class LimpServos:
 
 
 class TurnedRange:
-    """The range over which each joint has been turned by hand, degrees. Arrays are (n_servos,)."""
+    """The ranges, in degrees, over which limp joints were turned by hand. Arrays: (n_servos,)."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = tuple(names)
@@ -145,7 +145,7 @@ class TurnedRange:
         self._most_deg = np.fmax(self._most_deg, here_deg)
 
     def ends(self) -> dict[str, tuple[float, float]]:
-        """Return (least, most) degrees of each joint by name; NaN where it was never read."""
+        """Return (least, most) degrees of each joint by name; NaN for a joint never read."""
         ends_deg = zip(self._least_deg.tolist(), self._most_deg.tolist(), strict=True)
         return dict(zip(self._names, ends_deg, strict=True))
 

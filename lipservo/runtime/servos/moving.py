@@ -1,4 +1,4 @@
-"""Moving a face to a pose on a person's command, through bus, bridge and gate as speech does."""
+"""Moving a face to a pose on a person's command, through the safety gate, as speech does."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ from lipsync.errors import UserError
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """The position of every joint in degrees just before torque off, and the servos' stop report.
+    """The positions of all joints just before torque off, and the servos' stop report.
 
-    reached_deg: the measured position; of a servo that cannot report one (is_measured is False),
-    the goal sent last. Both by joint name.
+    reached_deg: degrees by joint name, measured; for a servo that cannot report its position
+    (`is_measured` is False) the last goal sent.
     """
 
     reached_deg: dict[str, float]
@@ -35,9 +35,10 @@ def move_to(
 ) -> Moved:
     """Move the named joints, hold the pose for `hold_s` seconds, then switch torque off.
 
-    wanted_deg: joint degrees by name; None: all joints to neutral. may_jump: servos of unknown
-    position may jump to neutral. Returns the positions reached and the stop report. Raises
-    UserError, before any motion, for an unknown joint or an angle outside its limits.
+    config: the face's name or YAML path. port: None: the YAML's. wanted_deg: joint degrees by name;
+    None: all joints to neutral. may_jump: servos of unknown position may jump to neutral. Returns
+    the positions reached and the stop report. Raises UserError, before any motion, for an unknown
+    joint or an angle outside its limits.
     """
     settings, _ = load_settings(config)
     if port is not None:

@@ -105,10 +105,10 @@ class FoundJoint:
     part: str = _MOUTH
 
     def within(self, recorded: RecordedRange, neutral_tick: int) -> "FoundJoint":
-        """Return the joint with the recorded range as its limits, and 0 degrees at `neutral_tick`.
+        """Return a copy with the recorded range as limits, and 0 degrees at `neutral_tick`.
 
-        neutral_tick: the servo's present position, without homing offset. Raises UserError where it
-        is outside of that range.
+        neutral_tick: the servo's present position, without homing offset. Raises UserError if that
+        is outside the recorded range.
         """
         # A homed servo shows its place plus the homing offset, and so it was recorded.
         least, most = (
@@ -131,10 +131,11 @@ class FoundJoint:
 
 
 def nudge(tools: Any, port: str, rate: int, servo_id: int, model_name: str) -> int:
-    """Move one servo by 3 degrees and back through the gate, go limp; return its start in ticks.
+    """Move one servo by 3 degrees and back, limp at the end; return its start in encoder ticks.
 
-    tools: module for single servos of its kind of bus (`BusKind.workshop`). Raises FaceStopped if a
-    person stops it, or torque off is not confirmed.
+    All goals pass the safety gate. tools: module for single servos of its kind of bus
+    (`BusKind.workshop`). rate: baud. Raises FaceStopped if a person stops it, or torque off is not
+    confirmed.
     """
     channel, clock = MemoryTargetChannel(), MonotonicClock()
     place: int
@@ -157,7 +158,10 @@ def nudge(tools: Any, port: str, rate: int, servo_id: int, model_name: str) -> i
 
 
 def _nudge_ramps(start_s: float) -> tuple[Ramp, Ramp]:
-    """Return the ramps to 3 degrees and back; the second starts 0.5 s after the first has ended."""
+    """Return the ramps to 3 degrees and back; the first starts at monotonic `start_s`.
+
+    The second starts 0.5 s after the first has ended.
+    """
     away_deg, here_deg = np.array([NUDGE_DEG]), np.zeros(1)
     return (
         Ramp(here_deg, away_deg, start_s, _NUDGE_S),
@@ -173,7 +177,7 @@ def check_face_file(path: Path) -> None:
 
 
 def check_joint_name(name: str, taken: Sequence[str]) -> str:
-    """Return the typed name, stripped. Raises UserError if it is taken or no valid joint name."""
+    """Return `name` stripped. Raises UserError if invalid for a joint, or one of `taken`."""
     name = name.strip()
     if not re.match(JOINT_NAME, name):
         raise UserError(
@@ -185,7 +189,10 @@ def check_joint_name(name: str, taken: Sequence[str]) -> str:
 
 
 def face_yaml(name: str, kind: BusKind, port: str, rate: int, joints: Sequence[FoundJoint]) -> str:
-    """Return the YAML text of a face whose servos were found. name: may hold bytes not in UTF-8."""
+    """Return the YAML text of a face whose servos were found. name: may hold bytes not in UTF-8.
+
+    rate: baud.
+    """
     content = {
         "name": name.encode(errors="replace").decode(),
         "rate_hz": 30,
@@ -244,7 +251,8 @@ def pulse_face_yaml(
 ) -> str:
     """Return the YAML text, with comments, of a face of hobby servos, with narrow default limits.
 
-    Raises UserError for a board that is no word or number; whether it exists is not checked.
+    kind, port, board: of the bus; port None: left out, as a comment. Raises UserError for a board
+    that is no word or number; whether it exists is not checked.
     """
     if not re.fullmatch(_BOARD, board):
         raise UserError(f"--board {shown(board)} is no {kind.board_key} of a {kind.name}")
@@ -278,7 +286,8 @@ def pulse_face_yaml(
 def check_wiring(text: str, file_name: str) -> FaceSettings:
     """Parse the YAML of a face of hobby servos, check its channels, and return the settings.
 
-    Nothing is opened. Raises SettingsError, and ServoError for channels that the board lacks.
+    file_name: for messages. Nothing is opened. Raises SettingsError, and ServoError for channels
+    that the board lacks.
     """
     settings = parse_face(text, file_name)
     # Opens nothing before it is entered; without a port it would look at nothing either.
@@ -288,7 +297,7 @@ def check_wiring(text: str, file_name: str) -> FaceSettings:
 
 
 def _quoted(text: str) -> str:
-    """Return any text as a YAML scalar, quoted unless it is plain words or a path."""
+    """Return `text` as a YAML scalar, quoted unless it is plain words or a path."""
     is_plain = re.fullmatch(_PLAIN, text) and isinstance(yaml.safe_load(text), str)
     if is_plain:
         return text
@@ -297,7 +306,10 @@ def _quoted(text: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class NewBus:
-    """One bus of a face that is to be written, as a person gave it. channels: `jaw=0:opens`."""
+    """One bus of a face that is to be written, as a person gave it.
+
+    port, board: None: not given. channels: wirings of hobby servos, as `jaw=0:opens`.
+    """
 
     kind: BusKind
     port: str | None
@@ -310,8 +322,8 @@ def parts_of(
 ) -> dict[str, NewBus]:
     """Parse the bus options of `new-face`, as `maestro` or `lips=maestro`, into buses by name.
 
-    A face with one bus has it under an empty name; {}: neither bus nor port is given. Raises
-    UserError.
+    Each option as typed, once for each bus; channels: `jaw=0:opens`. A face with one bus has it
+    under an empty name; {}: neither bus nor port is given. Raises UserError.
     """
     if not any("=" in each for each in buses):
         for option, given in (("--bus", buses), ("--port", ports), ("--board", boards)):

@@ -21,7 +21,7 @@ class SimulatedServos:
     process: "subprocess.Popen[str]"
 
     def turn(self, index: int, by_deg: float) -> None:
-        """Turn a limp simulated servo by degrees, as fingers would; one with torque on resists."""
+        """Turn simulated servo `index` by degrees, as fingers would; with torque on it resists."""
         assert self.process.stdin is not None
         with suppress(OSError):  # it has ended, and its port with it
             self.process.stdin.write(f"{index} {by_deg:.1f}\n")
@@ -65,7 +65,8 @@ def simulated_servos(arguments: Sequence[str]) -> Iterator[SimulatedServos]:
 def servo_port(port: str | None, sim: str | None, config: str) -> Iterator[str | None]:
     """Yield the user's port, or for `--sim pty` the port of servos simulated until the block ends.
 
-    Yields None for the YAML's port. Raises UserError for another `--sim`, or with a port as well.
+    config: the face whose servos are simulated. Yields None if `port` and `sim` are None: the
+    YAML's port. Raises UserError for any other `sim`, and for `sim` together with a port.
     """
     if sim is None:
         yield port

@@ -42,8 +42,9 @@ _LATEST_S: Final = 1e9
 def expression_settings(amount: float) -> dict[str, Setting]:
     """Return the settings of the expression that may change while a face runs, with their limits.
 
-    look_weight: 1 = look at (look_yaw_deg, look_pitch_deg), 0 = at no target. The affect that a
-    dialogue system sets fades with affect_tau_s from monotonic affect_at_s on.
+    amount: initial liveliness, 0 still, 1 as measured on people. look_weight: 1 = look at
+    (look_yaw_deg, look_pitch_deg), 0 = at no target. The affect that a dialogue system sets fades
+    with affect_tau_s from monotonic affect_at_s on.
     """
     return {
         "expression": Setting(amount, 0.0, LIVELIEST),
@@ -109,7 +110,8 @@ _SMALLEST_SMILE = 0.02
 class ExpressionServo:
     """A servo, by its number in the face, that shows a part of an expression.
 
-    of: the part: a field of `Expression`, or `lids`. min_deg to max_deg: the servo's range.
+    of: the part shown: a field of `Expression`, or `lids`. deg_per_unit: servo degrees for 1 of
+    that part's unit. min_deg to max_deg: the servo's range.
     """
 
     index: int
@@ -139,7 +141,7 @@ def expression_servos(face: FaceSettings) -> list[ExpressionServo]:
 
 
 class ExpressionClaims:
-    """The goals that an expression claims for its servos, computed once each period.
+    """The goals that an expression requests for its servos, computed once each period.
 
     Lips go before expression: the corners of the mouth smile in silence, and belong to the lips as
     soon as a word is known, over the 0.3 s of every hand-over.
@@ -154,7 +156,7 @@ class ExpressionClaims:
         self._shown_deg = np.zeros(len(self._head))
 
     def claims(self, expression: Expression, layer: Layer) -> list[Claim]:
-        """Return the claim for neck, eyes, lids and brows on `layer`; [] if there are none."""
+        """Return the claim for neck, eyes, lids and brows on `layer`; [] without such servos."""
         if not self._head:
             return []
         wanted_deg = np.array([_wanted_deg(servo, expression) for servo in self._head])
@@ -211,7 +213,7 @@ _AMOUNT_S: Final = 1.0
 
 
 class PerformedExpression:
-    """A mixer of live and performed expression: call `step` once for every 10 ms that are shown."""
+    """A mixer of live expression and a performance's: call `step` once for every 10 ms shown."""
 
     def __init__(self) -> None:
         self._shares = dict.fromkeys(_OVER_S, 0.0)
@@ -259,9 +261,11 @@ class ExpressionLayer:
         requests: ExpressionRequests,
         rest_after_s: float = math.inf,
     ) -> None:
-        """Create it at neutral. source: of live expression; None: affect only, in the mouth.
+        """Create the layer with the face at neutral.
 
-        rest_after_s: seconds of silence after which a face without source counts as resting.
+        source: of live expression; None: affect only, in the mouth. voice: prosody of the sound.
+        requests: the settings set last. rest_after_s: seconds of silence after which a face without
+        source counts as resting.
         """
         self.voice = voice
         self._source = source
@@ -304,7 +308,7 @@ class ExpressionLayer:
             self.wake()
 
     def wake(self) -> None:
-        """Reset the count of silence to 0, so that a resting face stops resting."""
+        """End resting: set the count of silent seconds to 0, as before sound is played."""
         self._silent_s = 0.0
 
     def advance(
@@ -344,7 +348,7 @@ class ExpressionLayer:
         self.expression = self._performed.step(live, performed, amount)
 
     def claims(self, mouth: Claim) -> list[Claim]:
-        """Return the claims of lips and expression, given the lips' claim `mouth`."""
+        """Return the claims of lips and expression on servos, given the lips' claim `mouth`."""
         is_idle = self._silent_s > _IDLE_AFTER_S and self.requests.look_at_deg is None
         claims = self._claims.claims(self.expression, Layer.IDLE if is_idle else Layer.EXPRESSION)
         if self._is_speaking:
@@ -353,7 +357,10 @@ class ExpressionLayer:
 
 
 def check_expression(face: FaceSettings, folder: Path | None) -> None:
-    """Raise ExpressionModelError or UserError if the face's learned model cannot be used."""
+    """Raise ExpressionModelError or UserError if the learned expression model cannot be used.
+
+    folder: of the YAML, to which the model's path is relative; None: a shipped face.
+    """
     if face.expression.model is not None:
         expression_source(face, folder, face.expression.seed)
 
@@ -361,8 +368,8 @@ def check_expression(face: FaceSettings, folder: Path | None) -> None:
 def expression_source(face: FaceSettings, folder: Path | None, seed: int) -> WholeExpression:
     """Return the source of a face's live expressions: generated, or from its learned model.
 
-    folder: of the YAML, to which the model's path is relative; None: a shipped face. Raises
-    ExpressionModelError, and UserError without lipservo-lab.
+    folder: of the YAML, to which the model's path is relative; None: a shipped face. seed: of
+    random motion. Raises ExpressionModelError, and UserError without lipservo-lab.
     """
     expression_settings = face.expression
     # Of a face that its YAML lets look more or less often at whoever it speaks with.
@@ -382,9 +389,10 @@ def expression_source(face: FaceSettings, folder: Path | None, seed: int) -> Who
 
 
 def _player_of_models() -> Callable[[Path, int, WholeExpression], WholeExpression]:
-    """Return the function that loads a learned model. Raises UserError without lipservo-lab.
+    """Return the function that loads a learned expression model.
 
     The function gets the model's path, a seed, and the generated source that the model replaces.
+    Raises UserError without lipservo-lab.
     """
     for point in entry_points(group="lipservo.expressions"):
         return cast(Callable[[Path, int, WholeExpression], WholeExpression], point.load())

@@ -40,7 +40,11 @@ class ServoLayers:
     """A combiner of the claims of all layers into one pose each period."""
 
     def __init__(self, servo_names: Sequence[str], neutral_deg: Array, period_s: float) -> None:
-        """Start without owners. neutral_deg: (n_servos,), the goals of servos without owner."""
+        """Start without owners.
+
+        neutral_deg: (n_servos,), the goals of servos that no layer claims. period_s: seconds from
+        one pose to the next.
+        """
         self.servo_names = tuple(servo_names)
         self._neutral_deg = neutral_deg
         self._step = period_s / HANDOVER_S
@@ -51,7 +55,7 @@ class ServoLayers:
         self._progress = np.ones(len(self.servo_names))
 
     def indices(self, names: Sequence[str]) -> Indices:
-        """Return the numbers of servos, given by name. Raises ValueError for an unknown name."""
+        """Return the numbers of the servos `names`. Raises ValueError for an unknown name."""
         for name in names:
             if name not in self.servo_names:
                 raise ValueError(f"no servo {name!r} in this face: {', '.join(self.servo_names)}")
@@ -66,7 +70,7 @@ class ServoLayers:
         return dict(zip(self.servo_names, owners, strict=True))
 
     def compose(self, claims: Sequence[Claim]) -> Array:
-        """Return each servo's goal: its owner's, or one between the former goal and its owner's.
+        """Return each servo's goal: its owner's, or during a hand-over one on the way to that.
 
         The first pose is used as it is. From then on a new owner starts from the servo's last goal,
         and controls it fully after HANDOVER_S.

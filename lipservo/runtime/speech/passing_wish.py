@@ -11,9 +11,10 @@ _MOOD: Final = ("affect_valence", "affect_arousal")
 
 
 def with_expiry(values: Mapping[str, float], now_s: float) -> dict[str, float]:
-    """Return the settings, with `look_weight` added to a look angle and `affect_at_s` to an affect.
+    """Return settings with `look_weight` 1 added to a look angle, `affect_at_s` to a mood.
 
-    now_s: monotonic, one clock for all processes of a computer. Given values are never changed.
+    From `affect_at_s` on the mood fades; it is `now_s`, of the monotonic clock that all processes
+    of a computer share. Given values are never changed.
     """
     whole = dict(values)
     if any(name in whole for name in _WHERE):

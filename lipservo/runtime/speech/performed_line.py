@@ -1,4 +1,7 @@
-"""The sound of a performance, ready to be played: decoded as it plays, silence at both ends."""
+"""The sound of a performance, ready to be played: decoded as it plays, silence at both ends.
+
+A performance is a scripted line whose motion was rendered to a file beforehand.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -40,7 +43,7 @@ class PerformedLine:
     motion: StoredMotion
 
     def stream(self, playout: Playout) -> "PerformedStream":
-        """Return an empty stream for the playout, into which the caller pushes the chunks."""
+        """Return a new, empty stream for `playout`, into which the caller pushes `chunks`."""
         return PerformedStream(self, playout.output_rate_hz)
 
     def chunks(self) -> Iterator[Samples]:
@@ -61,7 +64,7 @@ class PerformedStream(PlayoutStream):
     """A playout stream that carries the stored motion of its performance."""
 
     def __init__(self, line: PerformedLine, output_rate_hz: int) -> None:
-        """Create it for a line. output_rate_hz: a multiple of 100; else ValueError is raised."""
+        """Create the stream of `line`. output_rate_hz: a multiple of 100, else ValueError."""
         super().__init__(line.name, line.sample_rate_hz, output_rate_hz, line.phonemes)
         self.motion = line.motion
 
@@ -103,7 +106,10 @@ def performed_line(performance: Performance, path: Path) -> PerformedLine:
 def line_of(
     performance: Performance, name: str, samples: Samples, sample_rate_hz: int
 ) -> PerformedLine:
-    """Return the line of a performance whose sound (n,) is decoded already."""
+    """Return the line of a performance whose sound (n,) is decoded already.
+
+    name: of its stream.
+    """
     sound_s = len(samples) / sample_rate_hz
     return _line(performance, name, lambda: iter([samples]), sound_s, sample_rate_hz)
 

@@ -42,13 +42,16 @@ class HeardVoice:
         self._kept[n % _N_KEPT] = (n, self._listener.feed(block.samples))
 
     def at(self, sound_s: float) -> VoiceFrame:
-        """Return the voice frame of the 10 ms around a sound time; silence where none is kept."""
+        """Return the voice frame around sound time `sound_s` (10 ms); silence if none is kept."""
         n = math.floor(sound_s / BLOCK_S + 1e-6)
         kept, frame = self._kept[n % _N_KEPT]
         return frame if kept == n else SILENT_VOICE
 
     def peaks(self, after_s: float, until_s: float, most: int) -> list[float]:
-        """Return the peak (0 to 1) of each 10 ms between two sound times, the last `most` ones."""
+        """Return the peak (0 to 1) of each 10 ms between two sound times.
+
+        after_s, until_s: the sound times. Of more than `most` peaks the last are returned.
+        """
         first, last = (math.floor(each / BLOCK_S + 1e-6) for each in (after_s, until_s))
         return [self.at(n * BLOCK_S).peak for n in range(max(first, last - most) + 1, last + 1)]
 
@@ -59,7 +62,7 @@ class RecognizedPhonemes:
     def __init__(
         self, source: AudioSource, recognizer: LiveRecognizer, voice: HeardVoice | None = None
     ) -> None:
-        """Connect a source to a recogniser. voice: gets the source's sound as well, if given."""
+        """Connect a source to a recogniser. voice: analyses its sound as well, if given."""
         self._voice = voice
         self._source = source
         self._recognizer = recognizer
@@ -71,7 +74,7 @@ class RecognizedPhonemes:
 
     @property
     def latency_s(self) -> float:
-        """The recogniser's latency: at sound time t phonemes before t - latency_s are settled."""
+        """The recogniser's latency: at sound time t phonemes before t - latency_s are final."""
         return self._recognizer.latency_s
 
     @property
@@ -142,12 +145,12 @@ class SpokenPhonemes:
 
     @property
     def latency_s(self) -> float:
-        """The recogniser's latency: at sound time t phonemes before t - latency_s are settled."""
+        """The recogniser's latency: at sound time t phonemes before t - latency_s are final."""
         return self._recognizer.latency_s
 
     @property
     def heard_until_s(self) -> float:
-        """The sound time until which sound was committed, in s."""
+        """The sound time, s, until which the playout's sound is committed (fixed, recognised)."""
         return self._playout.committed_s
 
     @property
@@ -180,7 +183,7 @@ class SpokenPhonemes:
         return self._follower.saying
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
-        """Commit the sound due at sound time `until_s`; return the phoneme updates from it."""
+        """Fix and recognise the sound due at sound time `until_s`; return its phoneme updates."""
         blocks = self._playout.commit(until_s)
         for words in self._playout.take_words():
             if self._follower is not None:
@@ -231,7 +234,7 @@ def with_known(update: PhonemeUpdate, stretches: Iterable[KnownStretch]) -> Phon
 
 
 def _cut(events: Iterable[PhonemeEvent], from_s: float, until_s: float) -> list[PhonemeEvent]:
-    """Return the events between two times, cut at both."""
+    """Return the events, or parts of them, that lie between two times."""
     found = []
     for event in events:
         start_s, end_s = max(event.start_s, from_s), min(_end_s(event), until_s)

@@ -51,12 +51,12 @@ class Delay:
         return self.recognizer_s + self.lookahead_s + self.sound_block_s + self.loudspeaker_s
 
     def at_least(self, delay_s: float) -> "Delay":
-        """Return the delay with `loudspeaker_s` such that the total is `delay_s` at least."""
+        """Return a copy whose `loudspeaker_s` makes the total at least `delay_s`."""
         return replace(self, loudspeaker_s=max(0.0, delay_s - self.total_s))
 
     @property
     def total_s(self) -> float:
-        """The display time minus the sound time, s."""
+        """The whole delay: time at which a face is shown minus time of its sound, s."""
         return self.synthesis_s + self.publish_period_s + self.actuation_s
 
     def __str__(self) -> str:
@@ -83,7 +83,10 @@ class CutOff:
     """The mouth's path to rest when speech is cut off, and back: joint degrees, pose by pose."""
 
     def __init__(self, n_servos: int, period_s: float) -> None:
-        """Start at neutral, where a face begins; the first `join` poses lead from there."""
+        """Start at neutral, where a face begins; the first `join` poses lead from there.
+
+        period_s: seconds from one pose to the next.
+        """
         self._period_s = period_s
         self._start_deg: Array = np.zeros(n_servos)
         self._rest_deg: Array = np.zeros(n_servos)
@@ -156,7 +159,7 @@ _THERE_MM: Final = 0.005
 
 
 class LipGapOffset:
-    """A constant offset of the gap between the lips, eased in after changes; NumPy only."""
+    """A constant offset of the gap between the lips, eased in after changes."""
 
     def __init__(self, model: FaceModel, offset_mm: float, period_s: float) -> None:
         """Start with `offset_mm` fully applied. period_s: seconds between calls of `feed`."""
@@ -166,7 +169,7 @@ class LipGapOffset:
         self.wanted_mm = self._halfway_mm = self._shown_mm = offset_mm
 
     def change(self, settings: Mapping[str, float]) -> None:
-        """Set the wanted offset from settings, if they contain it; `feed` eases it in."""
+        """Set the wanted offset from `settings`, if they contain one; `feed` eases it in."""
         self.wanted_mm = settings.get(LIP_GAP_OFFSET, self.wanted_mm)
 
     def feed(self, face: Array) -> Array:
@@ -228,9 +231,9 @@ _MOST_ADVANCE_S = 0.200
 class SpeechOptions:
     """The optional parts of a face's speech side.
 
-    least_delay_s: the face waits for a loudspeaker that is so late. expression: moves head and
-    eyes. lip_gap: lips more open or closed than planned; None: as planned. plan: of the mouth's
-    joints; None: joint goals are the planned ones.
+    least_delay_s: least delay from sound to face: the loudspeaker's latency. expression: moves head
+    and eyes. lip_gap: lips more open or closed than planned; None: as planned. plan: keeps the
+    mouth's joints within their speeds; None: they are not limited here.
     """
 
     least_delay_s: float = 0.0
@@ -240,7 +243,7 @@ class SpeechOptions:
 
 
 class Speech:
-    """The speech side of a face: follows phonemes, publishes servo targets for future times."""
+    """The speech side of a face: turns phonemes into servo targets, published ahead of time."""
 
     def __init__(
         self,
@@ -308,12 +311,12 @@ class Speech:
 
     @property
     def hearing(self) -> Hearing | None:
-        """The class of the sound (speech, noise, ...) settled last; None: no recogniser listens."""
+        """The class of the sound (speech, noise, ...) decided last; None: no recogniser listens."""
         return None if self._listener is None else self._listener.hearing
 
     @property
     def moved_by(self) -> MovedBy | None:
-        """The source (sound, text, words, ...) of the settled phonemes; None: not known."""
+        """The source (sound, text, words, ...) of the newest final phonemes; None: not known."""
         return self._phonemes.moved_by if isinstance(self._phonemes, MouthMover) else None
 
     @property
@@ -340,7 +343,7 @@ class Speech:
             self._phonemes.note_servo_speeds(self._clock.sound_s(now_s), speeds_deg_s)
 
     def begin(self, zero_s: float) -> None:
-        """Set the monotonic time at which the sound begins to `zero_s`."""
+        """Set the monotonic time of the sound's beginning, sound time 0, to `zero_s`."""
         self._clock.begin(zero_s)
 
     def rest_before(self, wait_s: float) -> None:
@@ -397,7 +400,7 @@ class Speech:
         return self._cut_off.is_closing
 
     def event_at(self, sound_s: float) -> PhonemeEvent | None:
-        """Return the phoneme believed at a sound time; None where none is known."""
+        """Return the phoneme at a sound time, as known so far; None where none is known."""
         return self._synthesizer.event_at(sound_s)
 
     def captured_s(self, goal_s: float) -> float | None:
@@ -450,7 +453,7 @@ class Speech:
         return ServoTargets(goal_s, self._lag.feed(pose_deg))
 
     def _plan_mouth(self, wanted: TargetWindow) -> None:
-        """Set the mouth's goals from poses that are wanted now and later.
+        """Set the mouth's next goals from the poses `wanted` now and later.
 
         Backlash is compensated before the plan, so that the plan sees every reversal and keeps the
         limits of the servos, not those of the horns.
@@ -467,6 +470,7 @@ class Speech:
     ) -> Array:
         """Return the pose (n_servos,) of the next 10 ms from the mouth's goals and the expression.
 
+        sound_s, shown_s: sound time, and monotonic time of display. phoneme: spoken then.
         performed: the expression that a performance contains.
         """
         mouth = Claim(Layer.LIPS, self.mouth, self._goals_deg)
@@ -477,6 +481,6 @@ class Speech:
         return self._layers.compose(self.expression.claims(mouth))
 
     def _publish(self, targets: ServoTargets) -> None:
-        """Publish the targets unless the face rests: then the bridge may release its servos."""
+        """Publish the targets unless the face rests: then the bridge may switch torque off."""
         if self.expression is None or not self.expression.is_resting:
             self._channel.publish(targets)

@@ -44,7 +44,7 @@ class AdjustableMouth:
         self._due_s = 0.0
 
     def change(self, settings: Mapping[str, float]) -> None:
-        """Apply changed settings, by name, that the synthesiser has; it eases them in."""
+        """Pass on changed settings, by name, that the synthesiser knows; it eases them in."""
         if self._live is None:
             return
         if "strength" in settings and settings["strength"] != self._strength:
@@ -79,7 +79,10 @@ _CAUGHT_UP_S: Final = 0.03
 
 
 class OwnVoice:
-    """The link of playout, playback clock and speech: call `advance` each tick, before speech's."""
+    """A face's own voice: its playout, playback clock and `Speech`, kept in step.
+
+    Call `advance` in each tick, before that of `Speech`.
+    """
 
     def __init__(
         self,
@@ -106,11 +109,14 @@ class OwnVoice:
         clock.lead_s = speech.delay.total_s
 
     def begin(self) -> None:
-        """Begin the playout's timeline now; committed sound is played one declared delay later."""
+        """Begin the playout's timeline now, to be heard later by the delay from sound to face."""
         self.playout.begin(self._clock.lead_s, self._quiet_s)
 
     def advance(self, now_s: float) -> None:
-        """Run the playout until monotonic `now_s`, close the mouth on a cut, log phonemes heard."""
+        """Run the playout until monotonic `now_s`, and log phonemes that are heard.
+
+        Closes the mouth when speech is cut off or the loudspeaker stalls.
+        """
         self._follow(now_s)
         self._get_up()
         position_s = self._clock.sound_s(now_s) - self._clock.lead_s
@@ -164,10 +170,10 @@ _ROUNDING_TIME_S: Final = 0.03
 
 
 class SpeechBoard:
-    """A writer of what is shown to a `LiveBoard`.
+    """A writer of speech records, of what a face shows, to a `LiveBoard`.
 
-    The page's head is drawn: its lips round where those of the talker, and so of the robot, hardly
-    do (`lipsync.motion.rounding`).
+    The dashboard draws its head from them, with lips that round where those of the talker, and so
+    of the robot, hardly do (`lipsync.motion.rounding`).
     """
 
     def __init__(self, board: LiveBoard, face: FaceModel) -> None:
@@ -229,11 +235,12 @@ class SpeechSide:
         quiet_s: float = 0.0,
         is_live: bool = False,
     ) -> None:
-        """Join the parts. mouth: gets changed settings, and a gain from the voice's arousal.
+        """Join the parts of the speech side.
 
-        rest: the face (n_components,) of a mouth at rest, for while the face is stopped. board:
-        gets what is shown; None: not written. quiet_s: seconds until servos follow after torque on.
-        is_live: the sound does not wait for them.
+        voice: the face's own; None: it only listens. mouth: gets changed settings, and a gain from
+        the arousal of the voice heard. rest: the face (n_components,) of a mouth at rest, for while
+        the face is stopped. board: gets what is shown; None: not written. quiet_s: seconds until
+        servos follow after torque on. is_live: the sound, a microphone's, does not wait for that.
         """
         self._quiet_s, self._is_live = quiet_s, is_live
         self._was_stopped = False
@@ -245,16 +252,17 @@ class SpeechSide:
         self._board = board
 
     def begin(self, zero_s: float) -> None:
-        """Begin the sound at monotonic `zero_s`."""
+        """Begin the sound at monotonic `zero_s`, without waiting for servos."""
         self.speech.begin(zero_s)
         if self.voice is not None:
             self.voice.begin()
 
     def start(self, now_s: float) -> float:
-        """Begin when the servos get torque at monotonic `now_s`; return the sound's start time.
+        """Begin as servos get torque at monotonic `now_s`; return the monotonic start of the sound.
 
         Sound that can wait begins once all servos follow; else the mouth rests, or the voice is
-        silent, until then: of servos that come on one after another half a mouth would move.
+        silent, until then: as servos come on one after another, only a part of the mouth would
+        move.
         """
         waits = self.voice is None and not self._is_live
         zero_s = now_s + self._quiet_s if waits else now_s
@@ -330,7 +338,7 @@ class SpeechSide:
 
 
 def mouth_plan(face: Face) -> JointPlan:
-    """Return a plan for the calibrated joints, limited by the YAML and by measured speeds."""
+    """Return a planner of the calibrated joints' goals, within the YAML's and measured speeds."""
     servos = [face.settings.servos[name] for name in face.calibration.servo_names]
     speeds_deg_s = np.array([servo.max_speed_deg_s for servo in servos])
     if face.calibration.following is not None:
@@ -351,7 +359,8 @@ def make_speech_side(
 ) -> SpeechSide:
     """Return the speech side between an entered source and the servo targets in `channel`.
 
-    start_s: seconds for which servos come on; no sound is spoken until they follow.
+    start_s: seconds until all servos follow after torque on; no sound is spoken before. board: gets
+    what is shown; None: not written.
     """
     names: Sequence[str] = list(face.settings.servos)
     mouth, rest = AdjustableMouth(synthesizer), face.model.rest

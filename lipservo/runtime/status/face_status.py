@@ -135,7 +135,7 @@ class Status:
 def whole_status(bridge: Mapping[str, Any], speech: SpeechStatus | None) -> Status:
     """Return the status of a face from the fields of `BridgeSide` and the status of its speech.
 
-    speech: None: the face has none. Raises TypeError for a field that `BridgeSide` lacks: it would
-    be missing in every answer.
+    speech: None: the face has no speech side. Raises TypeError for a field that `BridgeSide` lacks:
+    it would be missing in every answer.
     """
     return Status(BridgeSide(**bridge), speech or SILENT)

@@ -43,7 +43,7 @@ _N_SLOTS: Final = 64
 
 @dataclass(frozen=True, slots=True)
 class BoardLayout:
-    """The layout of a board's records. servos: names; states: face states, numbered in records."""
+    """The layout of a board's records. servos, states, phonemes: names by number in records."""
 
     name: str
     config: str
@@ -114,7 +114,7 @@ class _Ring:
         self._n_written = max((number for number, _ in self._slots()), default=0)
 
     def newer_than(self, number: int) -> list[tuple[int, Record]]:
-        """Return (number, record) of every intact record after `number`, oldest first."""
+        """Return (number, record) of every intact record numbered above `number`, oldest first."""
         found = []
         for n, start in self._slots():
             if n <= number:
@@ -136,7 +136,7 @@ class LiveBoard:
     """
 
     def __init__(self, fd: int, *, writable: bool) -> None:
-        """Map the board of an open descriptor. Raises ValueError where it has no board."""
+        """Map the memory of descriptor `fd`. Raises ValueError if that contains no board."""
         self._fd = fd
         access = mmap.ACCESS_WRITE if writable else mmap.ACCESS_READ
         self._memory = mmap.mmap(fd, 0, access=access)
@@ -196,11 +196,11 @@ class LiveBoard:
         self._speech.write({**values, "n_peaks": len(newest)})
 
     def servos_since(self, number: int) -> list[tuple[int, Record]]:
-        """Return (number, record) of every servo record after `number`, oldest first."""
+        """Return (number, record) of every servo record numbered above `number`, oldest first."""
         return self._servos.newer_than(number)
 
     def speech_since(self, number: int) -> list[tuple[int, Record]]:
-        """Return (number, record) of every speech record after `number`, oldest first."""
+        """Return (number, record) of every speech record numbered above `number`, oldest first."""
         return self._speech.newer_than(number)
 
     def __enter__(self) -> Self:
@@ -240,7 +240,7 @@ class ServoBoard:
         self._numbers = {state: FACE_STATES.index(state.value) for state in FaceState}
 
     def observe(self, tick: "StreetTick") -> None:
-        """Write the servo record of one tick of the street."""
+        """Write the servo record of one tick of the live pipeline (`Street`)."""
         self.tell(tick.report)
 
     def tell(self, report: TickReport) -> None:
@@ -261,7 +261,7 @@ class ServoBoard:
 
 
 def _answered_deg(feedback: Feedback) -> Array:
-    """Return the servos' positions (n_servos,) in degrees, NaN for one silent for too long."""
+    """Return the servos' positions (n_servos,) in degrees; NaN: silent longer than SILENT_S."""
     if not any_set(feedback.age_s):  # all answered just now
         return feedback.positions_deg
     return np.where(feedback.age_s > SILENT_S, np.nan, feedback.positions_deg)

@@ -35,7 +35,7 @@ class SilentBoard:
     @classmethod
     @contextmanager
     def create(cls, settings: FaceSettings, config: str) -> Iterator[Self]:
-        """Yield a new board for a face. config: the face's name or path in its status."""
+        """Yield a new board for a face. config: its name or YAML path, as in its status."""
         n_components = load_face_model(None).n_components
         servos, rate_hz = tuple(settings.servos), settings.rate_hz
         layout = BoardLayout(
@@ -45,7 +45,10 @@ class SilentBoard:
             yield cls(board, n_components)
 
     def tell(self, bridge: Bridge, report: TickReport) -> None:
-        """Write one tick of the bridge, which must always be the same, with a silent mouth."""
+        """Write the report of one tick of `bridge`, with a silent mouth.
+
+        bridge: the same at every call.
+        """
         self._servos = self._servos or ServoBoard(self._board, bridge)
         self._servos.tell(report)
         self._board.write_speech(

@@ -85,7 +85,7 @@ class StatusBoard:
         return self._fd
 
     def add_settings(self, changed: Mapping[str, float]) -> None:
-        """Add changed settings to the requested ones in the note."""
+        """Add changed settings, by name, to those in the note."""
         self._settings.write({**self.settings(), **changed})
 
     def settings(self) -> dict[str, float]:
@@ -93,7 +93,7 @@ class StatusBoard:
         return {name: float(str(value)) for name, value in self._settings.read().items()}
 
     def write_stopped(self, *, is_stopped: bool) -> None:
-        """Write whether a person has stopped the face."""
+        """Write whether a person has stopped the face, for the speech process to follow."""
         self._stop.write({"is_stopped": is_stopped})
 
     def is_stopped(self) -> bool:
@@ -101,7 +101,7 @@ class StatusBoard:
         return self._stop.read().get("is_stopped") is True
 
     def write_speech(self, status: SpeechStatus) -> None:
-        """Write the status of the speech side."""
+        """Write the status of the speech side, for the processes that answer clients."""
         self._speech.write(asdict(status))
 
     def speech(self) -> SpeechStatus | None:

@@ -12,12 +12,12 @@ from lipsync.recognition.text_decoder import MovedBy
 
 @dataclass(frozen=True, slots=True)
 class StreetTick:
-    """The frame shown in one tick and the servos' report. sound_s: negative before the first sound.
+    """The frame shown in one tick of the live pipeline (`Street`), and the servos' report.
 
-    captured_s: monotonic time at which the sound that moves the servos was captured; None before
-    that. hearing: the class of the sound that was settled last, which is not shown yet; None: no
-    recogniser listens. moved_by: the source of the phonemes, sound that was heard, text, words,
-    phonemes or visemes.
+    sound_s: negative before the first sound. captured_s: monotonic time at which the sound that
+    moves the servos was captured; None: not known, or no sound moves them yet. hearing: the class
+    of the sound that was decided last, which is not shown yet; None: no recogniser listens.
+    moved_by: the source of the phonemes, sound that was heard, text, words, phonemes or visemes.
     """
 
     sound_s: float
