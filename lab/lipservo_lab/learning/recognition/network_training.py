@@ -9,9 +9,10 @@ import hashlib
 import io
 import json
 import math
+import os
 import pickle
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,10 @@ _N_VISEMES = len(VISEME_CLASSES)
 STATE = "state.pt"
 _LOG, _BEST = "log.jsonl", "best.npz"
 _NUMBER_BYTES = 4
+#: Processes that draw windows for a GPU.
+_DRAWERS = 4
+#: Posteriors are kept as float16, so that they add up to nearly 1, or to nothing.
+_NO_POSTERIORS = 0.5
 #: Of the figures of a check: what the best weights have most of.
 SCORE = "score"
 
@@ -112,7 +117,8 @@ def _unpacked(packed: bytes) -> dict[str, Any]:
         planes = np.frombuffer(zlib.decompress(packed), np.uint8).reshape(_NUMBER_BYTES, -1)
     except zlib.error as error:
         raise ValueError(str(error)) from error
-    state: dict[str, Any] = torch.load(io.BytesIO(planes.T.tobytes()), weights_only=True)
+    content = io.BytesIO(planes.T.tobytes())
+    state: dict[str, Any] = torch.load(content, map_location="cpu", weights_only=True)
     return state
 
 
@@ -165,7 +171,9 @@ def train_network(
     """
     torch.manual_seed(plan.seed)
     torch.set_num_threads(plan.n_threads)
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     network = TorchNetwork(plan) if start is None else started_from(start, arrays, plan)
+    network.to(device)
     average = torch.optim.swa_utils.AveragedModel(
         network,
         multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(plan.averaging),
@@ -178,8 +186,9 @@ def train_network(
         learner.load(state, about)
     _shorten_log(folder / _LOG, learner.step)
     with (folder / _LOG).open("a", encoding="utf-8") as log:
-        while learner.step < plan.n_steps:
-            learner.losses.append(_learn(network, optimizer, arrays, taught, plan, learner.step))
+        for batch in _batches(arrays, taught, plan, learner.step, device):
+            rate = learning_rate(plan, learner.step)
+            learner.losses.append(learn_from(batch, network, optimizer, plan, rate))
             average.update_parameters(network)
             learner.step += 1
             is_stopped = after_step(learner.step)
@@ -253,27 +262,95 @@ def _shorten_log(path: Path, step: int) -> None:
         write_whole(path, "".join(kept))
 
 
-def _learn(
-    network: TorchNetwork,
-    optimizer: torch.optim.Optimizer,
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Windows on the device: features (b, 40, n), labels (b, n_heads, n), a teacher's posteriors.
+
+    soft: (b, n_heads, n, n_phonemes), 0 where the teacher knows nothing; None without a teacher.
+    """
+
+    features: torch.Tensor
+    labels: torch.Tensor
+    soft: torch.Tensor | None
+
+
+class _Windows(torch.utils.data.Dataset[tuple[NDArray[np.float32], NDArray[np.int64]]]):
+    """The windows of each step, drawn from (seed, step)."""
+
+    def __init__(self, arrays: Sequence[TrainingArray], plan: TrainingPlan) -> None:
+        self._arrays = arrays
+        self._plan = plan
+
+    def __getitem__(self, step: int) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+        """Features (b, 40, n) and targets (b, n_heads, n) of a step."""
+        rng = np.random.default_rng([self._plan.seed, step])
+        return draw_windows(self._arrays, self._plan, rng)
+
+
+def _batches(
     arrays: Sequence[TrainingArray],
     taught: Taught | None,
     plan: TrainingPlan,
-    step: int,
+    first: int,
+    device: torch.device,
+) -> Iterator[Batch]:
+    """Yield the batches of all steps from `first` on; for a GPU other processes draw them."""
+    is_gpu = device.type == "cuda"
+    drawn = torch.utils.data.DataLoader(
+        _Windows(arrays, plan),
+        batch_size=None,
+        sampler=range(first, plan.n_steps),
+        num_workers=min(_DRAWERS, os.cpu_count() or 1) if is_gpu else 0,
+        pin_memory=is_gpu,
+    )
+    known = None if taught is None else _OnDevice.of(taught, device)
+    for features, targets in drawn:
+        moved = features.to(device, non_blocking=True), targets.to(device, non_blocking=True)
+        yield Batch(*moved, None) if known is None else known.batch(*moved)
+
+
+@dataclass(frozen=True, slots=True)
+class _OnDevice:
+    """What a teacher says of all frames, on the device: see `Taught`."""
+
+    labels: torch.Tensor
+    posteriors: torch.Tensor
+
+    @classmethod
+    def of(cls, taught: Taught, device: torch.device) -> "_OnDevice":
+        """A copy."""
+        return cls(
+            torch.from_numpy(taught.labels).to(device),
+            torch.from_numpy(taught.posteriors).to(device),
+        )
+
+    def batch(self, features: torch.Tensor, targets: torch.Tensor) -> Batch:
+        """Labels and posteriors in place of the numbers of frames."""
+        rows = (targets - len(PHONEMES)).clamp(min=-1)
+        is_known = rows >= 0
+        labels = torch.where(is_known, self.labels[rows.clamp(min=0)], targets)
+        is_soft = is_known & (labels != NO_TARGET)
+        soft = self.posteriors[rows.clamp(min=0)].float() * is_soft.unsqueeze(-1)
+        return Batch(features, labels, soft)
+
+
+def learn_from(
+    batch: Batch,
+    network: TorchNetwork,
+    optimizer: torch.optim.Optimizer,
+    plan: TrainingPlan,
+    rate: float,
 ) -> float:
-    """Make one step; return its loss."""
-    features, targets = draw_windows(arrays, plan, np.random.default_rng([plan.seed, step]))
+    """Make one step of the optimizer at a learning rate; return the loss before it."""
     for group in optimizer.param_groups:
-        group["lr"] = learning_rate(plan, step)
+        group["lr"] = rate
     network.train()
-    with torch.autocast("cpu", torch.bfloat16, enabled=_has_bfloat16()):
-        logits = network(torch.from_numpy(features)).float()
-    if taught is None:
-        loss = training_loss(logits, torch.from_numpy(targets), plan)
-    else:
-        labels, rows = taught.decoded(targets)
-        loss = training_loss(logits, torch.from_numpy(labels), plan)
-        loss = loss + plan.soft_share * _soft_loss(logits, rows, taught, plan)
+    device = batch.features.device.type
+    with torch.autocast(device, torch.bfloat16, enabled=device == "cuda" or _has_bfloat16()):
+        logits = network(batch.features).float()
+    loss = training_loss(logits, batch.labels, plan)
+    if batch.soft is not None:
+        loss = loss + plan.soft_share * _soft_loss(logits, batch.labels, batch.soft, plan)
     optimizer.zero_grad()
     loss.backward()
     nn.utils.clip_grad_norm_(network.parameters(), 2.0)
@@ -286,25 +363,19 @@ def _learn(
 
 
 def _soft_loss(
-    logits: torch.Tensor, rows: NDArray[np.int64], taught: Taught, plan: TrainingPlan
+    logits: torch.Tensor, labels: torch.Tensor, soft: torch.Tensor, plan: TrainingPlan
 ) -> torch.Tensor:
     """Cross entropy with the teacher's posteriors (Hinton, Vinyals and Dean, 2015), less labels'.
 
-    With `soft_share` of it the labels of phones keep the rest.
+    With `soft_share` of it the labels of phones keep the rest. Frames without posteriors (their sum
+    is 0) count nothing.
     """
-    log_p = torch.log_softmax(logits, dim=2)
-    total = torch.zeros(())
-    for head, weight in enumerate(plan.head_weights):
-        known = torch.from_numpy(rows[:, head] >= 0)
-        if not known.any():
-            continue
-        frames = rows[:, head][known.numpy()]
-        phones = log_p[:, head].permute(0, 2, 1)[known]
-        soft = torch.from_numpy(taught.posteriors[frames].astype(np.float32))
-        labels = torch.from_numpy(taught.labels[frames])
-        hard = nn.functional.nll_loss(phones, labels)
-        total = total + weight * (-(soft * phones).sum(dim=1).mean() - hard)
-    return total
+    log_p = torch.log_softmax(logits, dim=2).permute(0, 1, 3, 2)
+    is_known = soft.sum(dim=3) > _NO_POSTERIORS
+    n_known = is_known.sum(dim=(0, 2)).clamp(min=1)
+    hard = -log_p.gather(3, labels.clamp(min=0).unsqueeze(3)).squeeze(3) * is_known
+    each = (-(soft * log_p).sum(dim=3) - hard).sum(dim=(0, 2)) / n_known
+    return (each * each.new_tensor(plan.head_weights)).sum()
 
 
 def _has_bfloat16() -> bool:
@@ -328,8 +399,9 @@ def learning_rate(plan: TrainingPlan, step: int) -> float:
 def training_loss(logits: torch.Tensor, targets: torch.Tensor, plan: TrainingPlan) -> torch.Tensor:
     """Cross entropy of phones plus half that of viseme classes, weighted over the heads."""
     log_p = torch.log_softmax(logits, dim=2)
-    members, weights = _viseme_members(), _viseme_weights(plan)
-    total = torch.zeros(())
+    members = _viseme_members().to(logits.device)
+    weights = _viseme_weights(plan).to(logits.device)
+    total = logits.new_zeros(())
     for head, weight in enumerate(plan.head_weights):
         phones, viseme_targets = log_p[:, head], _viseme_targets(targets[:, head])
         visemes = torch.log(torch.einsum("bpn,pv->bvn", phones.exp(), members) + 1e-8)
@@ -342,7 +414,8 @@ def training_loss(logits: torch.Tensor, targets: torch.Tensor, plan: TrainingPla
         )
         if plan.visible_weight:
             known = viseme_targets != NO_TARGET
-            seen_mm = _seen_mm()[viseme_targets[known]] * visemes.permute(0, 2, 1)[known].exp()
+            far_mm = _seen_mm().to(logits.device)
+            seen_mm = far_mm[viseme_targets[known]] * visemes.permute(0, 2, 1)[known].exp()
             total = total + weight * plan.visible_weight * seen_mm.sum(dim=1).mean()
     return total
 
@@ -369,5 +442,5 @@ def _viseme_weights(plan: TrainingPlan) -> torch.Tensor:
 
 
 def _viseme_targets(targets: torch.Tensor) -> torch.Tensor:
-    classes = torch.tensor([VISEME_OF[phoneme] for phoneme in PHONEMES])
+    classes = torch.tensor([VISEME_OF[phoneme] for phoneme in PHONEMES], device=targets.device)
     return torch.where(targets == NO_TARGET, NO_TARGET, classes[targets.clamp(min=0)])

@@ -186,4 +186,4 @@ def _torch_kernel(kernel: NDArray[np.float32]) -> torch.Tensor:
 
 
 def _numpy(tensor: torch.Tensor) -> NDArray[np.float32]:
-    return np.ascontiguousarray(tensor.detach().numpy(), dtype=np.float32)
+    return np.ascontiguousarray(tensor.detach().cpu().numpy(), dtype=np.float32)
