@@ -37,11 +37,11 @@ class MaestroRelease:
         repeated up to three times. Raises PortError when channels still send afterwards, or no
         Maestro answers.
         """
-        told: Sequence[int] = range(self._n_channels)
+        channels: Sequence[int] = range(self._n_channels)
         left: Sequence[int] = addresses or (0,)
         for _ in range(1 + _REPEATS):
-            self._tell(told)
-            told = left = [each for each in left if self._maestro.position_us(each) != 0.0]
+            self._tell(channels)
+            channels = left = [each for each in left if self._maestro.position_us(each) != 0.0]
             if not left:
                 return
             self._maestro.check(self._port)

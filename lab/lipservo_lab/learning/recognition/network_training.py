@@ -274,7 +274,7 @@ class Batch:
     soft: torch.Tensor | None
 
 
-class _Windows(torch.utils.data.Dataset[tuple[NDArray[np.float32], NDArray[np.int64]]]):
+class _Windows:
     """The windows of each step, drawn from (seed, step)."""
 
     def __init__(self, arrays: Sequence[TrainingArray], plan: TrainingPlan) -> None:
