@@ -2,13 +2,15 @@
 
     python benchmarks/train_ears.py arrays CORPORA ALIGNMENTS VOICES SOUNDS FOLDER
     python benchmarks/train_ears.py learn FOLDER SECONDS WEIGHTS.npz
+    python benchmarks/train_ears.py mean SHARE LEARNED.npz MEAN.npz
 
 CORPORA holds librispeech, speechocean762 and picovoice_commands; ALIGNMENTS is a file of their
 alignments (`lipservo lines align-folder`) and of VOICES', the folder of synthetic voices
 (`write_voice`); SOUNDS holds recordings without speech. `arrays` writes disturbed copies of a
 quarter of the recordings each into FOLDER until it is stopped; `learn` beside it learns from all
-that are there, beginning as `recognizer_next.npz` grown to see 1.6 s back, and writes the running
-average of the weights. Who is scored or validates trains nothing.
+that are there, beginning as the shipped weights, and writes the running average of its weights;
+`mean` is that share of them and the rest of the shipped ones. Who is scored or validates trains
+nothing.
 """
 
 import itertools
@@ -34,15 +36,16 @@ from lipservo_lab.learning.recognition.training_data import (
     draw_windows,
     read_labelled,
 )
+from lipservo_lab.learning.recognition.weight_average import averaged
 from lipservo_lab.worker_pool import worker_pool
 
 from lipsync.phonemes import PHONEMES, SILENCE
 from lipsync.recognition.alignment import LEAST_SCORE
 from lipsync.recognition.features import FRAMES_PER_S, HOP
-from lipsync.recognition.network import load_weights
+from lipsync.recognition.network import load_weights, save_weights
 
 HERE = Path(__file__).parent
-START = HERE / "recognizer_next.npz"
+START = HERE.parent / "lipsync" / "models" / "recognizer.npz"
 HELD = (
     "librispeech_scored",
     "speechocean762_scored",
@@ -174,8 +177,6 @@ def learn(given: Sequence[str]) -> None:
     from lipservo_lab.learning.recognition import network_training as training
     from lipservo_lab.learning.recognition.torch_network import exported, started_from
 
-    from lipsync.recognition.network import save_weights
-
     folder, seconds, out = Path(given[0]), float(given[1]), Path(given[2])
     came = time.monotonic()
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -219,5 +220,11 @@ def learn(given: Sequence[str]) -> None:
     os._exit(0)
 
 
+def mean(given: Sequence[str]) -> None:
+    """Write the mean of what was learned and what it began as."""
+    learned, began = load_weights(Path(given[1])), load_weights(START)
+    save_weights(averaged(learned, began, 1.0 - float(given[0])), given[2])
+
+
 if __name__ == "__main__":
-    {"arrays": arrays, "learn": learn}[sys.argv[1]](sys.argv[2:])
+    {"arrays": arrays, "learn": learn, "mean": mean}[sys.argv[1]](sys.argv[2:])
