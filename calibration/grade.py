@@ -20,7 +20,7 @@ SMALL_GAPS_MM = (2.0, 4.0)
 
 @dataclass(frozen=True, slots=True)
 class HoldOutErrors:
-    """Errors of a calibration over frames of AnimPhos that were left out of the fit.
+    """Errors of a calibration over recorded frames of speech that were left out of the fit.
 
     A marker's error is its distance in space; rms runs over frames and markers. 0: not measured.
     """

@@ -269,7 +269,8 @@ class ServoBus(Protocol):
     def look_after(self) -> Health:
         """Read the condition of the next servo in turn; return the last readings of all servos.
 
-        To be called once in every tick.
+        Condition: torque, errors, temperature and the like, as in `Health`. To be called once in
+        every tick.
         """
 
     def obstacle(self, index: int) -> str:
@@ -288,8 +289,8 @@ class ServoBus(Protocol):
     def keep_torque(self, index: int) -> bool:
         """Hold a servo whose torque is on at its present position; return whether it confirmed.
 
-        Switches no torque on: a limp servo stays limp (False). After a lost connection, for a face
-        frozen by a person.
+        Switches no torque on: a limp servo stays limp (False). Used after a lost connection, for a
+        face that a person has frozen in its pose.
         """
 
     def disable_torque(self, index: int) -> bool:

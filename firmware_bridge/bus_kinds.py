@@ -98,17 +98,21 @@ class PortRelease(Protocol):
         """
 
     def find(self, addresses: Sequence[int]) -> Sequence[int]:
-        """Send torque off at every baud rate; return `addresses` and all others that answer."""
+        """Send torque off at every baud rate that servos may have; return `addresses` and others.
+
+        The others are all servos that answer.
+        """
 
     def close(self) -> None:
         """Close the port."""
 
 
 class BusKind:
-    """One kind of bus. A kind of another package derives from it and overrides what it supports.
+    """One kind of servo bus, such as Dynamixel: its settings, and functions that open or check it.
 
-    Methods import what they need, so that an entry costs nothing but its name. Those that open a
-    port raise PortError, and ServoError where servos differ from the face's YAML.
+    A kind of another package derives from this class and overrides what it supports. Methods import
+    what they need, so that an entry costs nothing but its name. Those that open a port raise
+    PortError, and ServoError where servos differ from the face's YAML.
     """
 
     #: As a face's YAML has it under `bus.kind`.
@@ -131,7 +135,10 @@ class BusKind:
         raise NotImplementedError
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":
-        """Return the bus, which its `with` block opens; with strict=False servos may be missing."""
+        """Return the unopened bus of the servos in `wiring`; its `with` block opens it.
+
+        clock: moves servos that are simulated in memory. strict=False: servos may be missing.
+        """
         raise NotImplementedError
 
     def slowness(self, _wiring: Wiring, _rate_hz: float) -> str | None:
@@ -141,7 +148,8 @@ class BusKind:
     def allow_first_start(self, _wiring: Wiring) -> None:
         """Record a person's consent that servos of unknown position jump to neutral at their start.
 
-        Does nothing for a kind whose servos report their positions.
+        Does nothing for a kind whose servos report their positions. Neutral: 0 degrees in every
+        joint.
         """
 
     def is_at(self, _port: str) -> bool:
@@ -155,8 +163,9 @@ class BusKind:
     def port_release(self, _port: str, _wiring: Wiring | None) -> Callable[[], PortRelease]:
         """Return a function that opens the port to switch torque off.
 
-        Each call requires the adapter found by the first. `_wiring`: the servos at the port; None:
-        unknown. Raises BusError where the kind has no port.
+        Its first call notes which adapter is at the port; later calls raise PortError for another
+        one. `_wiring`: the servos at the port; None: unknown. Raises BusError where the kind has no
+        port.
         """
         raise self._lacks("port")
 
@@ -172,7 +181,7 @@ class BusKind:
         return ()
 
     def workshop(self) -> Any:
-        """Return the module that finds servos of no face and sets single ones up.
+        """Return the module that finds servos which belong to no face, and sets single ones up.
 
         For Dynamixels it is `firmware_bridge.dynamixel.provisioning`. Raises BusError if there is
         none.

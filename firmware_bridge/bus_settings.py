@@ -12,7 +12,7 @@ from firmware_bridge.joints import JointPulse
 
 
 def within(low: float, high: float) -> AfterValidator:
-    """Return a validator for numbers from `low` to `high`; its one message names both ends."""
+    """Return a validator for numbers from `low` to `high`; its error message names both ends."""
 
     def check(value: float) -> float:
         if not low <= value <= high:
@@ -57,7 +57,10 @@ class BusSettings(Strict):
 
     @property
     def board(self) -> str:
-        """What distinguishes the board from others at the same port; empty: a port has one."""
+        """Text that identifies the board among several at one port, such as `device 12`.
+
+        Empty for a kind of bus with one board a port.
+        """
         return ""
 
 

@@ -53,13 +53,13 @@ class BusCapabilities:
         return self
 
     def start_s(self, n_servos: int) -> float:
-        """Return the seconds from the first torque until all servos may move at full speed."""
+        """Return the seconds from the first servo's torque until all may move at full speed."""
         if self.in_memory:
             return 0.0
         return self.soft_start_s + self.stagger_s * (n_servos - 1)
 
     def as_dict(self) -> dict[str, object]:
-        """Return the capabilities by name, for JSON."""
+        """Return all capabilities as JSON values, by attribute name."""
         return {each.name: getattr(self, each.name) for each in fields(BusCapabilities)}
 
     def warnings(self) -> list[str]:
@@ -74,7 +74,7 @@ class BusCapabilities:
         return lines[-1:] if self.confirmed_limp else lines
 
     def stop_table(self) -> Mapping[str, str]:
-        """Return the effect of each kind of stop on the servos, by its name, as `stop --limp`."""
+        """Return by kind of stop, such as `stop --limp`, its effect on the servos, in words."""
         let_go = f"{self.released_words}, " + (
             "confirmed by each servo" if self.confirmed_limp else "which no servo confirms"
         )

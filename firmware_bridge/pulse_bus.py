@@ -96,7 +96,7 @@ class KeptPulses:
     """
 
     def __init__(self, path: Path | None) -> None:
-        """path: of the file; None: no pulses are kept."""
+        """Prepare to read and write the file at `path`, which may be absent; None: keep nothing."""
         self._path = path
         self._coming: dict[str, float] = {}
         self._written: dict[str, float] = {}
@@ -112,7 +112,7 @@ class KeptPulses:
             return {}
 
     def allow_neutral(self, servos: Sequence[PulseServo]) -> None:
-        """Write neutral for servos without any pulse yet: a person allows them to jump there."""
+        """Write the neutral pulse for servos without any: a person allows them to jump there."""
         self.write({each.address: each.neutral_us for each in servos} | dict(self.read()))
 
     def follow(self, channels: Sequence[int], sent_us: Array) -> None:
@@ -456,7 +456,7 @@ class PulseBus:
         self._goal_us = np.where(np.isnan(self._last_us), self._goal_us, self._last_us)
 
     def _look(self, now_s: float) -> None:
-        """Query the pulse of a newly started servo, or else of the next; if wrong, mark it off."""
+        """Query the pulse of a newly started servo, else of the next one; if wrong, mark it off."""
         on = self._held & (self._on_s <= now_s)
         fresh = np.flatnonzero(self._fresh & on)
         self._next = int(fresh[0]) if len(fresh) else (self._next + 1) % len(on)

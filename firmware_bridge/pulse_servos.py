@@ -36,9 +36,10 @@ class _Channel(Strict):
 
 
 class PulseServo(BusServo, _Channel):
-    """A hobby servo: its pulse is neutral_us + us_per_deg x joint angle, within min_us..max_us.
+    """A hobby servo in a face's YAML: pulse = neutral_us + us_per_deg x joint angle.
 
-    us_per_deg: negative where a longer pulse makes the joint angle smaller.
+    The pulse stays within min_us..max_us. us_per_deg: negative where a longer pulse makes the joint
+    angle smaller.
     """
 
     address_key: ClassVar[str] = "channel"

@@ -52,14 +52,18 @@ _FIRST: Final = (_LEAVE, _OFF)
 class BusThread:
     """One bus, used by its own thread alone.
 
-    A job has a key: its name, and the index on the bus of the servo that it concerns, -1 for all. A
-    job replaces a waiting one with its key. at: the indices of the bus's servos in the face. lost:
-    why the bus's port is gone; None: it is not. is_behind: whether the bus was waited for in vain,
-    and has not caught up since. feedback, health: the last report, and its time; None: none yet.
+    A job is a call of the bus, with a key: its name, and the index on the bus of the servo that it
+    concerns, -1 for all. A job replaces a waiting one with its key. at: the indices of the bus's
+    servos in the face. lost: why the bus's port is gone; None: it is not. is_behind: whether the
+    bus was waited for in vain, and has not caught up since. feedback, health: the last report, and
+    its time; None: none yet.
     """
 
     def __init__(self, name: str, bus: ServoBus, at: NDArray[np.intp], clock: Clock) -> None:
-        """bus: an open bus, used by this thread alone from now on."""
+        """Start the thread of `bus`, an open bus that no other thread uses from now on.
+
+        name: of the bus. at: the indices of its servos in the face.
+        """
         self.name, self.bus, self.at, self._clock = name, bus, at, clock
         self.lost: PortError | None = None
         self.is_behind = False
@@ -76,7 +80,10 @@ class BusThread:
         self._thread.start()
 
     def hand(self, key: _Key, job: Callable[[], Any]) -> None:
-        """Queue a job for the thread, in place of one with its key that has not begun."""
+        """Queue a job for the thread; it replaces a job with the same key that has not begun.
+
+        key: (name of the job, index of the servo on the bus, or -1 for all).
+        """
         with self._changed:
             self._answers.pop(key, None)
             self._put(key, job)
@@ -84,8 +91,8 @@ class BusThread:
     def wait(self, key: _Key, wait_s: float) -> bool:
         """Wait up to `wait_s` for the job of `key`; return whether it is done and has an answer.
 
-        False, too, if the job was dropped or the port is gone. Raises errors of the bus, except a
-        PortError, which is stored in `lost`.
+        key: as for `hand`. False, too, if the job was dropped or the port is gone. Raises errors of
+        the bus, except a PortError, which is stored in `lost`.
         """
         with self._changed:
             self._changed.wait_for(lambda: self._is_settled(key), wait_s)
@@ -95,11 +102,12 @@ class BusThread:
             return key in self._answers
 
     def ask(self, key: _Key, job: Callable[[], Any], wait_s: float, *, holds: bool = False) -> Any:
-        """Do a job and return its answer; None: not done within `wait_s`, call again.
+        """Have the thread do a job; return its answer, None: not done within `wait_s`, call again.
 
         The job then continues, unless it has not begun and `holds`: such a job, after which the
         servo may hold torque, is dropped, since later it may be forbidden. Other answers about the
-        job's servo that were not fetched are forgotten. Raises PortError when the port is gone.
+        job's servo that were not fetched are forgotten. key: as for `hand`. Raises PortError when
+        the port is gone.
         """
         with self._changed:
             if key not in self._answers and key != self._running and key not in self._jobs:
@@ -119,11 +127,14 @@ class BusThread:
 
     @property
     def has_hung(self) -> bool:
-        """Whether the present job has taken so long that it may never end."""
+        """Whether the present job has taken more than 5 s, so that it may never end."""
         return self._running is not None and self._clock.now() - self._since_s > _HUNG_S
 
     def take(self, key: _Key) -> Any:
-        """Return and remove the answer to the finished job of `key`; None: there is no answer."""
+        """Return and remove the answer to the finished job of `key`; None: there is no answer.
+
+        key: as for `hand`.
+        """
         with self._changed:
             return self._answers.pop(key, None)
 
@@ -445,7 +456,7 @@ class SeveralBuses:
             each.join(max(0.0, until_s - time.monotonic()))
 
     def _ask_all(self, key: _Key, ask: Callable[[BusThread], None]) -> None:
-        """Hand every bus the job `ask`, and wait for those not behind, for part of a tick."""
+        """Hand every bus the job `ask`; wait up to half a tick for buses that are not behind."""
         self._check()
         threads = self._threads.values()
         for each in threads:
@@ -458,7 +469,7 @@ class SeveralBuses:
         self._check()
 
     def _check(self) -> None:
-        """Raise PortGone where a bus is lost, or has hung for too long."""
+        """Raise PortGone where a bus is lost, or a job of it has run for more than 5 s."""
         for each in self._opened():
             if each.lost is None and each.has_hung:
                 each.lose(PortError(f"has stood still for {_HUNG_S:g} s"))
@@ -482,7 +493,7 @@ class SeveralBuses:
 
 
 def _put(whole: Any, at: NDArray[np.intp], part: Any) -> None:
-    """Copy one bus's arrays (`part`) into those of all servos (`whole`), at its servos' indices."""
+    """Copy `part`, the arrays of one bus, into `whole`, those of all servos, at indices `at`."""
     for each in fields(whole):
         values = getattr(part, each.name)
         if each.name != "time_s" and values is not None:

@@ -32,9 +32,10 @@ PreviousHandlers = dict[signal.Signals, Any]
 
 
 def install_handler(handler: Handler, *, leave_ignored: bool = False) -> PreviousHandlers:
-    """Install `handler` for all stop signals, in the main thread; return the handlers before it.
+    """Install `handler` for all signals that stop a program; return the handlers before it.
 
-    leave_ignored: signals that the parent process ignores stay ignored, as with `nohup`.
+    To be called in the main thread. leave_ignored: signals that the parent process ignores stay
+    ignored, as with `nohup`.
     """
     return {
         number: signal.signal(number, handler)

@@ -98,7 +98,7 @@ def phones_of(label: str, alphabet: str = ARPABET) -> tuple[str, ...]:
 def in_inventory(
     kind: UnitKind, units: Iterable[SpokenUnit], alphabet: str, sample_rate_hz: int
 ) -> SpokenText:
-    """Return `units`, labelled in `alphabet`, as units of phones; each divides its time evenly.
+    """Return `units`, labelled in `alphabet`, as units of phones, which share its time evenly.
 
     kind: of all units; sample_rate_hz: that of the sound whose samples are their times. A label
     without a phone, such as a length mark, extends the unit before it. Raises AlphabetError for an

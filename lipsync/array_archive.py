@@ -48,8 +48,8 @@ _HEADER: Final = re.compile(
 class ArrayArchive:
     """The arrays of an .npz file, by name. Use it as a context manager.
 
-    Opening it or reading an array of a damaged file raises one of `UNREADABLE`; a ValueError says
-    in a few words what is wrong.
+    Opening it or reading an array of a damaged file raises one of the errors `UNREADABLE`; the text
+    of a ValueError is the fault in a few words.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class ArrayArchive:
         )
 
     def chunks(self, name: str) -> Iterator[bytes]:
-        """Yield the bytes of the array `name`, (n,) uint8, in pieces, never all of them in memory.
+        """Yield the bytes of the array `name`, (n,) uint8, in pieces of at most 1 MiB.
 
         Raises ValueError for an array of another type or shape.
         """

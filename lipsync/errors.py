@@ -65,7 +65,7 @@ class MissingExtraError(UserError):
 
 
 def check_extra(library: str, purpose: str) -> None:
-    """Raise MissingExtraError unless `library`, one of `EXTRA_OF`, is installed.
+    """Raise MissingExtraError unless `library`, a key of `EXTRA_OF`, is installed.
 
     purpose: what needs the library, in words. Nothing is imported, so that a command can check it
     before its work begins.

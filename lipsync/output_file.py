@@ -99,7 +99,7 @@ def _partial(place: Path) -> Path:
 
 @contextmanager
 def _open_partial(place: Path) -> Iterator[None]:
-    """Create the partial file of `place` anew, deleting an earlier one; no two writers share it."""
+    """Create the partial file of `place`, deleting an earlier one; two writers never share it."""
     partial = _partial(place)
     partial.unlink(missing_ok=True)
     descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)

@@ -107,7 +107,7 @@ class FramePosteriors:
     """Probabilities of each phoneme, frame by frame, before phonemes are decided.
 
     values: (n, n_heads, len(PHONEMES)), in the order of PHONEMES; those of a head in a frame sum to
-    1. A head of the network waits d = delays[h] frames: its row i belongs to frame number
+    1. A head (output) of the network waits d = delays[h] frames: its row i belongs to frame number
     `first_frame` + i - d, which begins at that number / frames_per_s. A head that waits longer is
     more reliable.
     """

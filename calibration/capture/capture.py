@@ -55,7 +55,10 @@ class PosePlan:
 
 
 def least_poses(n_servos: int, per_sweep: int = _FEWEST_PER_SWEEP) -> int:
-    """Return the least number of poses: 2 neutral, `per_sweep` a joint alone, and as many more."""
+    """Return the least number of poses of a plan for `n_servos` joints.
+
+    They are 2 in neutral, `per_sweep` of each joint alone, and as many in which all joints move.
+    """
     return _NEUTRAL_POSES + 2 * per_sweep * n_servos
 
 
@@ -75,9 +78,8 @@ def plan_poses(
 
     With fewer poses than `usual_poses`, each joint is alone in one pose only, from below. With a
     hypercube of 16 poses or more, neutral comes again in the middle of the hypercube and at its
-    end.
-    rules: coupling rules; a pose that breaks one is scaled towards neutral. seed: of the hypercube.
-    Raises CalibrationError for fewer poses than `least_poses`.
+    end. rules: coupling rules; a pose that breaks one is scaled towards neutral. seed: of the
+    hypercube. Raises CalibrationError for fewer poses than `least_poses`.
     """
     least = least_poses(len(joints))
     if n_poses < least:
@@ -262,7 +264,10 @@ class Capture:
 
 
 def ladders_of(poses: PosePlan | Capture) -> Indices:
-    """Return the ladder number of each pose, (n,); 0 for a pose of no ladder."""
+    """Return the ladder number of each pose, (n,); 0 for a pose of no ladder.
+
+    A ladder is a series of poses that close the lips step by step.
+    """
     return poses.ladders if len(poses.ladders) else np.zeros(len(poses), dtype=np.int64)
 
 

@@ -40,10 +40,10 @@ _STILL_DEG, _END_SHARE, _LEAST_RANGE_DEG = 0.1, 0.05, 1.0
 
 
 def doubtful_joints(capture: Capture, looked_at: Sequence[int] | None = None) -> list[int]:
-    """Return the numbers of joints that may be dead, or only weak, by the capture.
+    """Return the numbers of joints that move markers so little that they may be dead.
 
-    looked_at: None: all joints are examined; else joints that were captured again alone, of which
-    those that are dead are returned.
+    looked_at: joints that were captured again alone; only those of them that are dead are returned.
+    None: all joints are examined.
     """
     lines = straight_lines(capture)
     if looked_at is None:
@@ -53,7 +53,10 @@ def doubtful_joints(capture: Capture, looked_at: Sequence[int] | None = None) ->
 
 
 def unseen_alone(capture: Capture) -> list[int]:
-    """Return the numbers of joints that may be dead and were too seldom alone at both ends."""
+    """Return the numbers of joints that may be dead and were too seldom captured alone.
+
+    Alone: near either end of the joint's range, with all other joints at 0.
+    """
     return [
         joint
         for joint in doubtful_joints(capture)

@@ -19,7 +19,7 @@ _KEYS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
 
 @dataclass(frozen=True, slots=True)
 class RecordedRange:
-    """One joint's recorded range, in ticks as LeRobot writes them."""
+    """One joint's recorded range, in encoder ticks, 4,096 per turn, as LeRobot writes them."""
 
     name: str
     servo_id: int
@@ -31,8 +31,8 @@ class RecordedRange:
     def limits_deg(self, neutral_tick: int | None = None) -> tuple[float, float]:
         """Return both ends of the range in joint degrees from neutral, ascending.
 
-        neutral_tick: None takes the middle of the range; a reversed drive changes both signs, so
-        the ends change places.
+        neutral_tick: the encoder's value at neutral; None: the middle of the range. A reversed
+        drive changes both signs, so the ends change places.
         """
         neutral = (self.least_tick + self.most_tick) / 2 if neutral_tick is None else neutral_tick
         ends = [

@@ -79,7 +79,10 @@ def first_part(plan: PosePlan) -> PosePlan:
 
 
 def repeats(capture: Capture) -> list[tuple[int, int]]:
-    """Return the rows (first, last) of each pose captured again after over 0.3 of all poses."""
+    """Return the first and the last row of each pose that was captured early and again late.
+
+    The two are over 0.3 of the number of poses apart.
+    """
     keys = np.hstack([np.rint(capture.goals_deg / _SAME_DEG), capture.from_below])
     alike = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
     pairs = []

@@ -260,9 +260,10 @@ def _check_range(capture: Capture) -> None:
 
 @dataclass(slots=True)
 class _JointFindings:
-    """Messages about joints; certain faults are errors unless the user accepts them.
+    """Messages about faulty joints, by how sure the fault is.
 
-    doubtful: warnings; still: the numbers of dead joints.
+    certain: faults that are errors unless the user accepts them; doubtful: warnings; still: the
+    numbers of dead joints.
     """
 
     certain: list[str] = field(default_factory=list)

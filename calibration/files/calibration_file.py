@@ -317,7 +317,7 @@ def _parse_origin(file: Place, servos: list[Place]) -> Origin:
 
 
 def _parse_memories(servos: list[Place]) -> tuple[ServoMemory, ...]:
-    """Return the servos' memories, one per servo; () if the file contains none."""
+    """Return each servo's registers as they were at the calibration; () if the file has none."""
     if not any(servo.has("memory") for servo in servos):
         return ()
     keys = [field.name for field in fields(ServoMemory)]
@@ -403,7 +403,10 @@ def _parse_errors(hold_out: Place, servos: list[Place]) -> HoldOutErrors:
 
 
 def _parse_each_marker(hold_out: Place) -> dict[str, float]:
-    """Return each marker's error; {} for `n_markers` 0; CalibrationError for another number."""
+    """Return each marker's rms error in mm, by its name; {} if `n_markers` is 0.
+
+    Raises CalibrationError if there are not `n_markers` errors.
+    """
     n_markers = hold_out.at("n_markers").count()
     if n_markers == 0:
         return {}

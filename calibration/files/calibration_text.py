@@ -176,7 +176,10 @@ def _closing_lines(closing: Closing | None) -> list[str]:
 
 
 def _closure_lines(closure: Closure | None) -> list[str]:
-    """Return the YAML lines of a closure; two-dimensional arrays row by row; [] for None."""
+    """Return the YAML lines of a closure, the model of how lips meet; [] for None.
+
+    Two-dimensional arrays are row by row.
+    """
     if closure is None:
         return []
     lines = ["closure:  # how far the lips are apart, by the joints, so that they meet"]

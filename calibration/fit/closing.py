@@ -137,7 +137,7 @@ _PASSED_MM = 0.8
 
 @dataclass(frozen=True, slots=True)
 class Kink:
-    """The point of ladders from which lips come no nearer.
+    """The point of ladders (poses that close the lips in steps) from which lips come no nearer.
 
     at_mm: (n_ladders,), the predicted closing there; left: the slope of apertures beyond the kink
     as a share of that before; left_sd: its standard error; explained: how much better the kink fits
@@ -156,7 +156,9 @@ class Kink:
 
 
 def find_kink(closes_mm: Sequence[Array], apertures_mm: Sequence[Array], noise_mm: float) -> Kink:
-    """Return the kink, fitted to all ladders, from which apertures no longer follow the steps.
+    """Return the kink of ladders: the step from which lips come no nearer, though joints go on.
+
+    A ladder is a series of poses that close the lips step by step; one kink is fitted to all.
 
     Parameters
     ----------
@@ -202,7 +204,7 @@ def _kink(x: Array, y: Array, noise_mm: float) -> tuple[float, float, float, flo
 
 
 def bent_line(x: Array, y: Array, at: float, noise_mm: float) -> tuple[float, Array, Array]:
-    """Fit a line through apertures that bends at `at`.
+    """Return the least-squares fit to apertures of a line that bends at the closing `at`.
 
     Parameters
     ----------
@@ -225,7 +227,7 @@ def bent_line(x: Array, y: Array, at: float, noise_mm: float) -> tuple[float, Ar
 
 
 def _left(inputs: Array, y: Array) -> tuple[float, Array, Array]:
-    """Return cost, parameters and covariance of a least-squares fit of `y` by `inputs`.
+    """Return the least-squares fit of `y` by `inputs`: cost, parameters and their covariance.
 
     Its first slope, of the second column of `inputs`, is drawn towards 1 by a prior.
     """
@@ -240,7 +242,7 @@ def _left(inputs: Array, y: Array) -> tuple[float, Array, Array]:
 
 @dataclass(frozen=True, slots=True)
 class SeenLadders:
-    """The evidence of a capture's ladders.
+    """What a capture's ladders, poses that close the lips step by step, show of contact.
 
     rows: rows of the capture, for each ladder in the order of its steps; touching: (n,), poses of
     the capture beyond the kink; passed: whether dots of upper and lower lip passed one another.
@@ -259,6 +261,8 @@ class SeenLadders:
 
 def begins(capture: Capture) -> NDArray[np.bool_]:
     """Return which poses belong to no ladder or to the first steps of one, so that lips are open.
+
+    A ladder is a series of poses that close the lips step by step.
 
     Parameters
     ----------
@@ -279,9 +283,10 @@ def begins(capture: Capture) -> NDArray[np.bool_]:
 class Apertures:
     """Heights between upper and lower lip in the steps of ladders, less each ladder's median.
 
-    rows: rows of the capture, for each ladder in the order of its steps; mm: these heights, the
-    mean of all pairs, (n_steps,) each; pairs: marker numbers of the compared dots; share: noise of
-    the mean over that of one marker; last_mm: middle gap in the last steps.
+    A ladder is a series of poses that close the lips step by step. rows: rows of the capture, for
+    each ladder in the order of its steps; mm: these heights, the mean of all pairs, (n_steps,)
+    each; pairs: marker numbers of the compared dots; share: noise of the mean over that of one
+    marker; last_mm: middle gap in the last steps.
     """
 
     rows: tuple[NDArray[np.int64], ...]
@@ -292,7 +297,10 @@ class Apertures:
 
 
 def apertures_of(capture: Capture) -> Apertures | None:
-    """Return the apertures in a capture's ladders; None without ladders or dots on both lips."""
+    """Return the lips' apertures in a capture's ladders, poses that close the lips in steps.
+
+    None without ladders or without dots on both lips.
+    """
     of, names = ladders_of(capture), capture.marker_names
     pairs = tuple((names.index(a), names.index(b)) for a, b in _OPPOSITE if {a, b} <= set(names))
     rows = [np.flatnonzero(of == ladder) for ladder in np.unique(of[of > 0])]
@@ -311,10 +319,10 @@ def apertures_of(capture: Capture) -> Apertures | None:
 
 
 def see_ladders(capture: Capture, markers_of: _MarkersOf, noise_mm: float) -> SeenLadders | None:
-    """Return the evidence of a capture's ladders; None without ladders or dots on both lips.
+    """Return what a capture's ladders, poses that close the lips in steps, show of contact.
 
-    markers_of: the face learnt so far, from poses (k, n_servos) to markers; noise_mm: of a marker
-    in one axis.
+    None without ladders or without dots on both lips. markers_of: the face learnt so far, from
+    poses (k, n_servos) degrees to markers in mm; noise_mm: of a marker in one axis.
     """
     seen = apertures_of(capture)
     if seen is None:

@@ -41,10 +41,11 @@ def fit_calibration(
     """Return a calibration of the simulated face: ridge regression to the best imitating angles.
 
     face_checksum: of the face's YAML file, stored in the calibration. A fifth of up to
-    `max_animphos` AnimPhos, drawn by `seed`, are held out for the errors. No intercept: the rest of
-    the model is 0 degrees exactly. One ridge strength serves all servos, so that what two servos do
-    together, such as the lip gap, is regressed as well as either. Raises CalibrationError for a
-    servo unknown to the simulated face, or fewer than 2 AnimPhos.
+    `max_animphos` AnimPhos (recorded mouth motions about a phoneme), drawn by `seed`, are held out
+    for the errors. No intercept: the rest of the model is 0 degrees exactly. One ridge strength
+    serves all servos, so that what two servos do together, such as the lip gap, is regressed as
+    well as either. Raises CalibrationError for a servo unknown to the simulated face, or fewer than
+    2 AnimPhos.
     """
     min_deg = np.array([joint.min_deg for joint in joints])
     max_deg = np.array([joint.max_deg for joint in joints])

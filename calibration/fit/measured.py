@@ -57,7 +57,7 @@ _FRAMES_PER_CLASS = 30
 
 @dataclass(frozen=True, slots=True)
 class ShapeErrors:
-    """The speaker, learnt mouth and wanted shapes, by which the shapes of a robot are measured.
+    """The speaker, learnt mouth and wanted shapes, from which a map's errors are computed.
 
     stay_apart_mm: how far lips stay apart that are as closed as they can be.
     """
@@ -68,7 +68,7 @@ class ShapeErrors:
     stay_apart_mm: float = 0.0
 
     def reached(self, from_rest: Array) -> NDArray[np.bool_]:
-        """Return whether the best pose for each frame has opening and width within 1 mm.
+        """Return whether the best pose for each frame has opening and width within 1 mm of wanted.
 
         Parameters
         ----------
@@ -424,7 +424,8 @@ def _doubt_mm_per_deg(capture: Capture, names: Correspondence) -> Array:
 def split_frames(model: FaceWithAnimPhos, seed: int) -> tuple[Array, Array]:
     """Return frames to fit and frames to hold out, from different AnimPhos, drawn by `seed`.
 
-    Raises CalibrationError for a model with fewer than 2 AnimPhos.
+    An AnimPho is a recorded mouth motion about one phoneme. Raises CalibrationError for a model
+    with fewer than 2.
 
     Parameters
     ----------
@@ -474,9 +475,10 @@ def retargeting_of(
 ) -> Retargeting:
     """Return the retargeting to a learnt face, with the closed gaps that the capture shows.
 
-    Closed gaps are those of contact where it was found, else the nearest of the ladders, else the
-    narrowest captured. Its scale is by all recorded speech: a fiftieth of a few hundred frames is
-    chance. Raises CalibrationError for lips that hardly part in the capture.
+    Closed gaps are those of contact where it was found, else those of the ladder (poses that close
+    the lips in steps) that brings lips nearest, else the narrowest captured. Its scale is by all
+    recorded speech: a fiftieth of a few hundred frames is chance. Raises CalibrationError for lips
+    that hardly part in the capture.
     """
     frames = model.animphos.frames
     heights_mm = gap_heights_mm(capture.markers_mm, mouth.names.shape_features.gaps)
@@ -496,6 +498,8 @@ def retargeting_of(
 
 def nearest_gaps(face: RobotFace, capture: Capture) -> tuple[Array, Array]:
     """Return the last pose of the ladder that brings lips nearest, and the gaps in that pose.
+
+    A ladder is a series of poses that close the lips step by step.
 
     Parameters
     ----------

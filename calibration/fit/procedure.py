@@ -74,7 +74,8 @@ _FRAMES = 400
 class _Take(Protocol):
     """A function that captures the poses missing from a plan and returns the whole capture.
 
-    goes_on: the plan will be extended later.
+    pressing: rows of poses that close the lips farther and farther; goes_on: the plan will be
+    extended later.
     """
 
     def __call__(
@@ -84,7 +85,10 @@ class _Take(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class _Learnt:
-    """The face learnt from a first capture. from_rest: (n, n_components), frames to try."""
+    """The face learnt from a first capture, by which poses of speech are chosen.
+
+    from_rest: (n, n_components), frames of speech from which they are chosen.
+    """
 
     face: RobotFace
     retargeting: Retargeting
@@ -96,8 +100,8 @@ class Procedure:
     """The settings of a measured capture: the speaker, the joints, number of poses, coupling rules.
 
     seed: of poses and frames; positive: one word per joint for its positive angle, so that reversed
-    joints are found before speech is captured;
-    accept: doubts about size and joints become warnings.
+    joints are found before speech is captured; accept: doubts about size and joints become
+    warnings.
     """
 
     model: FaceWithAnimPhos
@@ -130,11 +134,11 @@ class Procedure:
     def further_plan(
         self, capture: Capture, positive: Sequence[str], *, accept: bool
     ) -> tuple[PosePlan, tuple[str, ...]]:
-        """Return the plan that follows a capture by files, and messages about the capture.
+        """Return the plan to capture next, after a capture read from files, and messages about it.
 
         Joints that may be dead, but not those with an empty word in `positive`, are captured again
-        alone, before poses of speech. Raises
-        CalibrationError for a capture with faults, as `check_capture` finds them.
+        alone, before poses of speech. Raises CalibrationError for a capture with faults, as
+        `check_capture` finds them.
         """
         unsure = [j for j in unseen_alone(capture) if not positive or positive[j]]
         if unsure:
@@ -205,12 +209,12 @@ class Procedure:
     ) -> Capture:
         """Capture range, speech and ladders, and repeat the first poses; return the capture.
 
-        move, measure, arrived, progress, strained: as in `Robot`. keep: file of poses, from which
-        an interrupted capture is resumed. Axes and size are checked by the first pose. Beyond
-        `n_poses`, a joint that may be dead is captured again alone, and the first part of the plan
-        at the end; a pose in which the tracker exchanged two names is captured again. report is
-        called with a line for each. Once a servo is strained, lips are closed no farther. Raises
-        CalibrationError for a capture with faults.
+        Ladders are poses that close the lips step by step. move, measure, arrived, progress,
+        strained: as in `Robot`. keep: file of poses, from which an interrupted capture is resumed.
+        Axes and size are checked by the first pose. Beyond `n_poses`, a joint that may be dead is
+        captured again alone, and the first part of the plan at the end; a pose in which the tracker
+        exchanged two names is captured again. report is called with a line for each. Once a servo
+        is strained, lips are closed no farther. Raises CalibrationError for a capture with faults.
         """
         on = Robot(move, measure, arrived, progress, strained)
         poses: list[CapturedPose] = []
@@ -249,8 +253,9 @@ class Procedure:
     ) -> PosePlan:
         """Capture ladders by `take` until lips are seen to meet or joints are at limits.
 
-        captured: of `plan` so far; still: numbers of dead joints. Return the plan with the ladders
-        appended; unchanged for a speaker with lips that never close.
+        Ladders are poses that close the lips step by step. captured: of `plan` so far; still:
+        numbers of dead joints. Return the plan with the ladders appended; unchanged for a speaker
+        with lips that never close.
         """
         with threadpool_limits(limits=1):
             learnt = self._learnt(captured, still)

@@ -364,7 +364,7 @@ _LEAST_WIDTH_MM, LEAST_OPENING_MM = 10.0, 1.5
 
 @dataclass(frozen=True, slots=True)
 class Retargeting:
-    """The targets of a robot's mouth for each face of a speaker.
+    """A conversion of the shapes of a speaker's mouth into shapes and poses of a robot's mouth.
 
     closed_mm: (n_gaps,), heights between lip dots when lips touch; scale: robot's motion over the
     speaker's; press_mm: how far past contact lips go where the speaker's close.

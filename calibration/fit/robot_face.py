@@ -92,7 +92,9 @@ def poses_in_contact(free_gaps_mm: Array, closed_mm: Array) -> NDArray[np.bool_]
 
 
 def first_closed_mm(seen_gaps_mm: Array, contact: NDArray[np.bool_]) -> Array:
-    """Return the median gap of poses in contact, (n_gaps,) mm; the least where they hide a dot.
+    """Return a first estimate of closed gaps: the median over poses in contact, (n_gaps,) mm.
+
+    A gap whose dots are lost in all of these gets its least captured value over all poses.
 
     Parameters
     ----------
@@ -162,17 +164,14 @@ def touching_gaps_mm(seen_gaps_mm: Array, free_gaps_mm: Array, closed_mm: Array)
 def is_stopped(seen_gaps_mm: Array, free_gaps_mm: Array, closed_mm: Array) -> bool:
     """Return whether captured gaps are nearer to closed ones than to those of the free face.
 
+    Only poses over 0.4 mm beyond contact count; False if fewer than 3 are.
+
     Parameters
     ----------
     seen_gaps_mm,free_gaps_mm : Array
         (n, n_gaps) mm: captured, and of the free face.
     closed_mm : Array
         (n_gaps,) mm, gaps of closed lips.
-
-    Returns
-    -------
-    bool
-        False also where fewer than 3 poses are 0.4 mm beyond contact.
     """
     beyond = free_gaps_mm[:, 0] < closed_mm[0] - _SURE_MM
     seen, free = seen_gaps_mm[beyond, 0], free_gaps_mm[beyond, 0]
@@ -243,7 +242,7 @@ class Learnt(Protocol):
     """The interface of a fitted regression from poses to markers."""
 
     def predict(self, inputs: Array) -> Array:
-        """Return the markers of poses, (n, n_markers, 3) mm from the centre.
+        """Return markers of poses, (n, n_markers, 3) mm from their mean positions.
 
         Parameters
         ----------
@@ -256,7 +255,7 @@ class Learner(Protocol):
     """The interface of a regression that learns markers from poses."""
 
     def fit(self, inputs: Array, from_centre_mm: Array) -> Learnt:
-        """Return the regression fitted to markers of poses.
+        """Return the regression, which predicts markers in mm, fitted to markers of poses.
 
         Parameters
         ----------
@@ -264,11 +263,6 @@ class Learner(Protocol):
             (n, n_servos), -1 to 1 of each joint's range.
         from_centre_mm : Array
             (n, n_markers, 3) mm.
-
-        Returns
-        -------
-        Learnt
-            Predicts markers in mm.
         """
 
 
@@ -297,7 +291,7 @@ class RobotFace:
     ladders: SeenLadders | None = None
 
     def free_mm(self, output_deg: Array) -> Array:
-        """Return the markers of poses as if lips did not stop each other.
+        """Return the markers of poses as if lips did not stop each other and might overlap.
 
         Parameters
         ----------
@@ -449,7 +443,11 @@ class _Learning:
         )
 
     def at(self, filled: Array, goals_deg: Array) -> Array:
-        """Return markers (m, n_markers, 3) at goals (m, n_servos), learnt from open lips alone."""
+        """Return markers at goals (m, n_servos): (m, n_markers, 3) mm from their mean positions.
+
+        filled: (n, n_markers, 3), captured markers with lost ones filled in; the rows with open
+        lips are those learnt from.
+        """
         assert self.hyperparameters is not None
         of = self._poses
         warm = np.hstack([goals_deg, np.ones((len(goals_deg), 1))])
@@ -462,7 +460,7 @@ class _Learning:
         return process.predict((warm - of.middle_deg) / of.half_range_deg)
 
     def expected(self, filled: Array) -> Array:
-        """Return the Gaussian process's prediction, (n, n_markers, 3), at all captured poses."""
+        """Return markers, (n, n_markers, 3), at all captured poses, learnt from all of `filled`."""
         assert self.hyperparameters is not None
         inputs = self._poses.inputs(self.hyperparameters.backlash_deg)
         return fit_process(self.hyperparameters, inputs, filled, self._apart_mm2).predict(inputs)
@@ -477,7 +475,7 @@ def _free_of_contact(
     mouth: ShapeFeatures,
     touching: NDArray[np.bool_] | None,
 ) -> tuple[Array, NDArray[np.bool_], Array] | None:
-    """Return the free face's markers, which of them are known, and the closed lips' gaps.
+    """Return markers as if lips did not stop each other, which are known, and closed gaps in mm.
 
     touching: poses in which ladders, which close the lips in steps, showed contact; None: there are
     no ladders. Returned is None without evidence that lips stop each other.

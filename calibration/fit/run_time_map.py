@@ -47,7 +47,9 @@ class RunTimeMap:
     closure: Closure | None = None
 
     def poses_deg(self, from_rest: Array, mouth: RobotMouth) -> Array:
-        """Return the poses that this map gives, with closure, within limits and coupling rules.
+        """Return the poses that this map gives, within limits and coupling rules.
+
+        They include the correction that makes lips meet, if the map has one.
 
         Parameters
         ----------
@@ -86,7 +88,7 @@ class RunTimeMap:
         )
 
     def free_deg(self, from_rest: Array) -> Array:
-        """Return the angles of the live map before closure, limits and rules.
+        """Return the angles of the live map before lips are corrected to meet, limits and rules.
 
         Parameters
         ----------
@@ -229,14 +231,16 @@ _TURN_MM_PER_DEG = 0.1
 
 
 def choose_map(retargeting: Retargeting, from_rest: Array) -> RunTimeMap:
-    """Return the better of two kinds of map, compared on the last fifth, by gap and shape.
+    """Return the better of two kinds of map: quadratic, or with bends that are not quadratic.
+
+    They are fitted to the first four fifths and compared on the last, by lip gap and shape.
 
     Parameters
     ----------
     retargeting : Retargeting
         The learnt face.
     from_rest : Array
-        (n, n_components) mm from rest, speech, one AnimPho after another.
+        (n, n_components) mm from rest: recorded motions of single phonemes, joined.
 
     Returns
     -------
@@ -333,9 +337,9 @@ def _fitted(
 
 
 def _missed(retargeting: Retargeting, run: RunTimeMap, from_rest: Array, poses_deg: Array) -> float:
-    """Return the mean squared difference of shape features between two sets of poses.
+    """Return the mean squared difference of shape features between best poses and those of a map.
 
-    One are poses_deg, the best poses for from_rest, the other those that the map `run` gives.
+    poses_deg: the best poses for the frames from_rest; run: the map.
     """
     mouth = retargeting.mouth
     of = mouth.names.shape_features

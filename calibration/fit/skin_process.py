@@ -169,7 +169,7 @@ class SkinProcess:
         Returns
         -------
         Array
-            (m, n_markers, 3) mm from the centre.
+            (m, n_markers, 3) mm from each marker's mean position.
         """
         weights = self.hyperparameters.joints(inputs, self.inputs)
         return np.asarray(np.tensordot(weights, self.solved, axes=1))
@@ -280,7 +280,7 @@ def _believed_deg(parameters: Array, likelihood: "_NegativeLogLikelihood", n_ser
 def fit_process(
     hyperparameters: Hyperparameters, inputs: Array, from_centre_mm: Array, apart_mm2: Array
 ) -> SkinProcess:
-    """Return the process conditioned on the captured poses.
+    """Return the Gaussian process of the skin, conditioned on the markers of captured poses.
 
     Parameters
     ----------

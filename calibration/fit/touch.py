@@ -31,10 +31,10 @@ _SURE_RISE = 8.0
 
 
 def touch_plan(calibration: Calibration, model: FaceWithAnimPhos, servos: MouthServos) -> PosePlan:
-    """Return a plan of ladders that close the lips from 2 mm open to 2.2 mm past contact.
+    """Return a plan of poses that close the lips in steps, from 2 mm open to 2.2 mm past contact.
 
-    Raises CalibrationError for a calibration without a closure, or a speaker whose lips never
-    close.
+    Raises CalibrationError for a calibration without a model of how its robot's lips close, or a
+    speaker whose lips never close.
     """
     closure = _closure_of(calibration)
     frames = model.animphos.frames
@@ -95,7 +95,7 @@ def touched_by_current(
     Parameters
     ----------
     calibration : Calibration
-        Calibration with a closure.
+        Calibration with a model of how the robot's lips close.
     plan : PosePlan
         Plan of ladders, from `touch_plan`.
     efforts : Array

@@ -133,7 +133,7 @@ class AsyncSpeech:
             await self._wire.send("end")
 
     async def wait(self) -> Played:
-        """Send the end of the stream, wait until it is played or cut off, and return how much was.
+        """End the stream, wait until it is played or cut off, and return how much was played.
 
         Raises FaceError for an error of the stream, or if the connection is lost.
         """
@@ -143,9 +143,10 @@ class AsyncSpeech:
         return played
 
     async def heard(self) -> Played:
-        """Wait until the stream is played or cut off, without ending it; return how much was.
+        """Wait, without ending the stream, until it is over; return how much of it was played.
 
-        Raises FaceError if the connection is lost, or nothing was played for `STILL_S` seconds.
+        Over: played or cut off. Raises FaceError if the connection is lost, or nothing was played
+        for `STILL_S` seconds.
         """
         loop = asyncio.get_running_loop()
         while not self._heard.done():
@@ -394,9 +395,10 @@ class AsyncFace:
     async def stop(
         self, level: Literal["soft", "freeze", "limp"] = "soft", *, end: bool = False
     ) -> dict[str, Any]:
-        """Stop the face: soft (to rest, then torque off), freeze, or limp (torque off at once).
+        """Stop the face at a level: soft, freeze, or limp.
 
-        A stopped daemon waits, torque off, for `start`; with `end` it exits. Returns the face's
+        soft: to rest, then torque off; freeze: hold the position; limp: torque off at once. A
+        stopped daemon waits, torque off, for `start`; with `end` it exits. Returns the face's
         answer. Raises FaceError.
         """
         return await self._ask("stop", level=level, end=end)
@@ -543,7 +545,10 @@ class AsyncFace:
 
 
 def _settle(waiting: asyncio.Future[Any] | None, answer: object) -> None:
-    """Set `answer` as a future's result, or exception if a FaceError; not if None or done."""
+    """Set `answer` as the result of a future, or as its exception if it is a FaceError.
+
+    Do nothing if the future, `waiting`, is None or already done.
+    """
     if waiting is None or waiting.done():
         return
     if isinstance(answer, FaceError):

@@ -137,9 +137,10 @@ class Face:
     def stop(
         self, level: Literal["soft", "freeze", "limp"] = "soft", *, end: bool = False
     ) -> dict[str, Any]:
-        """Stop the face: soft (to rest, then torque off), freeze, or limp (torque off at once).
+        """Stop the face at a level: soft, freeze, or limp.
 
-        A stopped daemon waits, torque off, for `start`; with `end` it exits. Returns the face's
+        soft: to rest, then torque off; freeze: hold the position; limp: torque off at once. A
+        stopped daemon waits, torque off, for `start`; with `end` it exits. Returns the face's
         answer. Raises FaceError.
         """
         return self.wait_for(self._face.stop(level, end=end))

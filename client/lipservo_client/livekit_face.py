@@ -82,14 +82,14 @@ class LiveKitFace(AudioOutput):
                 self.on_playback_finished(playback_position=0.0, interrupted=True)
 
     def flush(self) -> None:
-        """Mark the current segment as complete; the face plays it to its end."""
+        """Mark the current segment of the agent's speech as complete; it is played to its end."""
         super().flush()
         speech, self._speech, self._is_cut = self._speech, None, False
         if speech is not None:
             self._then(speech.end())
 
     def clear_buffer(self) -> None:
-        """Interrupt the face at once; drop the rest of the segment."""
+        """Interrupt the face at once; drop the rest of the agent's current segment of speech."""
         self._is_cut = self._is_cut or self._speech is not None
         if self._face.is_connected:
             self._then(self._face.interrupt())

@@ -92,7 +92,10 @@ class _Unheard:
 
     @property
     def may_go_on(self) -> bool:
-        """Whether the frame's sound was played and, if it was the last, the stream is over."""
+        """Whether the frame's turn has come: its sound was played.
+
+        A frame that is no sound also waits until the stream is over, once its end was sent.
+        """
         is_last = self.speech is not None and self.speech.is_complete and not self.speech.is_over
         return self.is_heard and (self.is_sound or not is_last)
 
@@ -233,7 +236,7 @@ class PipecatFace(_FaceProcessor):
         return max(0, int(context[0] + round(since_s * speech.rate_hz)))
 
     def _wait_in_line(self, frame: frames.Frame) -> None:
-        """Insert a frame in the line: at its time within the sound, or behind all sound so far."""
+        """Queue a frame until its sound was played: at its time, or behind all sound so far."""
         speech = self._speech or (self._line[-1].speech if self._line else None)
         n = self._sample_of(frame)
         if n is not None:

@@ -70,9 +70,9 @@ class VendorUnits:
 class _Shape:
     """The keys under which a vendor writes units: lower case, without underscores.
 
-    Of several in one text the first present one counts; the values are one unit's, or lists of
-    equal length. lasts: key of a duration. type: required value of the message's `type`. unit_s:
-    seconds per unit of its times.
+    Where an attribute has several keys, the first that a message contains counts; the values are
+    one unit's, or lists of equal length. lasts: key of a duration. type: required value of the
+    message's `type`. unit_s: seconds per unit of its times.
     """
 
     kind: Literal["word", "phoneme", "viseme", "character"]

@@ -375,7 +375,10 @@ class DynamixelBus:
         return self._make_line(self._open_transport())
 
     def _begin(self, line: Line) -> None:
-        """Use `line` from now on: set its deadline to the slowest servo, and make all answer."""
+        """Use `line` from now on, with the answer deadline that the slowest servo needs.
+
+        All servos are set to answer every instruction, and counts of unanswered reads start anew.
+        """
         self._line = line
         line.return_delay_s = float(self._cache.return_delay_s.max())
         line.tell(codec.sync_write(_LEVEL, 1, [(each, b"\2") for each in self._ids]))

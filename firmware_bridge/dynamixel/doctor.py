@@ -152,8 +152,8 @@ def _strength(servos: Sequence[MountedServo]) -> Iterator[Finding]:
 def _adapter(line: Line, servo_id: int | None, latency_timer_ms: int | None) -> Iterator[Finding]:
     """Yield findings about the adapter: whether it delays answers, or echoes what was sent.
 
-    servo_id: the servo whose answers are timed, None: no servo answers; only where latency_timer_ms
-    is None, since the driver declares nothing.
+    latency_timer_ms: the delay that its driver declares; None: it declares none, and answers of
+    servo_id are timed instead; servo_id None: no servo answers.
     """
     if latency_timer_ms is None:
         latency_s = measured_latency_s(line, servo_id) if servo_id is not None else None

@@ -195,10 +195,11 @@ def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
 
 
 def foreign_settings(port: str, rate: int, found: Mapping[int, str]) -> dict[int, list[Difference]]:
-    """Return, by id, the settings of another program that a servo must lose before it is moved.
+    """Return, by id, registers set by another program that must be reset before a servo is moved.
 
-    Drive mode, operating mode, homing offset, startup configuration; {} if all are plain. found:
-    model name by id. Raises PortError, and ServoError for a servo that falls silent.
+    They are drive mode, operating mode, homing offset, startup configuration; {} if all have their
+    factory values. found: model name by id. Raises PortError, and ServoError for a servo that falls
+    silent.
     """
     with unhurried_line(port, rate) as line:
         held = {
@@ -212,7 +213,7 @@ def foreign_settings(port: str, rate: int, found: Mapping[int, str]) -> dict[int
 def clear_foreign_settings(
     port: str, rate: int, found: Mapping[int, str], foreign: Mapping[int, list[Difference]]
 ) -> None:
-    """Reset the registers in `foreign`, as from `foreign_settings`; torque goes off.
+    """Reset the registers in `foreign`, returned by `foreign_settings`; torque goes off.
 
     found: model name by id. Raises PortError, ServoError. A servo in reverse drive mode raises
     ServoError: a range recorded of it would be mirrored.
@@ -232,9 +233,10 @@ def clear_foreign_settings(
 def lone_servo(
     port: str, rate: int, servo_id: int, model_name: str, reach_deg: float
 ) -> tuple[DynamixelBus, Joint, int]:
-    """Return a bus of one servo, its joint, and its present position in encoder steps.
+    """Return an unopened bus of one servo, its joint, and its present position in encoder steps.
 
-    The joint is at 0 in this position; reach_deg: how far it may move to each side.
+    The joint is at 0 in this position. reach_deg: how far it may move to each side. rate: baud
+    rate.
     """
     model = servo_models()[model_name]
     with unhurried_line(port, rate) as line:

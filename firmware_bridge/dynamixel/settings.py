@@ -40,7 +40,7 @@ ServoModel = Literal[
 
 
 class DynamixelSettings(BusSettings):
-    """`bus:` of a face whose servos are Dynamixels, at a serial port or simulated in memory.
+    """The YAML `bus:` section of a face with Dynamixels, at a serial port or simulated in memory.
 
     backend: whether our own code or dynamixel-sdk makes the packets.
     """
@@ -63,7 +63,10 @@ class _Keys(Strict):
 
 
 class DynamixelServo(BusServo, _Keys):
-    """A Dynamixel. max_current_ma: limit of its current; only for models that measure current."""
+    """One Dynamixel in the YAML of a face.
+
+    max_current_ma: limit of its current; only for models that measure current.
+    """
 
     max_current_ma: Milliamperes | None = None
 

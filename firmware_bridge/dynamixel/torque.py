@@ -71,7 +71,7 @@ class Watchdogs:
         return write_verified(line, servo_id, _ADDRESS, bytes((self._setting,)))
 
     def spoke(self, now_s: float) -> None:
-        """Note a packet sent at `now_s`; record whether the pause before it may trip watchdogs."""
+        """Note a packet sent at `now_s`, and whether the pause before it may trip watchdogs."""
         if now_s - self._spoke_s >= self._trips_after_s:
             self._lapsed = True
         self._spoke_s = now_s
@@ -247,7 +247,7 @@ class TorqueSwitch:
         return limp
 
     def renew_watchdog(self, line: Line, index: int, found: int) -> None:
-        """Restart a servo's watchdog if it is off although torque is on: it would not protect.
+        """Restart a servo's watchdog if it is off although torque is on, so that it protects again.
 
         found: the value read from register `bus_watchdog`.
         """

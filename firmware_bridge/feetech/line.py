@@ -82,7 +82,10 @@ class Line(HalfDuplex):
         self._transact(request, EMPTY_SIZE, take, extra_wait_s=extra_wait_s)
 
     def sync_read(self, span: SpanRead) -> Answers:
-        """Send request `span`; return all answers as one undisturbed stream, or the whole ones."""
+        """Send request `span`; return the stream of all answers, or the statuses that came whole.
+
+        The stream (bytes) only where every servo answered, undisturbed and in order.
+        """
         wide = span
         if self._pending.any and self._pending.expire(self._clock.now()):
             size = self._pending.free_size(span.ids, span.size)
@@ -152,7 +155,10 @@ class Group:
         self._span = SpanRead(self.ids, self._address, self._size)
 
     def ask(self, line: Line) -> Answers:
-        """Send the request; return one stream of all answers, otherwise the answers that came."""
+        """Send the request; return the stream of all answers, or the statuses that arrived whole.
+
+        The stream (bytes) only where every servo answered, undisturbed and in order.
+        """
         self._n_requests += 1
         if self.leaves_out and self._n_requests % _RETRY_EVERY in (0, 1):
             self._prepare(retry=self._n_requests % _RETRY_EVERY == 0)

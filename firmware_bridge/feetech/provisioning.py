@@ -159,10 +159,10 @@ def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
 
 
 def foreign_settings(port: str, rate: int, found: Mapping[int, str]) -> dict[int, list[Difference]]:
-    """Return, by id, the settings of another program that a servo must lose before it is moved.
+    """Return, by id, registers set by another program that must be reset before a servo is moved.
 
-    Operating mode and position counts over many turns; {} if all are plain. found: model name by
-    id. Raises PortError, and ServoError for a servo that falls silent.
+    They are operating mode and position counts over many turns; {} if none is set. found: model
+    name by id. Raises PortError, and ServoError for a servo that falls silent.
     """
     differing = {}
     with unhurried_line(port, rate) as line:
@@ -177,7 +177,7 @@ def foreign_settings(port: str, rate: int, found: Mapping[int, str]) -> dict[int
 def clear_foreign_settings(
     port: str, rate: int, found: Mapping[int, str], foreign: Mapping[int, Sequence[Difference]]
 ) -> None:
-    """Reset the registers in `foreign`, as from `foreign_settings`; torque goes off.
+    """Reset the registers in `foreign`, returned by `foreign_settings`; torque goes off.
 
     found: model name by id. Raises PortError, ServoError.
     """
@@ -190,10 +190,10 @@ def clear_foreign_settings(
 def lone_servo(
     port: str, rate: int, servo_id: int, name: str, reach_deg: float
 ) -> tuple[FeetechBus, Joint, int]:
-    """Return a bus of one servo, its joint, and its present position in encoder steps.
+    """Return an unopened bus of one servo, its joint, and its present position in encoder steps.
 
-    The joint is at 0 in this position; reach_deg: how far it may move to each side. name: the
-    servo's model.
+    The joint is at 0 in this position. reach_deg: how far it may move to each side. name: the
+    servo's model. rate: baud rate.
     """
     model = servo_models()[name]
     joint = Joint(f"id_{servo_id}", servo_id, -reach_deg, reach_deg, _CAREFUL_DEG_S)

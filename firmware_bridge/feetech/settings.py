@@ -10,7 +10,7 @@ from firmware_bridge.feetech.control_table import ServoModel, servo_models
 
 
 class FeetechSettings(BusSettings):
-    """`bus:` of a face of Feetech servos; without a port they are simulated in memory."""
+    """The YAML `bus:` section of a face of Feetech servos; without a port, simulated in memory."""
 
     kind: str = "feetech"
     baud_rate: Literal[1_000_000, 500_000, 250_000, 128_000, 115_200] = 1_000_000

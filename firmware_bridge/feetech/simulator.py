@@ -203,7 +203,7 @@ class SimulatedServo:
         self._settle()
 
     def protect(self) -> None:
-        """Update the error bits of register `status` after the motor moved; sent in every answer.
+        """Update register `status`, whose error bits every answer has, after the motor moved.
 
         An overload lasts until torque goes off.
         """

@@ -30,7 +30,7 @@ _NOTED_DEG = 2.0
 
 @dataclass(frozen=True, slots=True)
 class TargetWindow:
-    """Targets of joints from now on.
+    """The targets of all joints for the near future, from the next goal's time on.
 
     times_s: (k,), seconds from now, ascending from 0; positions_deg: (k, n_joints); must_meet:
     (k,), mandatory poses to which others are adapted, such as lips that touch. urgent_deg:

@@ -40,7 +40,7 @@ def braking_speed(distance_deg: Array, deceleration_deg_s2: Array, step_s: float
 
 
 class AccelerationLimit:
-    """Limits the change of speed of each step, so that joints can stop at goal and range ends.
+    """A limit of the change of speed of each step, so that joints can stop at goal and range ends.
 
     Joints with infinite acceleration are not limited.
     """
@@ -136,7 +136,7 @@ class PreventRule:
 
 
 class Prevention:
-    """Cuts a step short where it would break a rule; a step out of a broken rule is not cut."""
+    """A filter that cuts a step short where it would break a rule; a step out of one is not cut."""
 
     def __init__(self, rules: Sequence[PreventRule], n_joints: int) -> None:
         """Store the rules. Raises ValueError if any lacks a joint's factor or forbids neutral."""
@@ -193,7 +193,7 @@ _STALL_PERIODS = 2.0 + 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Limited:
-    """The goals that passed the gate, and where limits changed them; every array is (n_joints,).
+    """The goals that passed the gate, `Limiter`, and where it changed them; arrays are (n_joints,).
 
     positions_deg: the goals. range_hits: clamped to the range. rate_hits: slowed to speed or
     acceleration. rejected: not finite, or of another shape. prevented: cut short by a rule between
@@ -209,7 +209,7 @@ class Limited:
 
 @dataclass(frozen=True, slots=True)
 class GateCounts:
-    """How often the gate has changed a goal, (n_joints,) each; kinds of limits as in `Limited`."""
+    """How often `Limiter`, the gate, changed goals, (n_joints,) each; kinds as in `Limited`."""
 
     range_hits: NDArray[np.int64]
     rate_hits: NDArray[np.int64]
@@ -218,7 +218,7 @@ class GateCounts:
 
 
 class Limiter:
-    """Keeps every goal finite, in range, within reach of the last one sent, and within the rules.
+    """The gate that keeps goals finite, in range, within reach of the last, and within the rules.
 
     `period_s` is the loop's nominal period. Start it at the joints' positions; a goal outside its
     joint's range is clamped to the range, and reached no faster than the joint may move.

@@ -84,14 +84,14 @@ class Ramp:
         return time_s - self.start_s >= self.duration_s
 
     def _share(self, time_s: float) -> float:
-        """Return the part of the duration that is over, 0..1; 1 for a ramp of no duration."""
+        """Return the share of the duration that is over at `time_s`, 0..1; 1 without a duration."""
         if self.is_over(time_s):
             return 1.0
         return max(0.0, (time_s - self.start_s) / self.duration_s)
 
 
 class StaleLevel(IntEnum):
-    """What the bridge does about missing targets: follow, ease to neutral, stay there, go limp."""
+    """What the bridge does when no targets come: follow, ease to neutral, stay there, go limp."""
 
     FRESH = 0
     EASING = 1
@@ -106,7 +106,7 @@ class StaleRule:
     Up to `hold_s` the last target counts in full; from there to `neutral_s` it fades to neutral; at
     `limp_s` torque goes off. The defaults are our choice: 0.1 s is ten missing targets at 100 Hz
     and shorter than most pauses in speech; by 1 s a frozen half-open mouth looks broken; 5 s is
-    more than a restart of the speech side takes. Raises ValueError unless the times rise.
+    more than a restart of the speech process takes. Raises ValueError unless the times rise.
     """
 
     hold_s: float = 0.1

@@ -64,7 +64,7 @@ class TrackingRule:
 
 
 class TrackingMonitor:
-    """Compares goals with positions in every tick. Only servos that answered just now count.
+    """A monitor that compares goals with positions in every tick; old positions do not count.
 
     error_deg: how far each servo was from its goal when it last answered, (n_servos,).
     """
@@ -100,6 +100,8 @@ class TrackingMonitor:
 
     def behind(self, sent_deg: Array, feedback: Feedback) -> NDArray[np.bool_]:
         """Compare goals with positions in every tick; return which servos have not followed.
+
+        That is, farther from their goals than `TrackingRule` allows, for as long as it states.
 
         Parameters
         ----------

@@ -110,7 +110,7 @@ _DRIVEN, _SILENT, _FRESH = FaceState.DRIVEN, FaceState.SILENT, StaleLevel.FRESH
 
 
 class Bridge:
-    """Turns targets into goals on a bus that its caller has opened.
+    """The servo loop of a face: turns target angles into goals on a bus that its caller has opened.
 
     Limp until `start`. A servo in trouble is left out and supervised while the others go on; a lost
     port is opened again; torque comes on through the `TorqueGate` alone. `stop` is a person's
@@ -125,7 +125,10 @@ class Bridge:
         channel: TargetChannel,
         settings: BridgeSettings,
     ) -> None:
-        """Make a limp bridge; `joints` are in the order of the channel's targets."""
+        """Make a bridge that drives no servo until `start`; send nothing.
+
+        channel: where target angles come from, in the order of `joints`. bus: opened by the caller.
+        """
         self._joints = tuple(joints)
         self._settings = settings
         self._targets = FollowedTargets(channel, len(self._joints), settings.stale)
@@ -193,7 +196,7 @@ class Bridge:
 
     @property
     def jogged(self) -> tuple[str, ...]:
-        """The names of the joints that a person is jogging now."""
+        """The names of the joints that a person is moving singly, by jog commands, now."""
         return tuple(self._joints[index].name for index in self._jog.jogged)
 
     @property
@@ -273,7 +276,7 @@ class Bridge:
         self._n_armed += 1
 
     def await_start(self) -> None:
-        """Set the state to STOPPED after the end of a stop: limp, with ticks, until `start`."""
+        """Set the state to STOPPED once a stop is over: all is limp until `start`; ticks go on."""
         self._state = FaceState.STOPPED
 
     def start_frozen(self) -> None:
@@ -285,7 +288,10 @@ class Bridge:
         self._servos.keep_holding(readings.time_s)
 
     def tick(self, time_s: float, late: int = 0) -> TickReport:
-        """Send the goals for grid time `time_s`; return a report. late: ticks missed before it."""
+        """Run one tick: send the goals for `time_s`, and return what was wanted, sent and measured.
+
+        time_s: the tick's planned time, monotonic. late: how many ticks were missed before it.
+        """
         self._tick_s = time_s
         self._n_ticks += 1
         self._n_late += late
@@ -385,7 +391,7 @@ class Bridge:
         self._easing = None
 
     def _act(self, time_s: float) -> tuple[Array, Limited]:
-        """Do the tick of a face that is not driven; return (wanted, sent) goals.
+        """Run the tick of a face that is not driven; return the goals (wanted, sent after limits).
 
         Eases it, holds it frozen, or switches torque off until all servos have confirmed.
         """
@@ -402,7 +408,7 @@ class Bridge:
         return self._targets.held_deg, self._servos.limiter.unchanged()
 
     def _drive(self, time_s: float, wanted_deg: Array, level: StaleLevel) -> tuple[Array, Limited]:
-        """Do the tick of a driven face; return (wanted, sent) goals.
+        """Run the tick of a driven face; return the goals (wanted, sent after limits).
 
         level: what the age of the targets requires; LIMP switches all torque off.
         """
@@ -430,7 +436,10 @@ class Bridge:
         return wanted_deg, limited
 
     def _ease(self, time_s: float) -> tuple[Array, Limited]:
-        """Send goals towards neutral; torque off there, or after 2 s. Return (wanted, sent)."""
+        """Send goals towards neutral; torque off there, or after 2 s.
+
+        Return the goals (wanted, sent after limits).
+        """
         limiter = self._servos.limiter
         if self._easing is None:
             self._easing = EaseToNeutral(self._joints, limiter.sent_deg, time_s)

@@ -44,7 +44,10 @@ class Control(Protocol):
         """
 
     def attend(self, refusal: Callable[[Order], str]) -> None:
-        """Accept orders to servos and face from now on, unless `refusal` returns a reason."""
+        """Accept orders to servos and face from now on.
+
+        refusal: returns for an order why it is refused now, or an empty text to accept it.
+        """
 
     def take_orders(self) -> Sequence[Order]:
         """Return the orders accepted since the last call, oldest first; never waits."""
@@ -69,10 +72,10 @@ class Heartbeat(Protocol):
         """Report that a person started the face again."""
 
     def failed(self, index: int, reason: str) -> None:
-        """Report that a servo was given up for good, and why."""
+        """Report that the servo number `index` was given up for good, and why."""
 
     def switched(self, index: int, *, on: bool) -> None:
-        """Report that a person switched a servo off, or on again."""
+        """Report that a person switched servo number `index` off, or `on` again."""
 
 
 def _no_record(_stop: StopRequest | None) -> None:
@@ -112,7 +115,7 @@ class ImmediateStop(BaseException):
 
 
 class LifeCycle:
-    """A context manager, from `__enter__` to `__exit__`, for whatever may switch torque on.
+    """The context manager around all ticks of a `Bridge`, so that torque is off however it is left.
 
     ::
 
@@ -121,11 +124,11 @@ class LifeCycle:
             for time_s, late in life.ticks():
                 bridge.tick(time_s, late)
 
-    However the block is left, the face is brought to rest and torque is off, and `report` has what
-    each servo confirmed. A first signal (INT, TERM, HUP, QUIT) stops softly, a second one switches
-    torque off at once; after an error of servos or port nothing is eased. While the port is lost, a
-    stop by a signal waits for the port for half a minute, or until a third signal; a stop through
-    the control socket waits without limit.
+    However the block is left, the face is brought to rest first, and `report` has what each servo
+    confirmed. A first signal (INT, TERM, HUP, QUIT) stops softly, a second one switches torque off
+    at once; after an error of servos or port nothing is eased. While the port is lost, a stop by a
+    signal waits for the port for half a minute, or until a third signal; a stop through the control
+    socket waits without limit.
     """
 
     def __init__(
@@ -137,7 +140,7 @@ class LifeCycle:
         stopped: StopRequest | None = None,
         waits: bool = False,
     ) -> None:
-        """Set up the life cycle; nothing is switched on.
+        """Set up the life cycle of `bridge`; nothing is switched on.
 
         Parameters
         ----------
@@ -330,7 +333,7 @@ class LifeCycle:
         return request is not None
 
     def _obey_stop(self, request: StopRequest) -> None:
-        """Carry out a stop: first report it to the supervisor, in microseconds; then stop servos.
+        """Carry out a stop: report it to the supervisor process, which keeps it; then stop servos.
 
         The report lets the stop outlive this process. A face that is limp and waits has nothing to
         freeze: that is reported, but changes nothing.
@@ -369,7 +372,7 @@ class LifeCycle:
         self._bridge.await_start()
 
     def _described(self) -> dict[str, object]:
-        """Return the face's status for clients, with a person's stop and the report of it."""
+        """Return the face's status for clients, with the last stop and the report of its end."""
         stopped, report = self._stopped, self._stop_report
         return {
             **self._status(),
@@ -442,9 +445,9 @@ class LifeCycle:
         return time_s >= self._give_up_s
 
     def _log_changes(self, time_s: float) -> None:
-        """Log what changed of port, silence and servos; report servos given up to the supervisor.
+        """Log changes of port, servos and missing targets; report given-up servos to the parent.
 
-        Texts are made only when something changed.
+        Texts are made only when something changed. The parent process: the supervisor.
         """
         bridge = self._bridge
         if bridge.plugged is not self._was_plugged:

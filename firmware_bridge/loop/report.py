@@ -15,7 +15,7 @@ from firmware_bridge.gate.tracking import TrackingRule
 
 @dataclass(frozen=True, slots=True)
 class BridgeSettings:
-    """Rate and rules of a bridge, and how its face is brought up.
+    """The rate and rules of a servo loop (`Bridge`), and how its servos are started.
 
     rate_hz: nominal rate of `Bridge.tick`. stale: what happens without targets. tracking: when a
     servo counts as not following. prevent: what joints must not do together. tolerant:
@@ -54,7 +54,7 @@ class FaceState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TickReport:
-    """What one tick wanted, sent and measured. Every array is (n_servos,).
+    """The record of one tick: goals wanted and sent, limits hit. Every array is (n_servos,).
 
     wanted_deg are the goals before the last gate; sent_deg those after it. Only servos that are
     driven get them: while `torque_on` is False none is. target_age_s counts from the newest target
@@ -76,7 +76,7 @@ class TickReport:
 
 @dataclass(frozen=True, slots=True)
 class BridgeStatus:
-    """Counts since the bridge was made, for a status line or a dashboard.
+    """State and counts of a bridge since it was made, for a status line or a dashboard.
 
     n_stale: ticks of a driven face whose target was no longer fresh; the wait for the first target
     after a start does not count. n_armed: how often the face was brought up: started, sent targets

@@ -51,7 +51,7 @@ class HeatDerating:
         self._scale = np.ones(n_servos)
 
     def scale(self, feedback: Feedback, health: Health) -> Array:
-        """Return the share of the amplitude that temperature and load allow, new every 50 ms.
+        """Return the share of its motion that each servo's heat and load allow, new every 50 ms.
 
         Parameters
         ----------
@@ -306,7 +306,7 @@ class ServoGroup:
             self._bus.widen(wide)
 
     def send(self, limited: Limited, time_s: float) -> None:
-        """Send goals to driven servos, read all servos, and supervise one of all, in a tick."""
+        """Run a tick of a driven face: send goals, read all servos, supervise the next in turn."""
         goals_deg = limited.positions_deg
         limp = None if self.supervision.all_driven else ~self.supervision.driven
         if limp is None:
@@ -328,7 +328,7 @@ class ServoGroup:
             self._start_here(enabled)
 
     def rest(self, time_s: float) -> None:
-        """Do a tick of a limp face: read all, and switch off servos that have not confirmed."""
+        """Run a tick of a limp face: read all, and switch off servos that have not confirmed."""
         self.feedback = self._bus.feedback()
         self._health = self._bus.look_after()
         self.supervision.keep_off(time_s, self.gate)
@@ -344,7 +344,7 @@ class ServoGroup:
         return self.supervision.switch_on(index, time_s)
 
     def reboot(self, index: int, time_s: float) -> None:
-        """Restart one servo that is not driven, for a person."""
+        """Restart one servo at a person's order; it must not be driven."""
         self.supervision.reboot(index, time_s, self.gate)
 
     def remarks(self) -> Sequence[str]:

@@ -52,7 +52,7 @@ _SWITCHING_OFF: Final = int(ServoState.SWITCHING_OFF)
 
 
 class TorquePort(Protocol):
-    """What supervision does to servos: the methods of `TorqueGate` that it needs."""
+    """The switch of single servos' torque that supervision uses: a part of `TorqueGate`."""
 
     def refusal(self, index: int) -> str:
         """Return why this servo must not have torque; empty: it may."""
@@ -71,10 +71,11 @@ class TorquePort(Protocol):
 
 
 class ServoSupervision:
-    """One decision a tick, about the next servo in turn that needs any; arrays are (n_servos,).
+    """The supervision of a face's servos: which are driven, switched off, restarted or given up.
 
-    reasons: why each servo is not driven, in words; empty while it is, or before it was tried.
-    n_changes: how often a reason has changed, so that a loop need not compare texts.
+    A tick decides about one servo, the next in turn that needs it; arrays are (n_servos,). reasons:
+    why each servo is not driven, in words; empty while it is, or before it was tried. n_changes:
+    how often a reason has changed, so that a loop need not compare texts.
     """
 
     def __init__(
@@ -210,9 +211,9 @@ class ServoSupervision:
         self._behind = self._tracking.behind(sent_deg, feedback)
 
     def act(self, health: Health, time_s: float, port: TorquePort) -> int | None:
-        """Act on the next servo in turn that needs it; return its index if it was enabled just now.
+        """Enable, disable, restart or give up the next servo in turn that needs it.
 
-        None: no servo was enabled.
+        Return its index if it was enabled just now; None: no servo was enabled.
         """
         if self._all_normal(health):
             return None
@@ -226,7 +227,10 @@ class ServoSupervision:
         return None
 
     def _all_normal(self, health: Health) -> bool:
-        """Return whether every servo is driven and in order, so that `act` has nothing to do."""
+        """Return whether every servo is driven, answers and has no error.
+
+        Then `act` has nothing to do.
+        """
         return (
             self.all_driven
             and all_set(health.torque_on)
@@ -238,7 +242,7 @@ class ServoSupervision:
         )
 
     def _act_on(self, i: int, health: Health, time_s: float, port: TorquePort) -> tuple[bool, bool]:
-        """Handle servo `i`; return whether anything was done, and whether torque came on."""
+        """Enable, disable, restart or give up servo `i` if due; return (anything done, enabled)."""
         state = self.states[i]
         if state == ServoState.DRIVEN:
             return self._check_driven(i, health, time_s, port), False

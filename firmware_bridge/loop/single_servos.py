@@ -36,7 +36,7 @@ _NOT_ARMED: Final = "jogging is not armed: say `jog arm` first"
 
 
 class Jog:
-    """Jogging: moves the joints that a person jogs, in place of their targets.
+    """Jogging: moves single joints by a person's commands, in place of their targets.
 
     Its goals still pass limiter and rules. is_armed: whether jogging is allowed now. is_active:
     whether `guide` has to be called. Arrays are (n_joints,).

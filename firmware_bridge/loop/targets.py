@@ -28,7 +28,7 @@ class ServoTargets:
 
 
 class TargetChannel(Protocol):
-    """Carries targets in one direction. It never blocks; the newest targets win."""
+    """A one-way channel for target joint angles; it never blocks, and drops what does not fit."""
 
     def publish(self, targets: ServoTargets) -> None:
         """Send one target record to the reader."""
@@ -74,11 +74,11 @@ class MemoryTargetChannel:
 
 
 class TargetTrack:
-    """The newest targets in order of display time, read as one continuous motion.
+    """The newest targets in order of display time, interpolated to one continuous motion.
 
     A record is valid from its time on: it replaces every kept one at or after that time, so a
-    speech side that revises, or starts again, is never mixed with its earlier records. Records with
-    the wrong number of joints, or anything not finite, are left out and counted.
+    speech process that revises, or starts again, is never mixed with its earlier records. Records
+    with the wrong number of joints, or anything not finite, are left out and counted.
     """
 
     def __init__(self, n_servos: int, n_kept: int = 256) -> None:
@@ -184,7 +184,7 @@ class SocketTargetChannel:
         self.closed = False
 
     def publish(self, targets: ServoTargets) -> None:
-        """Send one record; it is dropped and counted when the reader is far behind or gone."""
+        """Send one record; drop and count it if the socket's buffer is full or the reader gone."""
         self._sequence += 1
         values = np.ascontiguousarray(targets.positions_deg, dtype="<f8").tobytes()
         try:
@@ -224,7 +224,7 @@ _FRESH = StaleLevel.FRESH
 
 
 class FollowedTargets:
-    """The targets that a face follows: what was published, until it is too old.
+    """The targets that a face follows: those published in `channel`, until they are too old.
 
     Arrays are (n_joints,). held_deg: the newest targets followed. was_spoken_to: whether any was
     followed since the start.
@@ -260,7 +260,10 @@ class FollowedTargets:
         self.was_spoken_to = False
 
     def take(self, time_s: float) -> bool:
-        """Read the channel; return whether there is a fresh target for `time_s`, for `follow`."""
+        """Read the channel; return whether there is a fresh target for `time_s`, for `follow`.
+
+        `follow` makes it the held one.
+        """
         self._track.push(self._channel.drain())
         target_deg, age_s = self._track.at(time_s)
         if target_deg is None or self._stale.level(age_s) is not _FRESH:
@@ -269,7 +272,7 @@ class FollowedTargets:
         return True
 
     def follow(self) -> None:
-        """Hold, from now on, the fresh target that was found when the channel was read."""
+        """Make the fresh target that `take` found the pose to hold from now on."""
         assert self._fresh_deg is not None
         self._heard_s = max(self._heard_s, self._fresh_s)
         self.held_deg = self._fresh_deg

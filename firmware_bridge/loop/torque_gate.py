@@ -21,7 +21,7 @@ LET_GO_WITH_IT: Final = "let go: a port of the face is gone"
 
 
 class TorqueGate:
-    """Asks three questions before a servo gets torque, in this order.
+    """The only way to torque for a servo: three checks, in this order.
 
     Is it forbidden for the whole face: a dry run, or a stop by a person, which lasts until a person
     starts again? Was this servo switched off by a person, or given up? Does the servo itself, read
@@ -149,7 +149,7 @@ _LONGEST_S: Final = 2.0
 
 
 class TorqueOff:
-    """The switching off of all servos: which have confirmed, or were sent it and cannot confirm.
+    """The switching off of all servos' torque, repeated until those that can have confirmed it.
 
     Methods that send packets may raise PortError.
     """

@@ -39,7 +39,7 @@ _HIGH_BITS: Final = np.uint16(LARGEST & ~0x7F)
 
 
 class Maestro:
-    """The commands of one Maestro; every method raises PortError."""
+    """The commands of one Maestro, a USB controller of hobby servos; methods raise PortError."""
 
     def __init__(self, transport: Transport, settings: MaestroSettings) -> None:
         """Use an open transport, with the device number and CRC of the settings; send nothing."""

@@ -51,7 +51,7 @@ class MaestroKind(BusKind):
     simulator_module = "firmware_bridge.maestro.simulator"
 
     def capabilities(self, settings: "BusSettings") -> BusCapabilities:
-        """Return capabilities without any reading; a watchdog if serial_timeout_s is set."""
+        """Return what servos can do: they report nothing; a watchdog if serial_timeout_s is set."""
         timeout_s = getattr(settings, "serial_timeout_s", 0.0)
         return replace(CAPABILITIES, watchdog=timeout_s > 0.0, in_memory=settings.port is None)
 

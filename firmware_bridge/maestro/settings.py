@@ -9,7 +9,7 @@ from firmware_bridge.maestro.protocol import N_CHANNELS
 
 
 class MaestroSettings(BusSettings):
-    """The `bus:` section of a face whose servos hang on a Maestro, driven by its USB command port.
+    """The YAML `bus:` section of a face with servos at a Maestro, driven by its USB command port.
 
     Without `port:` the servos are simulated in memory.
     crc: whether the Maestro is set to require a CRC. device: the Maestro's number where several

@@ -33,7 +33,7 @@ NO_GUARD: Final = (
 
 
 class Pca9685:
-    """One PCA9685 as a `PulseController`; no other chip on the I2C bus is addressed."""
+    """One PCA9685, a chip that makes pulses, as `PulseController`; addresses no other I2C chip."""
 
     def __init__(
         self,

@@ -103,7 +103,7 @@ class DeviceTransfers:
     """Transfers on an I2C bus of the computer, by smbus2."""
 
     def __init__(self, bus: Any, message: Any) -> None:
-        """bus: an open `smbus2.SMBus`. message: the class `smbus2.i2c_msg`."""
+        """Use `bus`, an open `smbus2.SMBus`, for transfers; message: the class `smbus2.i2c_msg`."""
         self._bus, self._message = bus, message
 
     def fileno(self) -> int:

@@ -57,10 +57,16 @@ def is_stand_in(chip: str) -> bool:
 
 
 class OeGuard:
-    """The bridge's handle of the guard process of an OE pin; `beat` never waits."""
+    """The handle of an OE pin's guard, a process that blocks pulses when heartbeats stop.
+
+    OE: output enable, of a PCA9685 board; high blocks its pulses. `beat` never waits.
+    """
 
     def __init__(self, chip: str, line: int, clock: Clock) -> None:
-        """chip, line: the GPIO chip and line of the OE pin, such as /dev/gpiochip0 and 17."""
+        """Prepare a handle; `start` starts the guard process.
+
+        chip, line: the GPIO chip and line of the OE pin, such as /dev/gpiochip0 and 17.
+        """
         self._chip, self._line, self._clock = chip, line, clock
         self._process: subprocess.Popen[bytes] | None = None
         self._link: socket.socket | None = None
@@ -73,7 +79,7 @@ class OeGuard:
 
     @property
     def has_lapsed(self) -> bool:
-        """Whether the last heartbeat let pulses through, but is so old that they may have ended."""
+        """Whether the last heartbeat let pulses through, but is so old that they may be blocked."""
         return self.passes and self._clock.now() - self._sent_s > _LAPSED_S
 
     def start(self) -> None:

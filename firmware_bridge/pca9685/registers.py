@@ -148,7 +148,7 @@ class PulseMessages:
     """
 
     def __init__(self, channels: Sequence[int]) -> None:
-        """channels: the channel of each servo, in the order of the pulses; none twice."""
+        """Lay out messages for `channels`: each servo's, in the order of the pulses; none twice."""
         self._runs = []
         self._places = [(0, bytearray(), 0)] * len(channels)
         order = sorted(range(len(channels)), key=lambda index: channels[index])

@@ -21,7 +21,7 @@ def _check_address(value: int) -> int:
 
 
 class Pca9685Settings(BusSettings):
-    """The `bus:` section of a face whose servos hang on a PCA9685.
+    """The YAML `bus:` section of a face whose servos are connected to a PCA9685.
 
     port: the bus's file in Linux; default: that of `i2c_bus`; without either the servos are
     simulated in memory. frequency_hz: of the pulses. clock_hz: as measured at this board. oe_gpio:

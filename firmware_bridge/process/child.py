@@ -52,10 +52,11 @@ class HeartbeatMonitor:
 
 
 class Child:
-    """A process in a group of its own, so that a terminal's Ctrl-C reaches its supervisor only.
+    """A process that is started, watched by its heartbeats, and ended by its supervisor.
 
-    It dies with its supervisor: by the kernel's signal, and when it finds the lifeline, its socket
-    to the supervisor, closed.
+    It has a group of its own, so that a terminal's Ctrl-C reaches the supervisor only. It dies with
+    its supervisor: by the kernel's signal, and when it finds the lifeline, its socket to the
+    supervisor, closed.
     """
 
     def __init__(
@@ -68,8 +69,8 @@ class Child:
         """Set up a process that `start` starts.
 
         command: its words; `{lifeline}` and the keys of `inherited` are replaced by the numbers of
-        the descriptors that the process inherits. name: for the log. timeouts: after which it
-        hangs.
+        the descriptors that the process inherits. name: for the log. timeouts: silences after which
+        it counts as hung.
         """
         self.name = name
         self._command = command

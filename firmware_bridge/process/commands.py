@@ -58,7 +58,7 @@ class CommandQueue:
         *,
         on_change: Callable[[Mapping[str, float]], None] | None = None,
     ) -> None:
-        """settings: the settings that may be changed, by name.
+        """Make an empty queue; settings: those that may be changed, by name.
 
         on_change: called with names and values at every change; must return at once.
         """

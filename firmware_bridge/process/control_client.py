@@ -46,7 +46,7 @@ Answer = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class RunningFace:
-    """A face whose process listens at its control socket, `path`.
+    """A robot face whose process runs and listens at its control socket, `path`.
 
     pid: the process that made the socket; of a daemon, the supervisor.
     """
@@ -57,9 +57,9 @@ class RunningFace:
 
 
 def running_faces() -> list[RunningFace]:
-    """Return all faces that listen in the searched folders, sorted by name.
+    """Return all faces that listen in `searched_folders`, sorted by name.
 
-    Dead sockets of ours are removed.
+    Sockets of this user on which no process listens are removed.
     """
     found = []
     for folder in searched_folders():
@@ -89,7 +89,7 @@ def face_at(path: Path) -> RunningFace:
 def ask(path: Path, word: str, patience_s: float = _PATIENCE_S) -> Answer:
     """Send the command `word` to the face at `path`; return its answer.
 
-    Raises OSError when none comes within `patience_s`.
+    Raises OSError when no answer comes within `patience_s`.
     """
     give_up_s = time.monotonic() + patience_s
     while True:
@@ -336,7 +336,7 @@ def _connected(path: Path, give_up_s: float) -> Iterator[socket.socket]:
 def _listens(path: Path) -> bool:
     """Return whether a face listens at `path`.
 
-    A dead socket of ours at `path` is removed, unless another process has locked its folder.
+    Our own socket there is removed if no process listens, unless another process locks its folder.
     """
     if knock(path) == 0:
         return True

@@ -62,10 +62,10 @@ class _Client:
 
 
 class ControlSocket:
-    """The face's end of its control socket. Use it as a context manager; no method waits.
+    """The face's end of its control socket, where clients stop and query it; a context manager.
 
-    Stops and orders go into its `CommandQueue`, where others may write as well. In each round of
-    the loop: `poll`, act on the returned stop, `answer`.
+    No method waits. Stops and orders go into its `CommandQueue`, where others may write as well. In
+    each round of the loop: `poll`, act on the returned stop, `answer`.
     """
 
     def __init__(
@@ -81,6 +81,7 @@ class ControlSocket:
 
         Parameters
         ----------
+        commands : the queue for stops and orders; None: a new one.
         about : part of every answer, such as the face's name and port.
         describe : makes the answer to `status` from the loop's status and `about`.
         watched_fd : descriptor of shared memory that `watch` hands out, to read only; None: none.

@@ -31,7 +31,7 @@ _MOST_AT_ONCE: Final = 400
 
 @dataclass(frozen=True, slots=True)
 class Stopped:
-    """The message that a person stopped the face.
+    """The message to the supervisor that a person stopped the face.
 
     ends: whether the process ends with the stop. requested_by: process and user, for a log.
     """

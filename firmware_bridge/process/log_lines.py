@@ -65,7 +65,7 @@ class LogLines(logging.Handler):
     def __init__(
         self, target: logging.Handler, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """target: its `emit` is called in the thread, and may wait for any time."""
+        """Start the thread that passes records to `target`, whose `emit` may wait for any time."""
         super().__init__()
         self._target = target
         self._clock = clock

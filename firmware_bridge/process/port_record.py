@@ -28,9 +28,9 @@ _LONGEST_BYTES: Final = 4096
 
 
 def note_port(settings: BusSettings) -> None:
-    """Write the record of a bus and its port, so that a later process can switch its torque off.
+    """Write bus settings and port to a file, so that a later process can switch its torque off.
 
-    The record goes into the runtime folder; errors of writing are ignored.
+    The file is in the runtime folder; errors of writing are ignored.
     """
     assert settings.port is not None
     content = {

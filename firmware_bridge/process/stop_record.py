@@ -43,7 +43,7 @@ class StopRecord:
         drives_after_power_cut: bool = False,
         on_change: Callable[[StopRequest | None], None] = lambda _stop: None,
     ) -> None:
-        """Read the record of an earlier process, and record that a process runs now.
+        """Read the record of an earlier process at `path`; write there that a process runs now.
 
         Parameters
         ----------

@@ -67,7 +67,7 @@ _RELEASE_AGAIN_S: Final = 5.0
 
 
 class _Phase(Enum):
-    """The state of the bridge; clients get its value as text while no bridge can answer."""
+    """The state of the bridge process; clients get its value as text while no bridge can answer."""
 
     RUNNING = "the bridge starts"
     RELEASING = "the bridge is down, torque is being switched off"
@@ -88,9 +88,9 @@ class SupervisedServos:
 
 
 class Supervisor:
-    """The parent of bridge and speech: restarts one that dies or hangs, and keeps a person's stops.
+    """The parent of a face's processes bridge (servos) and speech: restarts one that dies or hangs.
 
-    It also remembers servos that failed or were switched off, for a restarted bridge.
+    It keeps a person's stops, and which servos failed or were switched off, for a restarted bridge.
     """
 
     def __init__(
@@ -107,6 +107,7 @@ class Supervisor:
 
         Parameters
         ----------
+        bridge, speech : the child processes.
         control : the face's control socket, served here while no bridge serves it.
         notice : to systemd.
         record : keeps stops beyond this process, and may hold one from before it.
@@ -439,7 +440,7 @@ class Supervisor:
         self._phase = _Phase.WAITING
 
     def _release_on(self, now_s: float) -> None:
-        """Do one step of switching torque off by force; then restart the bridge or end the face."""
+        """Run a step of switching torque off by force; then restart the bridge or end the face."""
         assert self._release is not None
         if now_s >= self._release.next_s and self._release.step():
             self._released(self._release)

@@ -125,14 +125,14 @@ class FaceRelease:
     """
 
     def __init__(self, ports: Sequence[tuple[TorqueRelease, Mapping[int, str]]]) -> None:
-        """ports: for each port, its release, and the names of its servos by address."""
+        """Prepare the release of `ports`, each (its release, its servos' names by address)."""
         self._ports = tuple(ports)
         self._is_over = threading.Event()
         self._threads: list[threading.Thread] = []
         self._look_s = 0.0
 
     def step(self) -> bool:
-        """Do the next step at every port; return whether all are over. Never raises BusError."""
+        """Run the next step at every port; return whether all are over. Never raises BusError."""
         if len(self._ports) == 1:
             return self._ports[0][0].step()
         if not self._threads:

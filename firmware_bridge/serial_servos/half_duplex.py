@@ -117,7 +117,7 @@ _Taken_co = TypeVar("_Taken_co", covariant=True)
 
 
 class Take(Protocol[_Taken_co]):
-    """A parser of the bytes of a reply; None: more bytes are needed."""
+    """A function that parses the bytes of a reply received so far."""
 
     def __call__(self, stream: bytes, *, last: bool) -> _Taken_co | None:
         """Return the answer in `stream`; None: there is no whole one yet.

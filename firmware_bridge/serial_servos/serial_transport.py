@@ -22,7 +22,10 @@ class SerialTransport:
     """A `Transport` over a tty: USB adapter or pseudo-terminal. Use `open_port` to make one."""
 
     def __init__(self, handle: serial.Serial, clock: Clock) -> None:
-        """handle: an open port, from now on used only to change settings and to close."""
+        """Use `handle`, an open port; from now on used by this transport alone.
+
+        clock: for deadlines.
+        """
         self._handle = handle
         self._fd: int = handle.fileno()
         self._port = handle.port

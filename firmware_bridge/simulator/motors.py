@@ -23,7 +23,7 @@ STEP, RECTANGLE, TRIANGLE, TRAPEZOID = 0x00, 0x10, 0x20, 0x30
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """Top speed (pulses/s) and acceleration (pulses/s^2) of a motion to a goal.
+    """Top speed (pulses/s) and acceleration (pulses/s^2) of a motor's motion to a goal.
 
     shape: the motion's bits in the register moving_status.
     """

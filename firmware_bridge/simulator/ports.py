@@ -43,7 +43,7 @@ class SimulatedDevice(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class WatchedServos:
-    """Servos simulated in memory, with access to their true state, for tests.
+    """Servos simulated in memory: bus and clock, and their true state, for tests.
 
     device: the simulated device. shafts_deg: returns the joints' true angles now, (n_servos,)
     degrees. is_reachable: returns whether the bus can reach the device now.

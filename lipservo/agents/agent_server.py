@@ -95,8 +95,8 @@ class AgentServer:
 
         listener: a socket from `bind_listener`, closed when the server ends. playout: plays the
         clients' speech. control_path: of the face's control socket. delay_ms: returns the present
-        delay in ms from the arrival of sound to the motion that shows it. say, play: speak a text
-        or play a sound file; None: not available.
+        delay in ms from the arrival of sound to the motion that shows it. settings: limits of
+        clients and streams. say, play: speak a text or play a sound file; None: not available.
         """
         self._listener = listener
         self._url = url_of(listener)

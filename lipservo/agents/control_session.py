@@ -54,9 +54,9 @@ Answer = dict[str, Any]
 class Commands:
     """The control socket, speech functions and thread pools that the commands of clients need.
 
-    statuses, changes, speaking: thread pools for `status`; `set` and `start`; `say` and `play`.
-    They are separate so that no command waits for a synthesiser, and no change for a client that
-    polls.
+    say, play: speak a text or play a sound file; None: not available. statuses, changes, speaking:
+    thread pools for `status`; `set` and `start`; `say` and `play`. They are separate so that no
+    command waits for a synthesiser, and no change for a client that polls.
     """
 
     control_path: Path
@@ -77,9 +77,11 @@ class ControlSession:
         streams: OpenStreams,
         may_only_stop: Refusal | None = None,
     ) -> None:
-        """Create a session. outbox: receives results; streams: those of all clients.
+        """Create a session for one client.
 
-        may_only_stop: why all commands but stops are refused; None: none is refused.
+        outbox: receives results; commands: what carries the client's commands out; streams: the
+        speech of all clients. may_only_stop: why all commands but stops are refused; None: none is
+        refused.
         """
         self._outbox = outbox
         self._commands = commands

@@ -143,7 +143,7 @@ class Handshake:
 
 
 def request_of(target: str, headers: Iterable[tuple[str, str]], peer: str) -> Request:
-    """Return an HTTP GET, by path and query (`target`) and headers, of the address `peer`.
+    """Return a GET request of the address `peer`, from its path and query, `target`, and headers.
 
     Raises ValueError if it is malformed.
     """

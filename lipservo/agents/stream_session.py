@@ -85,7 +85,7 @@ class StreamSession:
             self._outbox.error(error.code, str(error), stream=about, **ids)
 
     def leave(self) -> None:
-        """Interrupt the client's speech if a stream is open or paused; called when it disconnects.
+        """Interrupt the speech of a client that left a stream open or paused; it has disconnected.
 
         Streams that it has ended are played, and their texts are still applied.
         """

@@ -94,7 +94,7 @@ class AgentStream:
                     raise
 
     def tell(self, event: PlayoutEvent) -> None:
-        """Send the client an event of the playout about this stream; update the stream's counts."""
+        """Send the client a playout event about this stream; update `n_played` and `n_marks`."""
         self.n_played = max(self.n_played, event.n_played)
         if event.kind == "mark":
             self.n_marks -= 1
@@ -161,7 +161,10 @@ class OwnSpeech:
         return self.is_dropped or (whole and self.n_ended >= n_streams)
 
     def take(self, event: PlayoutEvent) -> None:
-        """Update this speech from a playout event of one of its streams; send `started` once."""
+        """Update this speech from a playout event about one of its streams.
+
+        At the first start the client gets `started`.
+        """
         if event.kind == "started" and self.began_s is None:
             self.began_s = event.position_s
             self.tell("started")
@@ -198,13 +201,14 @@ class OpenStreams:
 
     @property
     def playing(self) -> list[AgentStream]:
-        """The clients' streams in the playout, in the order in which they are played."""
+        """The clients' streams in the playout, the queue of speech to play, in order of playing."""
         return list(self._playing.values())
 
     def open(self, owner: Outbox, start: Start, now_s: float) -> AgentStream:
-        """Create a stream for client `owner` by its `start` message, spoken now or after others.
+        """Create the stream that a client's `start` message requests, and return it.
 
-        Raises MessageError if it is refused.
+        owner: the client's outbox. The stream is spoken at once, or waits until others were. Raises
+        MessageError if it is refused.
         """
         try:
             self._check(owner, start)
@@ -318,8 +322,9 @@ class OpenStreams:
             self.interrupt(owner)
 
     def take_events(self, now_s: float) -> None:
-        """Send clients the playout's events since the last call; hand it streams that may follow.
+        """Send clients the playout's events since the last call; start streams that wait.
 
+        Only streams of the client that speaks are started; of the next one if nothing is spoken.
         now_s: monotonic. If the playout has been empty for 1 s, all its streams count as over.
         """
         events = self._playout.events
@@ -346,7 +351,7 @@ class OpenStreams:
         self._go_on()
 
     def end_stalled(self, now_s: float) -> None:
-        """End streams without audio for `stalled_s`; interrupt a client that paused so long."""
+        """End streams without audio for `stalled_s`; interrupt a client that has paused as long."""
         for stream in self._all():
             silent_s = now_s - stream.fed_s
             if not stream.speech.ended and silent_s > self._settings.stalled_s:
@@ -364,7 +369,10 @@ class OpenStreams:
         return next((each for each in ours if each.stream_id == stream_id), None)
 
     def tell_positions(self, owner: Outbox | None = None) -> None:
-        """Send clients, or `owner` alone, the position of each of their streams in the playout."""
+        """Send clients, or `owner` alone, how much of each of their streams was played.
+
+        Only streams in the playout count, not those that wait.
+        """
         for stream in self.playing:
             if owner is None or stream.owner is owner:
                 name = stream.speech.name
@@ -430,7 +438,10 @@ class OpenStreams:
             self._own_speech.add(event.stream)
 
     def _go_on(self) -> None:
-        """Hand waiting streams to the playout while they are of the client that speaks, if any."""
+        """Move waiting streams into the playout while they are of the client that speaks.
+
+        If nothing is spoken, the client of the first waiting stream is next.
+        """
         while self._waiting:
             speaker = next((each.owner for each in self._playing.values()), None)
             if speaker is not None and self._waiting[0].owner is not speaker:

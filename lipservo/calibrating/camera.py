@@ -65,8 +65,9 @@ class CameraMode:
 class AvCamera:
     """A camera, or a video file or generator in its place, read by PyAV.
 
-    wanted: number or path of a device; `lavfi:GRAPH` or a video file replaces a camera. Raises
-    UserError if PyAV is missing, and CameraError from `__enter__` if it cannot be opened.
+    wanted: number or path of a device; `lavfi:GRAPH` or a video file replaces a camera. mode:
+    picture format to request; None: the default. Raises UserError if PyAV is missing, and
+    CameraError from `__enter__` if it cannot be opened.
     """
 
     def __init__(

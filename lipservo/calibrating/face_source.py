@@ -68,7 +68,10 @@ def is_mesh_folder(folder: Path, mesh: MeshOptions) -> bool:
 
 
 def is_seen_from_the_front(source: Path, mesh: MeshOptions) -> bool:
-    """Return whether `source` measures no depth: a camera, photographs, or pictures of dots."""
+    """Return whether `source` measures no depth: a camera, photographs, or pictures of dots.
+
+    mesh: options for pictures without dots.
+    """
     is_camera = str(source) == CAMERA
     return is_camera or is_mesh_folder(source, mesh) or (source.is_dir() and is_dots_folder(source))
 
@@ -85,9 +88,10 @@ def mesh_folder(folder: Path, setup: CalibrationSetup, mesh: MeshOptions) -> Mes
 
 
 def reader_of(markers: Path, setup: CalibrationSetup, mesh: MeshOptions) -> ReadAll | None:
-    """Return a function that reads all pictures in `markers`; None if these are marker files.
+    """Return a function that reads all pictures in the folder `markers`.
 
-    mesh: options for pictures without dots. Raises UserError.
+    None if it is a file or folder of marker positions, not of pictures. mesh: options for pictures
+    without dots. Raises UserError.
     """
     if is_mesh_folder(markers, mesh):
         return mesh_folder(markers, setup, mesh).all_readings
@@ -100,10 +104,11 @@ def reader_of(markers: Path, setup: CalibrationSetup, mesh: MeshOptions) -> Read
 def tracker_source(
     setup: CalibrationSetup, source: str, axes: str, mesh: MeshOptions
 ) -> Iterator[MakeTracker]:
-    """Yield a function that makes the source of marker positions once servos are held.
+    """Yield a function that, called with the held servos, makes the source of marker positions.
 
-    source: `camera`, a folder of pictures, or as for `tracker_of`, and so `axes`. Raises UserError
-    for missing files and extras at once, before servos move.
+    source: `camera`, a folder of pictures, or as for `tracker_of`; axes: as for it; mesh: options
+    for pictures without dots. Raises UserError for missing files and extras at once, before servos
+    move.
     """
     folder = Path(source)
     if source == CAMERA:

@@ -142,7 +142,10 @@ def _bounds(servos: MouthServos, poses: Mapping[str, Array]) -> tuple[Array, Arr
 
 
 def pose_lines(before: Calibration, after: Calibration) -> list[str]:
-    """Return lines about the hand poses of `after`, limits changed since `before`, and `closed`."""
+    """Return lines for a person: hand poses of `after`, and limits changed since `before`.
+
+    If the pose `closed` was made, they also compare it with the map's closed mouth, in degrees.
+    """
     lines = []
     for name, positions_deg in after.hand_poses.items():
         places = zip(after.servo_names, positions_deg, strict=True)
@@ -303,8 +306,8 @@ def with_hand_made(
 ) -> tuple[Calibration, list[str]]:
     """Return `fresh` with trims, hand poses and touch pose of the file `output`, if it exists.
 
-    `output` is the file that `fresh` will replace; `servos` have the face's limits. The second part
-    has lines for a person: what was kept and what was not, and why.
+    `output` is the file that `fresh` will replace; `servos` have the face's limits. Returned, too,
+    are lines for a person: what was kept and what was not, and why.
     """
     if not output.exists():
         return fresh, []

@@ -56,7 +56,10 @@ PROTRUSION = "protrusion"
 
 @dataclass(frozen=True, slots=True)
 class CalibrationResult:
-    """A new calibration. fit: of measured lip markers; None if none were measured."""
+    """A new calibration, with warnings for a person.
+
+    fit: the fit of measured lip markers; None if no lip markers were measured.
+    """
 
     calibration: Calibration
     fit: MeasuredFit | None = None
@@ -74,7 +77,10 @@ class CalibrationResult:
         return backlash_of(self.calibration)
 
     def graded_by(self, setup: CalibrationSetup, on: Robot) -> "CalibrationResult":
-        """Return the result, graded at ten poses of speech by `on`; unchanged if `fit` is None."""
+        """Return the result with a grade, measured on the robot `on` in ten poses of speech.
+
+        Unchanged if `fit` is None. setup: the face's servos.
+        """
         if self.fit is None:
             return self
         fit = take_grade(self.fit, setup.servos, self.fit.face.marker_names, on)
@@ -314,7 +320,7 @@ def calibrate_on_computed_skin(setup: CalibrationSetup) -> CalibrationResult:
 
 
 def tracker_of(setup: CalibrationSetup, source: str, axes: str) -> Callable[[HeldFace], Tracker]:
-    """Return a function that makes the source of marker positions from held servos.
+    """Return a function that, called with the held servos, makes the source of marker positions.
 
     source: `typed`, or the path of a file or folder that another program fills. axes: those of C3D
     files that point left, up and forward, as `x z -y`. Raises CalibrationError for other sources.
@@ -335,7 +341,10 @@ def tracker_of(setup: CalibrationSetup, source: str, axes: str) -> Callable[[Hel
 def capture_face(
     setup: CalibrationSetup, marker_names: tuple[str, ...], on: Robot, *, seed: int
 ) -> Capture:
-    """Return `marker_names` measured by `on` in all poses, drawn by `seed`; show progress."""
+    """Capture the markers `marker_names` in all poses of robot `on`; show progress.
+
+    seed: of the plan of poses.
+    """
     with progress_bar(setup, "poses", setup.n_poses) as done:
         return setup.procedure(seed).capture(
             marker_names,

@@ -160,7 +160,10 @@ def _guide(
 
 
 def _after(session: GuidedSession, order: Order, page: PageLine) -> GuidedSession:
-    """Return the session after the page's `order`, and after those that wait behind a move."""
+    """Return the session after the page's `order`: a key, or joints moved.
+
+    After a move, the orders that wait are applied too: all moves, and the first key.
+    """
     while (moved := order.get("move")) is not None:
         session = _moved(session, moved)
         following = page.next_order(0.0)

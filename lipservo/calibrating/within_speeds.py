@@ -34,10 +34,10 @@ _REACHED_MM = 0.1
 class WithinSpeeds:
     """How often speech exceeds joints' speeds, in shares of its frames, 0..1.
 
-    beyond: of any joint; slowest_beyond: of the worst one, `slowest`. reached_closures: share of
-    the closures that remain where speeds are limited; None: no contact is known, or none was
-    reached before. strength: the largest `lipservo set strength` that keeps 99 % of the frames
-    within speeds; None: not even 0.4 does.
+    beyond: of any joint; slowest_beyond: of the worst one, `slowest`. reached_closures: of the
+    closures (lips that meet) that the map reaches, the share still reached at limited speeds; None:
+    no contact is known, or the map reaches none. strength: the largest `lipservo set strength` that
+    keeps 99 % of the frames within speeds; None: not even 0.4 does.
     """
 
     beyond: float

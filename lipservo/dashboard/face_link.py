@@ -85,10 +85,11 @@ class FaceLink:
         control_path: Path | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Keep `find`, which returns the face's control socket; raises UserError, ControlError.
+        """Create the link; nothing is connected yet. find: returns the face's control socket.
 
-        find is called in a thread. token: what the face's agent server requires; None: the token is
-        found if the face runs on this computer. control_path: the control socket, if it is known.
+        It is called in a thread, and may raise UserError, ControlError. token: what the face's
+        agent server requires; None: the token is found if the face runs on this computer.
+        control_path: the control socket, if it is known.
         """
         self._find = find
         self._token = token
@@ -177,7 +178,7 @@ class FaceLink:
 
     @contextlib.contextmanager
     def waiting_for_end(self, wait_s: float) -> Iterator[float]:
-        """Yield the seconds that a stop may wait for its report: `wait_s`, or 0 if many wait."""
+        """Yield the seconds that a stop may wait for its report: `wait_s`, 0 if 8 others wait."""
         if not wait_s or self._n_waiting >= _MOST_WAITING:
             yield 0.0
             return

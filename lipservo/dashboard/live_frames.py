@@ -310,7 +310,7 @@ def state_hello(layout: BoardLayout) -> str:
 
 
 def state_message(moment: Moment, layout: BoardLayout) -> str:
-    """Return a snapshot as one JSON array of `FIELDS`, null where a value is not known.
+    """Return a snapshot as a JSON array in the order of `FIELDS` (names); null: not known.
 
     Expression in hundredths, its angles in tenths of a degree.
     """

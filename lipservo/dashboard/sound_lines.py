@@ -67,7 +67,7 @@ class SoundLines:
         self._folder = folder
 
     def listed(self) -> list[dict[str, Any]]:
-        """Return {name, n_bytes, changed_s} of each file, by name; changed_s: s since 1970."""
+        """Return {name, n_bytes, changed_s (since 1970)} of each file, by name; 1000 at most."""
         found = []
         with contextlib.suppress(OSError), os.scandir(self._place()) as entries:
             for entry in entries:
@@ -131,7 +131,7 @@ def _name(line: dict[str, Any]) -> str:
 
 
 class Uploads:
-    """The uploads of one dashboard, a few at a time, in one event loop."""
+    """The uploads of one dashboard, 4 at most at a time, in one event loop."""
 
     def __init__(self) -> None:
         self._writing = ThreadPoolExecutor(MOST_AT_ONCE, thread_name_prefix="dashboard upload")

@@ -38,7 +38,7 @@ class FilmError(UserError):
 
 
 class Display(Protocol):
-    """A drawing of a face that turns a frame into a picture."""
+    """A drawing of a face that turns a frame, mouth shape and expression, into a picture."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -71,8 +71,9 @@ def film(
 ) -> int:
     """Film a face: one picture per frame, frame n at sound time n / rate_hz; return their number.
 
-    sound: its file; None: a silent film. out: replaced. progress: called with the number of
-    pictures so far. Raises FilmError, OutputError, SoundError.
+    sound: its file; None: a silent film. face: draws the pictures. out: the film, replaced if it
+    exists. progress: called with the number of pictures so far. Raises FilmError, OutputError,
+    SoundError.
     """
     return write_film(
         (face.draw(frame) for frame in frames), face.size, sound, out, rate_hz, progress

@@ -108,9 +108,10 @@ def photograph(
     size: tuple[int, int],
     face: FaceModel,
 ) -> PhotoFace:
-    """Read a photograph, cut it to a film's size and fit the head to it. Raises UserError.
+    """Read a photograph, cut it to a film's size and fit a head to it. Raises UserError.
 
     landmarks: file of the face's points; None: they are detected by the network in `landmarker`.
+    size: width and height in px. face: the model that will move the head.
     """
     picture, share = read_photo(path)
     if landmarks is not None:

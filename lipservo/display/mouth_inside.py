@@ -58,9 +58,10 @@ class SeenPart:
 class MouthParts:
     """The parts behind the lips of one photograph. lips_px (n, 3): the inner rim as photographed.
 
-    upper: the upper teeth; lower: the lower teeth and the tongue. jaw_px: by target, how far the
-    amount 1 of it moves `lower`. upper_rows, lower_rows: rows of the rim, from corner to corner,
-    that face each other. hidden_px (n_pairs,): gap of each pair up to which nothing is seen inside.
+    upper: the upper teeth; lower: the lower teeth and the tongue. jaw_px: by target (a named motion
+    of the head), how far the amount 1 of it moves `lower`. upper_rows, lower_rows: rows of the rim,
+    from corner to corner, that face each other. hidden_px (n_pairs,): gap of each pair up to which
+    nothing is seen inside.
     """
 
     def __init__(self, photo: PhotoFace, lips_px: Array) -> None:
@@ -245,7 +246,10 @@ def _placed(
 
 
 def _seen_part(photo: PhotoFace, part: Part, own: dict[str, float]) -> SeenPart:
-    """Return a part of the twin, shaded, in the photograph's pose; `own`: amounts by target."""
+    """Return a part of the twin, the program's own head, shaded, in the photograph's pose.
+
+    `own`: amounts of the motions that the photographed mouth makes, by their names.
+    """
     places_mm = part.places_mm.copy()
     for name, moves in part.morphs.items():
         places_mm += own.get(name, 0.0) * moves

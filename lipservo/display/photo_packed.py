@@ -24,10 +24,10 @@ from lipsync.twin.packed import Body
 
 
 def pack_photo(photo: PhotoFace, face: FaceModel) -> bytes:
-    """Return mesh, targets, lip contact and the mouth's inside of a photograph as bytes for a page.
+    """Return a photograph's mesh, the motions that move it, and the mouth's inside, as bytes.
 
-    face: the model whose rest is shown first. lipservo/dashboard/static/show/photo_warp.js is the
-    reader.
+    They are for a web page, read by lipservo/dashboard/static/show/photo_warp.js. face: the model
+    whose rest is shown first.
     """
     warp, body = PhotoWarp(photo), Body()
     parts = MouthParts(photo, warp.own_px[warp.lips])

@@ -31,9 +31,10 @@ class PhotoWarp:
     """The mesh of one photograph, moved by frames.
 
     The mesh's vertices are those of the skin, then of each eye its rim and its middle, then rings
-    round the face. places_mm (n_skin, 3): the skin's vertices on the head; targets: how far 1 of
-    each moves them, mm. lips, rim, eyes: rows of the skin's vertices round the inner lips (from a
-    corner), the face and each eye.
+    round the face. places_mm (n_skin, 3): the skin's vertices on the head. targets: by the name of
+    a motion of the head (a component of the model, or lids, brows, smile), how far the amount 1 of
+    it moves each of them, mm. lips, rim, eyes: rows of the skin's vertices round the inner lips
+    (from a corner), the face and each eye.
     """
 
     def __init__(self, photo: PhotoFace) -> None:
@@ -123,9 +124,10 @@ class PhotoWarp:
 
 
 def amounts_of(frame: Frame, components: tuple[str, ...]) -> dict[str, float]:
-    """Return the amount of each target in a frame; `components` name its coefficients.
+    """Return the amount of each target, a named motion of the head, in a frame.
 
-    Those of the expression are clipped to `MOST`, and 0 if they are not set.
+    components: names of its coefficients, which are their amounts. Amounts of the expression are
+    clipped to `MOST`, and 0 if they are not set.
     """
     amounts = dict(zip(components, np.asarray(frame.coefficients).tolist(), strict=True))
     values = {each.name: getattr(frame.expression, each.name) for each in fields(frame.expression)}

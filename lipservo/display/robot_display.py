@@ -41,7 +41,10 @@ class RobotDisplay:
     """A drawing of a face's robot, for frames or for angles of its servos. Needs OpenCV."""
 
     def __init__(self, face: Face, size: tuple[int, int], period_s: float) -> None:
-        """Prepare the drawing. size: width, height in px; period_s: time between two frames."""
+        """Prepare the drawing. face: the robot's settings and calibration.
+
+        size: width, height in px; period_s: time between two frames.
+        """
         check_extra("cv2", "drawing a robot")
         self._size = size
         self._rig = robot_rig(face.settings.servos)

@@ -188,7 +188,7 @@ def spread(values: Sequence[float]) -> dict[str, float] | None:
 
 
 def step_goals(min_deg: float, max_deg: float, rate_hz: float) -> Array:
-    """Return goals of a joint: steps to one side of 0 and back, within its limits.
+    """Return goals of a joint: 3 steps of 5 deg, or up to its limit, from 0 and back, 1 s each.
 
     Parameters
     ----------
@@ -213,8 +213,9 @@ def step_answers(
 ) -> list[dict[str, float | None]]:
     """Return how a shaft answered each step.
 
-    late_ms: until it has gone a tenth of the step; settled_ms: until it stays near its goal, None:
-    it does not; beyond_deg: how far past it; off_deg: its final position minus the goal.
+    late_ms: until it has gone a tenth of the step; settled_ms: until it stays near its goal (0.5
+    deg or a tenth of the step, if more), None: it does not; beyond_deg: how far past it; off_deg:
+    its final position minus the goal.
 
     Parameters
     ----------

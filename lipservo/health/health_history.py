@@ -236,7 +236,7 @@ def _of(function: Callable[[Array], np.float64], values: Array) -> float:
 
 
 def findings(servos: Mapping[str, Sequence[ServoDay]]) -> list[str]:
-    """Return one sentence, with a remedy, for each problem of servos; urgent ones first."""
+    """Return a sentence with remedy for each problem of servos, given by name; urgent first."""
     shared = _shared_warmth(servos)
     lines = [line for name, days in servos.items() for line in _troubles(name, days)]
     rise = _change(shared)
@@ -334,7 +334,7 @@ def _trends(name: str, days: Sequence[ServoDay], shared: Mapping[date, float]) -
 
 
 def _change(values: Mapping[date, float]) -> tuple[float, int] | None:
-    """Return (change, days it took) by the linear trend; None if the change may be chance.
+    """Return (change, days it took) by the linear trend; None if within twice the scatter.
 
     Also None for too few days with a value.
     """

@@ -207,7 +207,7 @@ def json_line(moment: datetime, number: int, servos: Sequence[ServoHealth]) -> b
 def append_line(path: Path, line: bytes) -> None:
     """Append a line by one write, so that programs' lines never mix; end a torn last line first.
 
-    Raises OSError, also when only a part could be written, and for a file grown beyond all bounds.
+    Raises OSError, also when only a part could be written, and for a file over 100 MB.
     """
     # Not blocking: a pipe of this name must not hold anybody up.
     flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK

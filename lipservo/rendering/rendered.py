@@ -40,7 +40,10 @@ class Rendering:
 
 @dataclass(frozen=True, slots=True)
 class Rendered:
-    """A rendered line: its output, duration_s of sound, seconds of computing, notes for people."""
+    """What was rendered: the output file, duration_s of the sound, and n_phonemes in it.
+
+    seconds: spent on computing; notes: cautions for a person.
+    """
 
     output: Path
     duration_s: float
@@ -50,9 +53,10 @@ class Rendered:
 
 
 def render(sound: Path, script: Script, output: Path, how: Rendering) -> Rendered:
-    """Render a sound to the performance file `output`, whole or not at all; return the outcome.
+    """Render a sound to the performance file `output`, whole or not at all; return its figures.
 
-    Raises UserError with one line about a bad sound, script or model.
+    script: its phones or text, if known; how: options. Raises UserError with one line about a bad
+    sound, script or model.
     """
     performance, done = rendered_line(sound, script, how)
     write_performance(performance, output)
@@ -60,7 +64,7 @@ def render(sound: Path, script: Script, output: Path, how: Rendering) -> Rendere
 
 
 def rendered_line(sound: Path, script: Script, how: Rendering) -> tuple[Performance, Rendered]:
-    """Return a sound's performance, not written, and the outcome, with the sound as `output`.
+    """Return a sound's performance, not written, and its figures, whose `output` is the sound.
 
     script: its phones or text, if known; how: options. Raises UserError.
     """

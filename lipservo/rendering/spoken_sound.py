@@ -102,9 +102,10 @@ class SpokenSound:
 def spoken_sound(
     sound: Path, script: Path | None, chosen: ChosenMotion, config: str, model: Path | None
 ) -> SpokenSound:
-    """Return a `SpokenSound` with the motion in `chosen`, completed by the face YAML `config`.
+    """Return a `SpokenSound` of the file `sound`, whose motion options are those in `chosen`.
 
-    Raises UserError.
+    Options that `chosen` lacks are those of the face YAML `config`. script: a TextGrid of the
+    phonemes, None: recognised; model: file of the face model, None: the default. Raises UserError.
     """
     settings, folder = load_settings(config)
     return SpokenSound(

@@ -26,7 +26,7 @@ _MOUTH = frozenset(MOUTH_NAMES)
 
 
 class AvatarStream:
-    """A `TickObserver` that sends the face's frames to screen avatars, 60 a second at most.
+    """An observer of ticks that sends the face's frames to screen avatars, 60 a second at most.
 
     Frames are sent as UDP datagrams, and no send ever blocks. A receiver that is slow or absent
     loses frames; datagrams that the operating system did not accept are counted in `n_failed`.

@@ -57,7 +57,7 @@ def run_face(
     listener: socket.socket | None = None,
     synthesizer: Synthesizer | None = None,
 ) -> RunOutcome:
-    """Run a face on an open source until the sound ends or a person stops it; switch torque off.
+    """Run a face on an open sound source until its end or a person's stop; switch torque off.
 
     live: draw the face in the terminal. endless: go on in silence when the source is over, and wait
     for a start command when a person has stopped the face. listener: bound socket to which voice
@@ -180,7 +180,7 @@ class _Run:
         self._listens_on = url
 
     def status(self, bridge: Bridge) -> Status:
-        """Return the present status of the whole face, servos and speech."""
+        """Return the face's present status: of servos, as `bridge` drives them, and of speech."""
         return self._whole({**face_status(bridge), **self._requested.about})
 
     def describe(self, bridge: Mapping[str, object]) -> Mapping[str, object]:
@@ -199,8 +199,8 @@ class _Run:
         """Return the observers of ticks: settings, live board, trace, avatars, terminal view.
 
         The request decides which; those to be closed are entered on `stack`. live: draw in the
-        terminal. on_time: ticks keep real time, so the live board is written, and a thread that may
-        drop ticks writes the trace; otherwise the trace is written in the tick.
+        terminal. on_time: ticks keep real time, so `board`, shared memory for watchers, is written,
+        and a thread that may drop ticks writes the trace (the recorded run), else the tick does.
         """
         request, face = self._requested.request, self._requested.face
         observers: list[TickObserver] = [self]

@@ -36,10 +36,10 @@ class FaceSpeech:
     ) -> None:
         """Build recogniser, synthesiser and speech side. source: an entered audio source.
 
-        channel: carries the servo targets to the bridge. board: the live board to write to; None:
-        none is written. timer_s: clock in seconds by which the recogniser notices that it falls
-        behind the sound; None: it never checks. synthesizer: used without any recogniser; None:
-        both are made as the request's motion names them.
+        channel: carries the servo targets to the bridge. board: memory for watchers, to write
+        what is shown; None: none. timer_s: clock in seconds by which the recogniser notices that it
+        falls behind the sound; None: it never checks. synthesizer: used without any recogniser;
+        None: both are made as the request's motion names them.
         """
         face, motion = requested.face, requested.request.motion
         if synthesizer is None:

@@ -206,10 +206,10 @@ def make_synthesizer(
 ) -> Synthesizer:
     """Return the synthesiser for the strategy in `options`, with its style applied.
 
-    It is the live one of this project, or the published AnimPho method with one of its two
-    selections. model_path: the model file that `face` was read from, None for the shipped one; only
-    the parts that the strategy needs are read. Raises ModelError, also if the file has changed
-    since `face` was read.
+    It is the live one of this project, or the published method with one of its two selections of
+    AnimPhos (units of captured mouth motion). model_path: the model file that `face` was read from,
+    None for the shipped one; only the parts that the strategy needs are read. Raises ModelError,
+    also if the file has changed since `face` was read.
     """
     with open_model(model_path) as file:
         if read_face(file).checksum != face.checksum:
@@ -237,7 +237,7 @@ def make_synthesizer(
 
 
 def _soft_of(file: ModelFile, face: FaceModel, options: MotionOptions) -> SoftExpectation | None:
-    """Return the model's map from recogniser posteriors to faces; None if the file contains none.
+    """Read the map from phoneme probabilities to `face` coefficients; None: `file` has none.
 
     A map fitted to other recogniser weights than those in `options` is used; the mismatch is
     logged.

@@ -40,8 +40,8 @@ class Handed:
     """The descriptors and the lifeline that a child process inherits from the supervisor.
 
     channel: descriptor of the socket that carries servo targets. board: of the shared memory of the
-    `StatusBoard`. live: of the `LiveBoard`, which watching programs may read. lifeline: reports
-    that the child works, and shows when the supervisor has died.
+    `StatusBoard`. live: of the `LiveBoard`, which watching programs may read. lifeline: the
+    socket by which the child reports that it works, and notices that the supervisor has died.
     """
 
     channel: int

@@ -104,7 +104,7 @@ class RequestedFace:
         return self.request
 
     def trace_header(self, speech: SpeechStatus) -> dict[str, object]:
-        """Return the values for the first line of a trace: face, model, strategy, ...
+        """Return the values for the first line of a trace (recorded run): face, model, ...
 
         speech: status of the speech side as the trace begins.
         """

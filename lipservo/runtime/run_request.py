@@ -26,7 +26,7 @@ class RequestError(UserError):
 @with_config(extra="forbid")
 @dataclass(frozen=True, slots=True)
 class Sound:
-    """The sound that a face hears or says, as the user named it.
+    """The sound that a face listens to or speaks, as the user named it.
 
     name: a file's path, a microphone by number or name, or the text to say. language: of that text.
     phonemes: a file with the phonemes of the sound file and their times. text: the English words of
@@ -169,7 +169,7 @@ class RunRequest:
     ticks a second; None: as the face's YAML has it. trace: file to which every tick is written.
     control: path of the control socket; None: in the runtime folder. as_json: results are printed
     as JSON. quiet: no messages for people are printed. dry_run: servos are read and never moved.
-    voice: for a robot that speaks; None: it only listens. avatars: further receivers of the face.
+    voice: for a robot that speaks; None: it only listens. avatars: on screens, get its frames.
     Raises RequestError.
     """
 
@@ -198,7 +198,7 @@ class RunRequest:
 
 
 def about_run(request: RunRequest) -> dict[str, object]:
-    """Return config and sound folder of a request by name, for every status answer."""
+    """Return a request's face (`config`) and sound folder (`sounds`), for every status answer."""
     sounds = None if request.voice is None else request.voice.sounds
     return {"config": request.config, "sounds": sounds}
 

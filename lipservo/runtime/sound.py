@@ -374,7 +374,7 @@ def words_from(path: Path, start_s: float) -> tuple["TimedUnit", ...]:
 
 @contextmanager
 def entered_sound(request: RunRequest, start_s: float = 0.0) -> Iterator[AudioSource]:
-    """Yield the entered sound of a request: a `Playout` if the face has a voice, else its source.
+    """Yield a request's sound, entered: a `Playout` for a face that speaks, else its source.
 
     start_s: the sound time at which a file starts. Raises SoundError.
     """

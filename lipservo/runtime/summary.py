@@ -89,7 +89,7 @@ class Summary:
 
 
 class Tally:
-    """A counter of ticks, delays and limits during a run."""
+    """A counter of ticks, delays, and goals at joint limits during a run."""
 
     def __init__(self, clock: Clock, street: Street) -> None:
         self._clock = clock

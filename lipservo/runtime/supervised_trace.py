@@ -26,10 +26,10 @@ _END_S: Final = 2.0
 
 
 class SupervisedTrace:
-    """A trace of every tick of the bridge, from the first status of the speech side on."""
+    """A trace (record) of every bridge tick, from the speech side's first status on."""
 
     def __init__(self, requested: RequestedFace, notes: StatusBoard, live: LiveBoard) -> None:
-        """Prepare the trace. notes: has the speech side's status. live: has the frames shown."""
+        """Prepare `requested`'s trace. notes: has the speech status. live: has frames shown."""
         self._requested = requested
         self._notes = notes
         self._live = live

@@ -29,11 +29,11 @@ _TENTHS: Final = 10.0
 
 
 def with_pulse_limit(path: Path, servo: str, limit: PulseLimit, pulse_us: float) -> EditedYaml:
-    """Return the face YAML with `limit` of a hobby servo at `pulse_us`, not written yet.
+    """Return the face YAML with a hobby servo's `limit` at `pulse_us`, not written yet.
 
-    The joint's `min_deg` and `max_deg` become those that the pulses then allow. Raises
-    SettingsError for a servo without pulses or a pulse that cannot be this limit, and what `edited`
-    raises.
+    limit: `min`, `max` or `neutral`. The joint's `min_deg` and `max_deg` become those that the
+    pulses then allow. Raises SettingsError for a servo without pulses or a pulse that cannot be
+    this limit, and what `edited` raises.
     """
     settings = parse_face(read_face_text(path), path.name).servos.get(servo)
     pulse = None if settings is None else settings.pulse
@@ -45,8 +45,8 @@ def with_pulse_limit(path: Path, servo: str, limit: PulseLimit, pulse_us: float)
 def pulse_values(pulse: JointPulse, limit: PulseLimit, pulse_us: float) -> dict[str, float]:
     """Return a servo's pulse and angle limits, by YAML key, after `limit` is set to `pulse_us`.
 
-    Raises SettingsError for a pulse out of range, or one that leaves neutral outside the limits or
-    no range between them.
+    limit: `min`, `max` or `neutral`. Raises SettingsError for a pulse out of range, or one that
+    leaves neutral outside the limits or no range between them.
     """
     if not SHORTEST_FOUND_US <= pulse_us <= LONGEST_FOUND_US:
         raise SettingsError(

@@ -176,7 +176,10 @@ class PreventSettings(Strict):
 
 
 class StaleSettings(Strict):
-    """`stale:` of a face YAML: seconds without new goals until servos hold, are neutral, limp."""
+    """`stale:` of a face YAML: what servos do when no new goals come, and after how many seconds.
+
+    They hold their position, then move to neutral, then turn torque off.
+    """
 
     hold_s: Seconds = 0.1
     neutral_s: Seconds = 1.0

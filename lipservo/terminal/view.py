@@ -207,7 +207,7 @@ class TerminalView:
         )
 
     def observe(self, tick: StreetTick) -> None:
-        """Store a tick to be shown at the next refresh."""
+        """Store the newest tick, a step of the motion loop, for the next refresh to show."""
         if abs(tick.sound_s - self._status_at_s) >= _STATUS_EVERY_S:
             self._status_at_s = tick.sound_s
             self._status = self._ask_status()
@@ -266,7 +266,10 @@ class TerminalView:
         return head
 
     def _face(self, tick: StreetTick) -> RenderableType:
-        """Return mouth and servos side by side, or the servos alone if the terminal is narrow."""
+        """Return the drawn mouth and the table of servos side by side, for a tick's motion.
+
+        If the terminal is too narrow for both, the table alone.
+        """
         name_width = max(len(joint.name) for joint in self._joints)
         room = self._console.width - name_width - _ANGLE_COLUMNS
         with_mouth = room - MOUTH_COLUMNS - 2

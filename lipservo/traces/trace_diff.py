@@ -58,11 +58,11 @@ class Difference:
     """How the motion of a trace b differs from that of a, over the sound time in both.
 
     lips_mm: rms over the lip markers; gap_mm: of the inner lips' distance; servo_most_deg,
-    servo_rms_deg: (n_servos,); all are the largest of any tick unless their names contain rms.
-    lag_s: how much later b moves as a whole; None if one hardly moves or they hardly overlap.
-    closure_shifts_s: of closures in both, how much
-    later each begins in b; lost_closures_s, new_closures_s: sound times at which those begin that
-    only a, only b has. ends_apart_s: how much of the sound only one trace contains, beyond a tick.
+    servo_rms_deg: (n_servos,); all are the largest of any tick (step of the motion loop) unless
+    their names contain rms. lag_s: how much later b moves as a whole; None if one hardly moves or
+    they hardly overlap. closure_shifts_s: of closures (lips that touch) in both, how much later
+    each begins in b; lost_closures_s, new_closures_s: sound times at which those begin that only a,
+    only b has. ends_apart_s: how much of the sound only one trace contains, beyond a tick.
     """
 
     overlap_s: tuple[float, float]
@@ -90,10 +90,11 @@ class Tolerance:
 
 @dataclass(frozen=True, slots=True)
 class Overlay:
-    """Two traces sampled at the n ticks of the first within the sound time in both.
+    """Two traces sampled at the n ticks (steps) of the first within the sound time in both.
 
-    gaps_mm: two (n,); lips_mm: (n,), rms over the lip markers of their distance; sent_deg: two (n,
-    n_servos). own: sound times and lip gaps of each trace at its own ticks, (n_own,).
+    gaps_mm: the lip gap of each, two (n,); lips_mm: (n,), rms over the lip markers of their
+    distance; sent_deg: goals of the servos, two (n, n_servos). own: sound times and lip gaps of
+    each trace at its own ticks, (n_own,).
     """
 
     sound_s: Array
@@ -146,10 +147,10 @@ def overlay(a: Trace, b: Trace, models: tuple[FaceModel, FaceModel]) -> Overlay:
 
 
 def compare(a: Trace, b: Trace, laid: Overlay, *, margin_mm: float, n_worst: int = 5) -> Difference:
-    """Return all figures of the difference between two traces.
+    """Return all figures of the difference between two traces, recorded runs of one face.
 
-    laid: their overlay. margin_mm: a closure does not count as lost if lips are open by less in the
-    other trace. n_worst: number of times of large difference to list.
+    laid: their overlay. margin_mm: a closure (lips that touch) does not count as lost if lips are
+    open by less in the other trace. n_worst: number of times of large difference to list.
     """
     apart_deg = np.abs(laid.sent_deg[1] - laid.sent_deg[0])
     gap_a, gap_b = laid.gaps_mm
@@ -241,7 +242,7 @@ def motion_lag_s(times_s: Array, first: Array, second_s: Array, second: Array) -
 
 @dataclass(frozen=True, slots=True)
 class _Closure:
-    """A closure of the lips that begins at `start_s`. times_s: its ticks."""
+    """A closure (lips that touch), which begins at `start_s`. times_s: sound times of its ticks."""
 
     start_s: float
     times_s: Array

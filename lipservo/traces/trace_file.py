@@ -46,7 +46,10 @@ def is_trace(head: bytes) -> bool:
 
 
 class TraceFile:
-    """A trace file to which each tick is written at once; for `replay`, not for the live loop."""
+    """A trace file, record of a run, to which each tick (step of the motion loop) is written.
+
+    It is written at once, so `replay` uses it; the live loop needs `BackgroundTrace`.
+    """
 
     def __init__(self, path: Path, header: Mapping[str, object]) -> None:
         """Open the file and write `header`, what a reader needs first, such as the servo names.
@@ -62,7 +65,10 @@ class TraceFile:
         self._write({_MARK: TRACE_VERSION, **header})
 
     def observe(self, tick: StreetTick) -> None:
-        """Write one tick. Raises TraceError if the disk is full, and then leaves no file."""
+        """Write the record of one tick, a step of the motion loop.
+
+        Raises TraceError if the disk is full, and then leaves no file.
+        """
         self._write(_record_of(self._n_ticks, tick))
         self._n_ticks += 1
 
@@ -116,7 +122,10 @@ class BackgroundTrace:
         self._thread.start()
 
     def observe(self, tick: StreetTick) -> None:
-        """Queue one tick to be written; count it as dropped if the queue is full."""
+        """Queue the record of one tick, a step of the motion loop, to be written.
+
+        It is dropped and counted if the queue is full.
+        """
         try:
             self._queue.put_nowait(tick)
         except queue.Full:
@@ -169,7 +178,7 @@ def _rounded(values: Sequence[float]) -> list[float]:
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """The motion of one run, tick by tick, n ticks in order of time.
+    """The motion of one recorded run at its n ticks, steps of the motion loop, in order of time.
 
     face: the face's name; model: checksum of the face model; delay_s: of the motion behind the
     arrival of sound. sound_s: (n,), sound time of the frame at each tick; coefficients: (n,

@@ -24,7 +24,7 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The AnimPho selected for a phoneme p_t, after the AnimPho a_{t-1}.
+    """The AnimPho (unit of captured mouth motion) selected for a phoneme p_t, after a_{t-1}.
 
     animpho: its index. missed: whether it is outside L(p_t), the phoneme's AnimPhos, or outside
     T(a_{t-1}), the successors; False for a first phoneme. chain_lengths: (m,), the priorities v_i
@@ -38,21 +38,21 @@ class Choice:
 
 
 class SelectionStrategy(Protocol):
-    """A strategy that selects one AnimPho per phoneme; it accepts only known phonemes."""
+    """A strategy that selects one AnimPho for each phoneme, which must have AnimPhos."""
 
     @property
     def name(self) -> str:
         """The name of the strategy on the command line."""
 
     def first(self, units: AnimPhoUnits, phoneme: str) -> Choice:
-        """Return the choice for `phoneme`, the first of a chain that begins at the closed mouth."""
+        """Return the AnimPho chosen for `phoneme`, the first of a chain from the closed mouth."""
 
     def following(self, units: AnimPhoUnits, phoneme: str, previous: Choice) -> Choice:
-        """Return the choice for `phoneme`, the next of the chain, after the choice `previous`."""
+        """Return the AnimPho chosen for `phoneme`, the next of the chain after `previous`."""
 
 
 def smoothness_energy(units: AnimPhoUnits, previous: int, candidates: Indices) -> Array:
-    """Return the jump to each candidate, ||E(a_{t-1}) - B(eta)||. Wei and Deng, eq. (1).
+    """Return the mouth's jump to each candidate, ||E(a_{t-1}) - B(eta)||. Wei and Deng, eq. (1).
 
     Parameters
     ----------
@@ -120,14 +120,14 @@ class NaiveSelection:
     name = "naive"
 
     def first(self, units: AnimPhoUnits, phoneme: str) -> Choice:
-        """Choose the AnimPho of the phoneme that starts nearest the closed mouth."""
+        """Return the choice of the AnimPho of `phoneme` that starts nearest the closed mouth."""
         return Choice(nearest_to_rest(units, units.of_phoneme(phoneme)), False, np.empty(0))
 
     def following(self, units: AnimPhoUnits, phoneme: str, previous: Choice) -> Choice:
-        """Choose, by eq. (1), the smoothest AnimPho of `phoneme` that is a successor of `previous`.
+        """Return the choice of the successor of `previous` for `phoneme` with the smallest jump.
 
-        If no AnimPho of the phoneme is a successor of `previous`, choose the smoothest of all
-        AnimPhos, with `missed` set.
+        If no AnimPho of the phoneme is a successor of `previous`, it is that of all AnimPhos with
+        the smallest jump, eq. (1), and `missed` is set.
         """
         connected = np.intersect1d(
             units.of_phoneme(phoneme), units.successors[previous.animpho], assume_unique=True
@@ -148,7 +148,7 @@ class PrioritySelection:
     name = "priority"
 
     def first(self, units: AnimPhoUnits, phoneme: str) -> Choice:
-        """Choose the AnimPho of `phoneme` that starts nearest the closed mouth.
+        """Return the choice of the AnimPho of `phoneme` that starts nearest the closed mouth.
 
         The priorities are 1 for each AnimPho of the phoneme, else 0.
         """
@@ -158,7 +158,7 @@ class PrioritySelection:
         return Choice(nearest_to_rest(units, candidates), False, lengths)
 
     def following(self, units: AnimPhoUnits, phoneme: str, previous: Choice) -> Choice:
-        """Choose the AnimPho of `phoneme` with the highest chain length v_i of eq. (2).
+        """Return the choice of the AnimPho of `phoneme` with the highest chain length v_i, eq. (2).
 
         Among equals a successor of a_{t-1}, the AnimPho of `previous`; then the smoothest by eq.
         (1).

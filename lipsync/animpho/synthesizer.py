@@ -110,7 +110,7 @@ class PublishedSynthesizer:
     def frame_at(self, time_s: float) -> Frame:
         """Return the frame at sound time `time_s`; equal times give equal frames.
 
-        Times may step back by a few phonemes, not more.
+        Times may step back within the newest 16 pieces of motion: a few phonemes.
         """
         while (until_s := self._end_of_plan_s()) <= time_s:
             self._plan(until_s)
@@ -121,7 +121,7 @@ class PublishedSynthesizer:
         return Frame(time_s, self._units.rest)
 
     def faces_after(self, frame: Frame, times_s: Array) -> Array:
-        """Return the frame's face for each later time: the published method plans no further.
+        """Return the face of `frame` for each later time: the published method plans no further.
 
         Parameters
         ----------
@@ -138,7 +138,7 @@ class PublishedSynthesizer:
         return np.tile(frame.coefficients, (len(times_s), 1))
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
-        """Return the phoneme known now at sound time `time_s`, for displays; None if unknown."""
+        """Return the phoneme at sound time `time_s` as known now, for displays; None if unknown."""
         return self._timeline.event_at(time_s)
 
     def _end_of_plan_s(self) -> float:
@@ -179,7 +179,7 @@ class PublishedSynthesizer:
         return duration_s > PAUSE_S or SILENCE not in self._known
 
     def _rest(self, start_s: float, event: PhonemeEvent | None, position: Array) -> None:
-        """Append an easing to `position`, held until the first phoneme that starts after `event`.
+        """Append motion that eases to `position` and holds it until a phoneme starts after `event`.
 
         event: the phoneme in which the mouth rests; None: no phoneme is known at `start_s`.
         """

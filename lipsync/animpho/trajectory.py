@@ -43,7 +43,7 @@ def translate(animpho: Array, start: Array) -> Array:
 
 
 def left_samples(share: float) -> Array:
-    """Return weights that linearly resample the rest of an AnimPho of which a `share` has passed.
+    """Return weights that resample the rest of an AnimPho, after a `share` of it, to five samples.
 
     Parameters
     ----------

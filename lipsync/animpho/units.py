@@ -68,7 +68,7 @@ SAMPLES_PER_ANIMPHO = 5
 
 @dataclass(frozen=True, slots=True)
 class AnimPhoUnits:
-    """All AnimPhos of a speaker and the paper's two tables.
+    """All AnimPhos (units of captured mouth motion) of a speaker and the paper's two tables.
 
     rest: (n_components,), the closed mouth, from which a chain of AnimPhos begins. samples: (m, 5,
     n_components). successors: T of the paper, `successors[i]` = T(a_i). predecessors: `successors`
@@ -130,7 +130,10 @@ def face_fields(face: FaceModel) -> dict[str, Any]:
 
 
 def read_animphos(file: ModelFile, face: FaceModel) -> AnimPhoUnits:
-    """Return the AnimPhos of an open model file whose face is `face`. Raises ModelError."""
+    """Return the AnimPhos of an open model file; `face` must be the face of the same file.
+
+    Raises ModelError if they are missing or damaged, or have another number of components.
+    """
 
     def assemble(arrays: Mapping[str, NDArray[np.generic]]) -> AnimPhoUnits:
         samples = np.asarray(arrays["samples"], dtype=np.float64)
@@ -145,7 +148,7 @@ def read_animphos(file: ModelFile, face: FaceModel) -> AnimPhoUnits:
 
 
 def animpho_arrays(units: AnimPhoUnits) -> dict[str, NDArray[np.generic]]:
-    """Return the arrays that a model file stores for AnimPhos; the face's part has the rest pose.
+    """Return the arrays that a model file stores for AnimPhos, without the closed mouth (`rest`).
 
     Parameters
     ----------
@@ -218,7 +221,7 @@ class FaceInOtherLayout(FaceWithAnimPhos):
 
 
 def in_layout(model: FaceWithAnimPhos, layout: PointLayout) -> FaceWithAnimPhos:
-    """Return the face at the points of a layout; `model` itself if it has that layout already.
+    """Return the model with the points of another layout; `model` itself if it has these already.
 
     Raises LayoutError for a point that cannot be computed.
     """

@@ -54,7 +54,7 @@ class Delay:
 
 
 def click_train(sample_rate_hz: int) -> Samples:
-    """Return the test signal (n,) at this rate: a click at each of `CLICKS_S`, silence between."""
+    """Return the test signal (n,) at this rate: a click at each time `CLICKS_S`, else silence."""
     click = _click(sample_rate_hz)
     train = np.zeros(round(CLICKS_S[-1] * sample_rate_hz) + len(click), dtype=np.float32)
     for begins_s in CLICKS_S:
@@ -104,9 +104,9 @@ def _click(sample_rate_hz: int) -> Samples:
 
 
 def _matched(recorded: Samples) -> tuple[Seconds, Seconds]:
-    """Return for each sample of `recorded` (n,), as a click's start, (strength, likeness).
+    """Return the strength and likeness of a click that begins at each sample of `recorded`, (n,).
 
-    Two arrays (n,); the likeness is 0 to 1, whatever the level. A separate echo is more like a
+    Two arrays (n,); the likeness is 0 to 1, whatever the loudness. A separate echo is more like a
     click than the click before it, but weaker: so both are needed. Polarity has no influence.
     """
     click = _click(SAMPLE_RATE_HZ).astype(np.float64)
@@ -128,7 +128,7 @@ def _largest_near(values: Seconds, reach: int) -> Seconds:
 
 
 def _at(values: Seconds, times_s: Seconds) -> Seconds:
-    """Return the values, sampled at 16 kHz, at times in s; 0 at times outside the values."""
+    """Return `values`, one per sample at 16 kHz, at the times `times_s`; 0 outside of them."""
     places = np.round(times_s * SAMPLE_RATE_HZ).astype(np.int64)
     is_there = (places >= 0) & (places < len(values))
     found: Seconds = np.where(is_there, values[np.where(is_there, places, 0)], 0.0)

@@ -285,7 +285,7 @@ class DeviceWatch:
         self._called_s = now_s
 
     def look(self) -> None:
-        """Close the stream if its device is lost; try to reopen a lost one, at most each second."""
+        """Close the stream if its device is lost; try to reopen a lost one, once a second."""
         now_s = self._clock()
         stream = self._stream
         if stream is not None and self._has_stopped(stream, now_s):

@@ -203,7 +203,7 @@ def checked_sound(path: Path) -> CheckedSound:
 
 
 def sound_chunks(path: str | PathLike[str], start_s: float = 0.0) -> Iterator[Samples]:
-    """Yield a file's sound from `start_s` on, mono (n,) at its own rate, in pieces of `CHUNK_S` s.
+    """Yield a file's sound from `start_s` on, mono (n,) at its own rate, in pieces of 1 s.
 
     Raises SoundError where it is damaged or holds NaN or infinite samples.
     """
@@ -258,7 +258,7 @@ class FileSource:
 
     @property
     def lost_blocks(self) -> int:
-        """The amount of sound that could not be decoded so far, in blocks, rounded up."""
+        """The amount of sound that could not be decoded so far, in blocks of 10 ms, rounded up."""
         return -(-self._n_lost // BLOCK_SAMPLES)
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
@@ -362,7 +362,7 @@ def _go_to(path: Path, sound: soundfile.SoundFile, frame: int) -> None:
 
 
 def _chunks(path: Path, sound: soundfile.SoundFile) -> Iterator[Samples]:
-    """Yield the undecoded rest of `sound` in pieces (n, n_channels) of `CHUNK_S` seconds."""
+    """Yield the undecoded rest of `sound` in pieces (n, n_channels) of 1 s."""
     n_chunk = round(CHUNK_S * sound.samplerate)
     while True:
         try:

@@ -75,7 +75,7 @@ class SampleRing:
         return self._n_underruns
 
     def write(self, samples: Samples) -> None:
-        """Write the next samples (n,) of the timeline; n is at most the ring's length."""
+        """Write the next samples (n,) of the timeline; n is at most the ring's length, 2 s."""
         here, from_start = self._parts(self._n_written, self._n_written + len(samples))
         here[:, 0] = samples[: len(here)]
         from_start[:, 0] = samples[len(here) :]
@@ -214,7 +214,7 @@ class LoudspeakerOutput:
 
     @property
     def lasting_name(self) -> str:
-        """The device's name without ALSA's card number, which changes; for a face's YAML."""
+        """The device's name without ALSA's card number, which changes; for a robot's YAML."""
         return self._device.lasting_name
 
     @property

@@ -78,7 +78,7 @@ class MicrophoneSource:
 
     @property
     def lost_blocks(self) -> int:
-        """The amount of sound replaced by silence so far, in blocks, rounded up at each loss."""
+        """The number of blocks of 10 ms replaced by silence so far, rounded up at each loss."""
         return self._lost_blocks + -(-self._n_away // BLOCK_SAMPLES)
 
     @property

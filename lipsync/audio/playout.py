@@ -108,7 +108,7 @@ class ListenedMicrophone:
 
 
 class Playout:
-    """An endless `AudioSource` of what the robot says: queued streams of speech, else silence."""
+    """An endless `AudioSource`: streams of the robot's speech, else the microphone, or silence."""
 
     duration_s: float | None = None
     is_live = False
@@ -157,7 +157,7 @@ class Playout:
 
     @property
     def name(self) -> str:
-        """The name of the sound that the recogniser gets while the robot is silent."""
+        """The name of the sound outside of speech: the microphone's, or "own voice" without one."""
         return "own voice" if self._microphone is None else self._microphone.name
 
     @property
@@ -195,7 +195,7 @@ class Playout:
 
     @property
     def is_over(self) -> bool:
-        """Whether speech is over: no stream plays or waits, none is requested or announced."""
+        """Whether speech is over: no stream plays, waits, or is in `requests` or `announced`."""
         return not (self.announced or self.requests or self._playing)
 
     @property
@@ -266,7 +266,7 @@ class Playout:
         return None
 
     def advance(self, position_s: float) -> bool:
-        """Carry out the requests and append the events that are due.
+        """Carry out all `requests` and append the events that are due to `events`.
 
         position_s: the timeline position in s that leaves the loudspeaker now. Return whether
         speech was cut off, by an interruption or a pause.
@@ -306,7 +306,7 @@ class Playout:
         return list(self._commit(int(samples_before(max(0.0, until_s))) // BLOCK_SAMPLES))
 
     def known_phonemes(self, from_s: float) -> list[KnownStretch]:
-        """Return the timeline's stretches of known phonemes that end after `from_s`, in order."""
+        """Return stretches (start_s, end_s, phonemes) of known phonemes that end after `from_s`."""
         return self._known.after(from_s)
 
     def take_words(self) -> list[StartedWords]:
@@ -316,7 +316,7 @@ class Playout:
         return started
 
     def timed_words(self) -> tuple[tuple[str, ...], int] | None:
-        """Return the words around the word heard now, and the index of that word among them.
+        """Return the word heard now with 3 before and 10 after it at most, and its index in these.
 
         None where no stream is playing whose words have times.
         """
@@ -487,7 +487,7 @@ class Playout:
         return self._position_s
 
     def _note_silence(self, cut_s: float) -> None:
-        """Record that silence is heard from timeline position `cut_s`, after an echo of 0.3 s."""
+        """Record that no speech is heard after timeline position `cut_s`; its echo lasts 0.3 s."""
         self._quiet_from_s = cut_s + _ECHO_S
         self._known.cut(cut_s)
         if cut_s < self.committed_s:
@@ -544,7 +544,7 @@ def _start_sample(unit: SpokenUnit) -> int:
 
 
 def _is_ready(playing: PlayingStream) -> bool:
-    """Return whether a stream has enough sound to begin, or to continue after it had run out."""
+    """Return whether a stream can be played: it plays, has 50 ms waiting, or gets no more now."""
     stream = playing.stream
     is_going_on = bool(playing.segments) and not playing.is_starved
     return is_going_on or stream.ended or stream.is_filled or stream.waiting_s >= _WAITING_S

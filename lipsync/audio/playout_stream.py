@@ -45,8 +45,8 @@ class PlayoutTextError(ValueError):
 class StartedWords:
     """Words that come next in speech, with times in seconds: of their stream, or of the timeline.
 
-    A stream gives out the former, the playout the latter. is_new: they replace earlier words that
-    were not spoken yet. behind_s: seconds of the sound of these words that have passed already.
+    A stream gives out the former, the playout the latter. is_new: they replace all earlier words
+    not spoken yet. behind_s: seconds of the sound of these words that have passed already.
     """
 
     kind: UnitKind
@@ -57,9 +57,10 @@ class StartedWords:
 
 @dataclass(frozen=True, slots=True)
 class PlayoutBlock:
-    """10 ms of a stream: for the recogniser (160,) at 16 kHz, for the loudspeaker at its rate.
+    """10 ms of a stream: heard by the recogniser, (160,) at 16 kHz; played by the loudspeaker.
 
-    n_samples: samples of the stream, at its own rate, up to and including this block.
+    played: at the loudspeaker's rate. n_samples: samples of the stream, at its own rate, up to and
+    including this block.
     """
 
     heard: Samples
@@ -132,7 +133,7 @@ class PlayoutStream:
 
     @property
     def is_marked(self) -> bool:
-        """Whether a mark came after the last samples: its sender may wait for it to be heard."""
+        """Whether a mark was set after the last `push`: the sender may wait until it is heard."""
         return self._is_marked
 
     @property
@@ -170,11 +171,12 @@ class PlayoutStream:
         self._cut()
 
     def tell(self, spoken: SpokenText, words: Sequence[PronouncedWord] = ()) -> None:
-        """Add units (words, phonemes, ...) of the speech, or replace earlier ones by them.
+        """Add units (words, phonemes, ...) of the speech to those of their kind.
 
-        Phonemes and visemes with times move the mouth; all else is aligned with the sound. words:
-        those of `spoken`, with possible pronunciations, in seconds of the stream. Raises
-        PlayoutTextError and SpokenTextError; then nothing was added. Ignored if the stream is over.
+        If the first has a start, they replace the earlier ones from there on. Phonemes and visemes
+        with times move the mouth; all else is aligned with the sound. words: those of `spoken`,
+        with possible pronunciations, in seconds of the stream. Raises PlayoutTextError and
+        SpokenTextError; then nothing was added. Ignored if the stream is over.
         """
         if self._ended and (self._dropped or not self._blocks):
             return
@@ -383,7 +385,7 @@ class PlayingStream:
     """A stream that was queued to play, and the segments of the timeline at which it was played.
 
     n_taken: its samples on the timeline so far. has_begun: its start was reported. is_starved: it
-    ran out of sound and waits for more. is_followed: some of its words were handed on.
+    ran out of sound and waits for more. is_followed: some of its words went to `take_words`.
     """
 
     stream: PlayoutStream
@@ -449,9 +451,9 @@ class PlayingStream:
         return last.start_s - last.n_before / self.stream.sample_rate_hz
 
     def known_from(self, start_s: float) -> list[KnownStretch]:
-        """Return the stream's known phonemes as stretches of the timeline, from `start_s` on.
+        """Return the stream's known phonemes from `start_s` on: (start_s, end_s, events) each.
 
-        They assume that the stream plays on from there without another gap.
+        In timeline seconds; they assume that the stream plays on from there without another gap.
         """
         shift_s = start_s - self.n_taken / self.stream.sample_rate_hz
         events = self.stream.phonemes
@@ -493,7 +495,7 @@ def phonemes_or_visemes(stream: PlayoutStream) -> SpokenText | None:
 def add_playing(
     playing: deque[PlayingStream], stream: PlayoutStream, after: PlayoutStream | None
 ) -> None:
-    """Queue a stream last, or behind `after`, the part before it; it cuts no stream in two.
+    """Insert a stream at the end of the queue, or behind `after`, the stream that it continues.
 
     If `after` was dropped, drop the stream instead; if `after` was heard to its end, queue it
     behind the stream that is being played.

@@ -217,7 +217,7 @@ def timing_features_at(times_s: list[float], lookahead_s: float) -> list[float]:
 
 
 def window_shares(times_s: Array, lookahead_s: Array) -> Array:
-    """Return which share of each window of 40 ms each phoneme of a context fills.
+    """Return how much of each 40 ms window around an instant each phoneme of its context fills.
 
     Phonemes not known, and the time beyond the instant plus look-ahead L, fill nothing.
 
@@ -389,7 +389,7 @@ class Expectation:
         }
 
     def check(self, n_components: int) -> None:
-        """Raise ValueError unless the arrays' shapes fit together and all values are finite."""
+        """Raise ValueError unless shapes fit each other and `n_components`, and all is finite."""
         shapes: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {}
         families = (
             ("slot", SLOTS, self.slot_tables, self.slots),
@@ -474,9 +474,9 @@ EXPECTATION_PART = "expectation"
 
 
 def read_expectation(file: ModelFile, n_components: int) -> Expectation:
-    """Return the expectation of an open model file. Raises ModelError if it is missing or unfit.
+    """Return the expectation, the map from phonemes to faces, of an open model file.
 
-    n_components: number of components of the face that the expectation moves.
+    n_components: of the face. Raises ModelError if it is missing, damaged or of another number.
     """
 
     def assemble(arrays: Mapping[str, NDArray[np.generic]]) -> Expectation:

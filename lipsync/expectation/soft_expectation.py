@@ -75,7 +75,7 @@ class BelievedFrames:
             self._frames[places] = frames[kept]
 
     def around(self, track: PhonemeTrack, times_s: Array, known_until_s: float) -> Array32:
-        """Return the posteriors around times, frame by frame of all `WINDOWS`.
+        """Return the posteriors of the frames from 0.15 s before to 0.15 s after each time.
 
         Frames without posteriors get 1 for the decided phoneme and 0 for all others; beyond
         `known_until_s` they get 0 for all.
@@ -111,7 +111,7 @@ _SHARP = np.eye(len(PHONEMES), dtype=np.float32)
 
 
 def window_means(rows: Array32) -> Array32:
-    """Return the mean over the frames of each of `WINDOWS`.
+    """Return the mean over the frames of each of the nine `WINDOWS`.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def window_means(rows: Array32) -> Array32:
 
 
 def shares_of(rows: Array32) -> Array:
-    """Return the share in the motion of the face by posteriors: larger where these are in doubt.
+    """Return which share of the motion is by posteriors: larger where these are in doubt.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def shares_of(rows: Array32) -> Array:
     Returns
     -------
     Array
-        (n,), 0 to `LARGEST_SHARE`.
+        (n,), 0 to 0.6, `LARGEST_SHARE`.
     """
     surest = rows[:, _NEAR].max(axis=2)
     known = np.maximum((surest > 0.0).sum(axis=1), 1)
@@ -232,7 +232,7 @@ class SoftExpectation:
         return faces + shares[:, None] * (self.faces(window_means(rows)) - faces)
 
     def check(self, n_components: int) -> None:
-        """Raise ValueError unless the arrays' shapes fit together and all values are finite."""
+        """Raise ValueError unless shapes fit each other and `n_components`, and all is finite."""
         d = len(WINDOWS) * self.looks.shape[1]
         n_cosines, h1, h2 = len(self.phases), self.first.shape[1], self.second.shape[1]
         shapes = {
@@ -273,7 +273,7 @@ def softened_line(
     events : Sequence[PhonemeEvent]
         Decided phonemes.
     posteriors : FramePosteriors
-        Posteriors of the whole line.
+        Posteriors of the whole recording.
     times_s : Array
         (n,) sound times of the faces.
 

@@ -62,7 +62,7 @@ class LipMeasures:
     spread_mm: Array
 
     def of(self, coefficients: Array) -> Array:
-        """Return measures of the mouth in mm from rest.
+        """Return the distances of the mouth (lip gap, jaw drop, ...) in mm from rest.
 
         Parameters
         ----------
@@ -251,7 +251,7 @@ def _share(value: float, full: float) -> float:
 
 
 def _add_expression(found: Array, expression: Expression) -> None:
-    """Set eyes, lids and brows in the blendshapes `found` (52,), but no values that are None."""
+    """Write the eyes, lids and brows that are not None into the blendshapes `found` (52,)."""
     values = {
         "eyeBlinkLeft": expression.lid_left,
         "eyeBlinkRight": expression.lid_right,

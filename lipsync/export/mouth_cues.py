@@ -31,7 +31,7 @@ CENTISECOND_S = 0.01
 
 @dataclass(frozen=True, slots=True)
 class MouthCue:
-    """One mouth shape, shown from `start_cs` to `end_cs`: hundredths of a second of sound time."""
+    """A mouth shape, A to H or X, from `start_cs` to `end_cs`, hundredths of a second of sound."""
 
     shape: Shape
     start_cs: int
@@ -263,7 +263,7 @@ def _shapes_of(phone: str, duration_cs: int) -> tuple[str, ...]:
 
 
 def _nearest(shape: Shape, allowed: str) -> Shape:
-    """Return the allowed shape that is nearest to `shape`; of equals the first of the alphabet."""
+    """Return the allowed shape nearest to `shape` in openness and rounding; of equals the first."""
     return min(
         (each for each in _PLACES if each in allowed),
         key=lambda each: (each != shape, math.dist(_PLACES[shape], _PLACES[each]), each),
@@ -271,10 +271,10 @@ def _nearest(shape: Shape, allowed: str) -> Shape:
 
 
 def _animated(spans: Sequence[_MouthSpan]) -> list[MouthCue]:
-    """Return the cues of spans: of each span's shapes the nearest to the relaxed shape before it.
+    """Return the cues of spans: of a span's shapes the nearest to the last span's, relaxed.
 
-    A vowel with only one shape begins early: spans up to 0.2 s before it get the shape nearest to
-    it.
+    A vowel with only one shape begins early: spans up to 0.2 s before it get their shape nearest to
+    the vowel's.
     """
     shapes: list[Shape] = []
     reference: Shape = "X"
@@ -299,9 +299,9 @@ def _animated(spans: Sequence[_MouthSpan]) -> list[MouthCue]:
 
 
 def _without_pauses(cues: Sequence[MouthCue]) -> list[MouthCue]:
-    """Return the cues with each inner pause X replaced: a short one holds the shape before it.
+    """Return the cues with inner pauses X of up to 0.35 s replaced by the shape before.
 
-    Short is below 0.12 s. A longer pause relaxes that shape, and one above 0.35 s stays X.
+    A pause of 0.12 s or more gets this shape relaxed, if that differs from the shape after it.
     """
     found = list(cues)
     for i in range(1, len(cues) - 1):
@@ -325,7 +325,7 @@ def _pause_shape(before: Shape, after: Shape, duration_cs: int) -> Shape:
 
 
 def _with_long_closures(cues: Sequence[MouthCue]) -> list[MouthCue]:
-    """Return the cues with closures A below 80 ms begun up to 60 ms earlier, if there is room."""
+    """Return the cues with closures A below 80 ms begun 60 ms earlier at most, if there is room."""
     found = list(cues)
     for i in range(len(found) - 1, 0, -1):
         cue, before = found[i], found[i - 1]
@@ -363,7 +363,7 @@ def _is_open(cues: Sequence[MouthCue], i: int) -> bool:
 
 
 def _tweened(cues: Sequence[MouthCue]) -> list[MouthCue]:
-    """Return the cues with a shape inserted between two cues whose shapes are too far apart."""
+    """Return the cues with a shape of 40 to 80 ms inserted between pairs of `_TWEENS`."""
     found = list(cues)
     for first, second in pairwise(cues):
         if (first.shape, second.shape) not in _TWEENS:

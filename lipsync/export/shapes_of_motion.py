@@ -48,7 +48,7 @@ class ShapePrototypes:
 def shape_prototypes(model: FaceWithAnimPhos, measures: LipMeasures) -> ShapePrototypes:
     """Return each shape's prototype: the median recorded mouth in the middle of its phones.
 
-    A is the mouth at rest, whose lips touch.
+    A is the mouth at rest, whose lips touch. measures: must be those of `model`.
     """
     units = model.animphos
     middle = SAMPLES_PER_ANIMPHO // 2
@@ -63,7 +63,7 @@ def shape_prototypes(model: FaceWithAnimPhos, measures: LipMeasures) -> ShapePro
 def motion_cues(
     prototypes: ShapePrototypes, coefficients: Array, shut: NDArray[np.bool_], duration_s: float
 ) -> list[MouthCue]:
-    """Return the sequence of mouth shapes nearest to a motion, none shorter than `SHORTEST_CS`.
+    """Return the sequence of mouth shapes nearest to a motion, none shorter than 80 ms.
 
     A sound shorter than that gets one shape.
 
@@ -115,7 +115,7 @@ def lips_shut(measures: LipMeasures, coefficients: Array) -> NDArray[np.bool_]:
     Returns
     -------
     NDArray[np.bool_]
-        (n,), True where the lip gap is at most `BILABIAL_GAP_MM`.
+        (n,), True where the lip gap is at most 0.7 mm, `BILABIAL_GAP_MM`.
     """
     gap_mm = measures.of(coefficients)[:, MEASURES.index(GAP)] + measures.rest_gap_mm
     return np.asarray(gap_mm <= BILABIAL_GAP_MM)

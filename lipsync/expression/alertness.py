@@ -83,7 +83,7 @@ _HEARER_PAUSE_S = 0.3
 
 
 def _seen(look_at_deg: tuple[float, float] | None) -> tuple[float, float] | None:
-    """Return a target's (yaw, pitch) clipped to what is in reach; None for no target or a NaN."""
+    """Return a target's (yaw, pitch) clipped to +-60 and +-40 degrees; None: no target, or NaN."""
     if look_at_deg is None:
         return None
     yaw_deg, pitch_deg = look_at_deg

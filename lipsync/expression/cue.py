@@ -88,7 +88,7 @@ class DampedFollower:
     def __init__(self, frequency_hz: float, most_per_s: float) -> None:
         """Create a filter at 0. `frequency_hz`: w / 2 pi; a target's swing at it is halved.
 
-        most_per_s: limit of the speed.
+        most_per_s: limit of its speed, in units of the value per second.
         """
         self.value = 0.0
         self._speed_per_s = 0.0

@@ -207,7 +207,7 @@ class IdlePosture:
         return self._pitch.step(), self._yaw.step(), self._roll.step()
 
     def settle(self) -> None:
-        """Start a move to the middle, whatever travel was saved up; then call `follow` alone."""
+        """Start a move to 0 degrees, whatever travel was saved up; then call `follow` alone."""
         self._breath_left_s = 0.0
         self._is_turned = False
         for axis in self._axes:

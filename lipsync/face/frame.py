@@ -93,14 +93,14 @@ class Motion(Protocol):
         """
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
-        """Return the phoneme known now at sound time `time_s`, for displays; None if unknown."""
+        """Return the phoneme at sound time `time_s` as known now, for displays; None if unknown."""
 
 
 class Synthesizer(Motion, Protocol):
     """A `Motion` that can also return the faces expected after a frame."""
 
     def window_after(self, frame: Frame) -> FaceWindow:
-        """Return `frame`, the newest, and the faces expected after it by the phonemes known.
+        """Return `frame` and the faces expected after it by the phonemes known.
 
-        The call changes no later frame.
+        `frame` must be the newest. The call changes no later frame.
         """

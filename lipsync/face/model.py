@@ -218,7 +218,7 @@ class FaceModel:
         return len(self.basis)
 
     def coefficients(self, markers_mm: NDArray[np.floating]) -> Array:
-        """Return the coefficients of marker positions.
+        """Return the coefficients (of the principal components) of marker positions.
 
         Parameters
         ----------
@@ -234,7 +234,7 @@ class FaceModel:
         return np.asarray(flat @ self.basis.T, dtype=np.float64)
 
     def markers_mm(self, coefficients: Array) -> Array:
-        """Return the marker positions of coefficients.
+        """Return the marker positions of faces that are given as coefficients.
 
         Parameters
         ----------

@@ -77,7 +77,7 @@ class LipGap:
         return np.asarray(touch & ~np.insert(touch[:-1], 0, touch[0]))
 
     def shut(self, face: Array) -> Array:
-        """Return the face with its lips pressed together.
+        """Return the face with its lips pressed together, at most 0.7 mm apart.
 
         Parameters
         ----------
@@ -160,12 +160,12 @@ def planned(
     time_s: float,
     known_until_s: float,
 ) -> Amount:
-    """Return the plan for a lip closure, an amount from 0 (open) to 1, from `time_s` on.
+    """Return the plan for a lip closure, an amount from 0 (open) to 1 (closed), from `time_s` on.
 
     now: the plan so far, returned if its goal is unchanged, with a new time of the last touch while
-    the lips are held closed. A closure that has begun is completed first. tightest_s: for each
-    closing phoneme, by its index, s from its onset until its lips are nearest. track: the phonemes,
-    known until `known_until_s`.
+    the lips are held closed. A closure that has begun is completed first. tightest_s: by the index
+    of each closing phoneme (P B M, or F V), s from its onset until lips are nearest. track:
+    the phonemes, known until `known_until_s`.
     """
     if now.goal == 1.0 and time_s < now.start_s + now.duration_s:
         return now
@@ -204,8 +204,8 @@ def closures(
 ) -> Iterator[tuple[float, float]]:
     """Yield (from, until) in s when lips touch, for each closing phoneme around or after `time_s`.
 
-    touched_s: when the lips touched last. tightest_s: for each closing phoneme, by its index, s
-    from its onset until its lips are nearest. track: the phonemes, known until `known_until_s`. A
+    touched_s: when the lips touched last. tightest_s: by the index of each closing phoneme (P B M,
+    or F V), s from its onset until lips are nearest. track: known until `known_until_s`. A
     phoneme for which the lips have not touched yet keeps them closed until its end.
     """
     # A tightest moment is at most so far from its onset, before or after.
@@ -330,7 +330,7 @@ class _Finish:
 
 
 class FinishedSynthesizer:
-    """A synthesiser with the finishing step: AnimPhos, strength, rest in pauses, closures."""
+    """A synthesiser with the finishing step: AnimPhos, strength, rest in pauses, lip closures."""
 
     def __init__(
         self,
@@ -415,11 +415,11 @@ class FinishedSynthesizer:
         self._inner.push(update)
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
-        """Return the phoneme known now at sound time `time_s`, for displays; None if unknown."""
+        """Return the phoneme at sound time `time_s` as known now, for displays; None if unknown."""
         return self._inner.event_at(time_s)
 
     def adjust(self, name: str, value: float) -> None:
-        """Set the setting `name` to `value` from the newest face on, eased in over `ADJUSTING_S`.
+        """Set the setting `name` to `value` from the newest face on, eased in over 0.3 s.
 
         Faces already shown are not changed. Raises StyleError for a setting that cannot be
         adjusted, or a value beyond its limits.
@@ -453,9 +453,9 @@ class FinishedSynthesizer:
         return replace(frame, coefficients=face)
 
     def window_after(self, frame: Frame) -> FaceWindow:
-        """Return `frame`, the newest, and the faces expected after it by the phonemes known.
+        """Return `frame` and the faces expected after it by the phonemes known.
 
-        The call changes no later frame.
+        `frame` must be the newest. The call changes no later frame.
         """
         now_s, finish = frame.time_s, self._ticks.newest
         until_s = now_s + self._known_s
@@ -489,7 +489,7 @@ class FinishedSynthesizer:
         return FaceWindow(offsets_s, np.array(rows), np.array(closed), shut)
 
     def _strengthened(self, face: Array, strength: float, stage: float) -> Array:
-        """Return the face (n_components,), its distance from rest scaled by strength and stage."""
+        """Return the face (n_components,) scaled about rest by `strength`, 1.3 times at stage 1."""
         strength *= 1.0 + (STAGE_STRENGTH - 1.0) * stage
         return face if strength == 1.0 else self._rest + strength * (face - self._rest)
 
@@ -516,7 +516,7 @@ class FinishedSynthesizer:
         return face + np.minimum(1.0, share * self._shares) * departure
 
     def _decide(self, time_s: float, last: _Finish) -> _Finish:
-        """Return rest and closures of the tick that ends at `time_s`, from what is known then.
+        """Return the plans for the tick of 10 ms that ends at `time_s`, from what is known then.
 
         last: those of the tick before.
         """
@@ -534,6 +534,6 @@ class FinishedSynthesizer:
 
 
 def _tightest_s(model: FaceModel, phonemes: tuple[str, ...]) -> dict[int, float]:
-    """Return, by phoneme index, the seconds from its onset until its lips are nearest."""
+    """Return, by index of each of `phonemes`, s from its onset until the lips are nearest."""
     numbers = [PHONEMES.index(phoneme) for phoneme in phonemes]
     return {number: float(model.tightest_s[number]) for number in numbers}

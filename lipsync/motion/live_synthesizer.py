@@ -165,7 +165,7 @@ class ExpectedMotion:
         return self._softened(self.decided_at(times_s, known_until_s), times_s, known_until_s)
 
     def decided_at(self, times_s: Array, known_until_s: float) -> Array:
-        """Return the faces expected by decided phonemes alone, those known until an instant.
+        """Return the faces expected by decided phonemes alone, without posteriors.
 
         Parameters
         ----------
@@ -186,7 +186,7 @@ class ExpectedMotion:
         self._smoothness.change(self._ticks.decided_until_s, smoothness)
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
-        """Return the phoneme known now at sound time `time_s`, for displays; None if unknown."""
+        """Return the phoneme at sound time `time_s` as known now, for displays; None if unknown."""
         return self._timeline.event_at(time_s)
 
     def _decide(self, time_s: float, last: _Tick) -> _Tick:
@@ -210,7 +210,7 @@ class ExpectedMotion:
         return _Tick(last.end, last.end_speed, self._wanted, end_speed, rest)
 
     def _expected(self, time_s: float, *, at_rest: bool) -> Array:
-        """Return the face (n_components,) expected a tick after `time_s`; at it without look-ahead.
+        """Return the face (n_components,) expected 10 ms after `time_s`; at it without look-ahead.
 
         At rest (`at_rest`) it is the rest face: motion sets out from rest itself, not from the mean
         of silences.
@@ -224,7 +224,10 @@ class ExpectedMotion:
         return self._expectation.at(phonemes, times_s, known_s)
 
     def _softened(self, faces: Array, times_s: Array, known_until_s: float) -> Array:
-        """Return faces (n, n_components) at times (n,) mixed with those expected by posteriors."""
+        """Return faces (n, n_components) at times (n,) mixed with those expected by posteriors.
+
+        known_until_s: sound time until which phonemes are known.
+        """
         if self._soft is None:
             return faces
         return self._soft.mixed(faces, self._believed, self._track, times_s, known_until_s)
@@ -248,7 +251,7 @@ def _bell(n: int) -> Array:
 
 
 class LiveSynthesizer(FinishedSynthesizer):
-    """A finished synthesiser of the live strategies: the expectation, alone or with AnimPhos."""
+    """A live synthesiser with the finishing step: the expectation, alone or with AnimPhos."""
 
     def __init__(
         self,

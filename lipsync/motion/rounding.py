@@ -128,7 +128,7 @@ def is_rounded(track: PhonemeTrack, time_s: float, known_until_s: float) -> bool
 
 
 def planned_rounding(now: Amount, track: PhonemeTrack, time_s: float, known_s: float) -> Amount:
-    """Return the plan for rounding, an amount from 0 to 1, from `time_s` on.
+    """Return the plan for rounding, an amount from 0 to 1 (round lips), from `time_s` on.
 
     now: the plan so far, returned if its goal is unchanged. known_s: how many seconds after
     `time_s` the phonemes of `track` are known.

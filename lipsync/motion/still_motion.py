@@ -42,7 +42,7 @@ class StillMotion:
         self._timeline.apply(update)
 
     def frame_at(self, time_s: float) -> Frame:
-        """Return a frame at rest for sound time `time_s`; count the phoneme there, each once."""
+        """Return the face at rest for sound time `time_s`; count each phoneme reached once."""
         event = self._timeline.event_at(time_s)
         if event is not None and event.phoneme != SILENCE and event.start_s > self._newest_s:
             self._newest_s = event.start_s

@@ -79,7 +79,7 @@ class Amount:
     touched_s: float = -math.inf
 
     def at(self, time_s: float) -> tuple[float, float]:
-        """Return value and slope per second at `time_s`, which is not before `start_s`."""
+        """Return value and slope per second at `time_s`, which must not be before `start_s`."""
         u = (time_s - self.start_s) / self.duration_s
         if u >= 1.0:
             return self.goal, 0.0
@@ -121,7 +121,7 @@ class EasedSetting:
         return self._now.goal
 
     def at(self, time_s: float) -> float:
-        """Return the value at `time_s`; before the last change, that at the change's start."""
+        """Return the value at `time_s`; before the start of the last change, the value at it."""
         value = self._now.at(max(time_s, self._now.start_s))[0]
         # A cubic that turns round on its way may overshoot its limits.
         return min(self._most, max(self._least, value))

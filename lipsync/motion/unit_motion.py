@@ -56,8 +56,8 @@ _SILENCE: Final = PHONEMES.index(SILENCE)
 class PhoneSpan:
     """The time of a phone, or of one of several phones that stand in for it one after the other.
 
-    phoneme: one for which there are AnimPhos; None for a pause, in which the mouth rests. onset_s:
-    start of the whole phone, in sound time; start_s, end_s: the part that the AnimPho fills.
+    phoneme: one with recorded units; None for a pause, in which the mouth rests. onset_s:
+    start of the whole phone, in sound time; start_s, end_s: the part that the unit fills.
     is_known: whether the end of the phone is known; False: it is guessed.
     """
 
@@ -77,7 +77,7 @@ def span_at(
     """Return the span of the phone at `time_s`, or of the phone that stands in for it at that time.
 
     context: what `context_at` returns for `time_s`, with phonemes known for `known_s` seconds
-    more; an end that is not known is guessed. known_phonemes: those for which there are AnimPhos;
+    more; an end that is not known is guessed. known_phonemes: those with recorded units;
     others are replaced by stand-ins. The phoneme of a pause is None.
     """
     phonemes, times_s = context
@@ -146,7 +146,7 @@ class _Stretch:
 
 
 class UnitMotion:
-    """Planner of the offset between the AnimPhos' face and the face expected from phonemes."""
+    """Planner of the offset of AnimPhos (recorded units of mouth motion) from the expected face."""
 
     def __init__(
         self,
@@ -155,7 +155,7 @@ class UnitMotion:
         known_s: float,
         costs: SelectionCosts | None = None,
     ) -> None:
-        """Create the motion of the AnimPhos `units`, chosen by `costs` (None: the default costs).
+        """Create the motion of the recorded units `units`, chosen by `costs` (None: the default).
 
         expected(times_s, until_s): returns the faces (n, n_components) expected at times (n,) in s
         from the phonemes until `until_s`. known_s: seconds beyond its tick that a decision may use.
@@ -175,7 +175,7 @@ class UnitMotion:
         self._track = track_of(())
 
     def at(self, time_s: float, track: PhonemeTrack) -> Array | None:
-        """Return the offset of the AnimPhos' face from the expected face, by all phonemes known.
+        """Return the offset of the recorded units' face from the face expected from phonemes.
 
         Parameters
         ----------
@@ -229,7 +229,7 @@ class UnitMotion:
         previous: int | None,
         kept: int | None,
     ) -> tuple[int, Trajectory]:
-        """Return the number of an AnimPho for the rest of a phone, and a trajectory of departures.
+        """Return the number of an AnimPho (recorded unit) for the rest of a phone, and departures.
 
         The departures are from the expected face, from `begin_s` on, where the trajectory `last` is
         left. Eq. (3) to (5), less the target: the mouth begins at its present position and becomes

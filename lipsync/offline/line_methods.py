@@ -100,7 +100,7 @@ class PlannedMotion:
 
 
 def shown_faces(line: FinishedSynthesizer, times_s: Sequence[float] | Array) -> Array:
-    """Return a line's faces at `times_s`, computing every 10 ms tick in between, as on a robot.
+    """Return a line's faces at `times_s`; compute one every 10 ms in between, as on a robot.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ PLANNED_METHODS = tuple(_PLANNED)
 def line_synthesizer(
     speaker: Speaker, line: Line, method: LineMethod, strength: float = 1.0
 ) -> tuple[FinishedSynthesizer, Sequence[str]]:
-    """Return a synthesiser that plays a line by `method`, and notes to the user, one line each.
+    """Return a synthesiser that plays a spoken line, rendered by `method`, and notes to the user.
 
     It adds rest in pauses and lip closures, and scales the motion by `strength`: 0 keeps the mouth
     at rest, 1 changes nothing.

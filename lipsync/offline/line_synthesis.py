@@ -163,7 +163,7 @@ def gaussian_window(deviation_s: float, frame_rate_hz: float) -> Window:
 
 @dataclass(frozen=True, slots=True)
 class Candidates:
-    """The states (n,) that a frame may be in, each once, and the frame's distances (n,) to them."""
+    """The states (n,) that a frame may be in, each once, and its distances (n,) from them."""
 
     states: Indices
     distances: Array
@@ -296,7 +296,7 @@ def _advanced(before: _Step | None, now: Candidates, follows: Follows) -> _Step 
 
 
 def _begun_anew(before: _Step, now: Candidates) -> _Step:
-    """Return the search step of a frame as if every state could follow the best of `before`."""
+    """Return the search step of frame `now` as if every state could follow the best of `before`."""
     best = int(before.costs.argmin())
     back = np.full(len(now.states), best, dtype=np.int64)
     return _Step(now.states, now.distances + before.costs[best], back)

@@ -128,7 +128,7 @@ _RENDER_AGAIN = "render it again with `lipservo lines render`"
 
 
 def write_performance(performance: Performance, path: Path) -> None:
-    """Write a performance's file, whole or not at all. Raises OutputError or PerformanceError."""
+    """Write a performance to the file `path`, or nothing. Raises OutputError, PerformanceError."""
     write_whole(path, performance_bytes(performance))
 
 

@@ -38,6 +38,8 @@ class StoredMotion:
     def face_at(self, at_s: float, otherwise: Array) -> Array:
         """Return the stored face at `at_s`; outside the performance, a face eased to `otherwise`.
 
+        The easing, from the first or the last stored face, lasts 0.2 s.
+
         Parameters
         ----------
         at_s : float
@@ -59,7 +61,7 @@ class StoredMotion:
     def expression_at(self, at_s: float) -> Expression:
         """Return the stored expression `at_s` seconds after the beginning of the performance.
 
-        Outside the performance it is that of the nearest frame; NO_EXPRESSION where none is stored.
+        Outside the performance it is the first or the last; NO_EXPRESSION where none is stored.
         """
         if not self._names:
             return NO_EXPRESSION
@@ -76,7 +78,7 @@ class StoredMotion:
 
 
 class PerformedMotion:
-    """A synthesiser that plays performances, and leaves all other speech to an inner synthesiser.
+    """A synthesiser that plays performances (rendered lines); an inner one moves all other speech.
 
     The inner one is also computed during a performance, so that its state is up to date afterwards.
     """
@@ -110,7 +112,7 @@ class PerformedMotion:
         return self._inner.lookahead_s
 
     def reset(self) -> None:
-        """Reset the inner synthesiser for a new stream; performances stay."""
+        """Reset the inner synthesiser for a new stream; leave the performances as they are."""
         self._inner.reset()
         self._newest_s = -math.inf
 
@@ -157,7 +159,7 @@ class PerformedMotion:
 
 
 def _eased(start: Array, end: Array, after_s: float) -> Array:
-    """Return the face `after_s` seconds after `start` on a cubic to `end` that lasts `EASING_S`."""
+    """Return the face `after_s` seconds after `start` on a cubic to `end` that lasts 0.2 s."""
     if after_s >= EASING_S:
         return end
     share = after_s / EASING_S

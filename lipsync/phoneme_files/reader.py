@@ -47,7 +47,7 @@ def read_words(path: str | PathLike[str]) -> tuple[TimedUnit, ...]:
 
 
 def sound_beside(path: Path) -> Path:
-    """Return the sound file in the folder of `path` with its name, but the ending of a sound file.
+    """Return the sound file beside `path` that has the same name but for the ending, such as .wav.
 
     Raises LabelError if there is none.
     """

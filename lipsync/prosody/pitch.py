@@ -188,8 +188,8 @@ def pitch_hz(window: Array) -> float:
 def _first_dip_hz(normalised: list[float]) -> float:
     """Return the frequency in Hz of the first dip of YIN's differences below the threshold.
 
-    normalised: differences by lag, the shortest lag first. NaN without a dip, and for a bottom at
-    either end, which may lie beyond it.
+    normalised: differences by lag, the shortest lag first. NaN without a dip, and for a minimum at
+    the first or last lag, as the true one may lie beyond it.
     """
     index, last = 0, len(normalised) - 1
     while index < last and normalised[index] >= _THRESHOLD:

@@ -39,7 +39,7 @@ def score(z: float) -> float:
 
 
 class ArousalTracker:
-    """Tracker of a speaker's arousal, -1 to 1, by 10 ms frames.
+    """Tracker of a speaker's arousal, -1 (sleepy) to 1 (excited), by 10 ms frames.
 
     Time constants: it rises with 0.4 s, falls with 1.5 s, and decays to 0 in silence with 2 s.
     """
@@ -66,7 +66,7 @@ class ArousalTracker:
         return self.push_unvoiced()
 
     def push_unvoiced(self) -> float:
-        """Add an unvoiced frame of speech; return the arousal, eased to the voiced score."""
+        """Add an unvoiced speech frame; return the arousal, eased towards the last voiced score."""
         aim = min(1.0, self._voiced_s / _CONFIDENT_S) * self._fused
         time_s = _ATTACK_S if aim > self.arousal else _RELEASE_S
         self.arousal += _FRAME_S / time_s * (aim - self.arousal)
@@ -200,7 +200,7 @@ class SpeechGate:
         return self._activity.floor_db
 
     def push(self, level_db: float, pitch_st: float) -> bool:
-        """Add a frame; return whether it is speech. pitch_st: in semitones, NaN if unvoiced."""
+        """Add a 10 ms frame; return whether it is speech. pitch_st: semitones, NaN if unvoiced."""
         is_voiced = pitch_st == pitch_st
         moved_st = abs(pitch_st - self._pitches_st[0])
         self._pitches_st.append(pitch_st)

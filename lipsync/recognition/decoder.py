@@ -186,7 +186,7 @@ class ViterbiDecoder:
 
 
 def best_heads(delays: tuple[int, ...], delay: int) -> list[int]:
-    """Return the number of the best head for frames of each age, from delays[0] to `delay` frames.
+    """Return which network head is best for frames of each age, from delays[0] to `delay` frames.
 
     It is the head with the longest of the `delays` that is not above the age.
     """

@@ -60,7 +60,7 @@ _PAUSE_S = 0.2
 
 
 class Pace:
-    """A check that one recogniser keeps up: `note` the cost of each step, then call `failing`."""
+    """A check that a recogniser is as fast as its sound: call `note` each step, then `failing`."""
 
     def __init__(self) -> None:
         self._shares: deque[float] = deque(maxlen=_REMEMBERED)
@@ -78,12 +78,12 @@ class Pace:
 
     @property
     def may_hurry(self) -> bool:
-        """Whether the recogniser may be fed several blocks at once: it is not hopelessly slow."""
+        """Whether several blocks may be fed at once: a second of sound costs less than 3 s."""
         return len(self._shares) >= _FEWEST_TRIED and self.share < _HOPELESS_SHARE
 
     @property
     def is_too_slow_to_be_tried(self) -> bool:
-        """Whether a second of sound costs over 0.5 s, too much beside another level in use."""
+        """Whether a second of sound costs over 0.5 s, too much beside the recogniser in use."""
         return len(self._shares) >= _FEWEST_TRIED and self.share > _TRIED_SHARE
 
     def note(self, cost_s: float, sound_s: float) -> None:
@@ -93,7 +93,7 @@ class Pace:
             self._shares.append(cost_s / sound_s)
 
     def failing(self, now_s: float, waiting_s: float) -> str | None:
-        """Return in words why the recogniser should be replaced; None if it keeps up or still may.
+        """Return in words why the recogniser should be replaced; None if not (yet).
 
         now_s: by the clock. waiting_s: seconds of sound that wait after the step noted last.
         """
@@ -113,7 +113,7 @@ class Pace:
 
 
 class LadderLevel:
-    """A named recogniser of the ladder; its inputs and results are in the stream's sound time.
+    """A named recogniser of the ladder (best first); inputs and results are in sound time.
 
     The recogniser itself counts from where it was begun: one that begins after hours would
     otherwise fill these hours with silence, frame by frame.
@@ -204,10 +204,10 @@ class LadderLevel:
 
 
 class Trial:
-    """A trial of a level beside the one in use, on the last seconds of sound and new sound.
+    """A trial of a recogniser beside the one in use, on the last seconds of sound and new sound.
 
-    Call `add` and `go_on` in each step; then read `failed`, and `is_ready`: the level has caught
-    up, and there is a pause. Memory is bounded: a trial that falls behind has failed.
+    Call `add` and `go_on` in each step; then read `failed`, and `is_ready`: it has caught up,
+    and there is a pause. Memory is bounded: a trial that falls behind has failed.
     """
 
     def __init__(self, level: LadderLevel, recent: Iterable[AudioBlock], now_s: float) -> None:
@@ -221,11 +221,11 @@ class Trial:
         level.begin(self._waiting[0].start_s)
 
     def add(self, blocks: Iterable[AudioBlock]) -> None:
-        """Add the newest blocks to those that wait for the level."""
+        """Add the newest blocks to those that wait to be fed to the recogniser on trial."""
         self._waiting.extend(blocks)
 
     def go_on(self, timer_s: Callable[[], float]) -> None:
-        """Feed waiting blocks, timed by `timer_s`; set `failed`, `is_ready`. May raise anything."""
+        """Feed waiting blocks, timed by clock `timer_s`; set `failed`, `is_ready`. May raise."""
         began_s = now_s = timer_s()
         n_fed = 0
         while self._waiting and n_fed < _TRIED_IN_A_STEP and now_s < began_s + _TRIED_FOR_S:
@@ -251,7 +251,7 @@ class Trial:
 def _fed(
     level: LadderLevel, blocks: Sequence[AudioBlock], timer_s: Callable[[], float], before_s: float
 ) -> float:
-    """Feed blocks to a level, add the cost since `before_s` to its pace, return the time now."""
+    """Feed a recogniser, add the time since `before_s` to its cost, return the clock's time."""
     if len(blocks) > 1:
         level.prepare(blocks)
     level.feed(blocks)
@@ -302,10 +302,10 @@ class FallbackLevel:
 
 
 class FallbackRecognizer:
-    """A `PreparingRecognizer` of several levels, the best first; one that fails is replaced.
+    """A ladder of recognisers (levels), the best first: one that fails is replaced by the next.
 
     All levels are made at the beginning, so that nothing is loaded while a face runs. latency_s: no
-    level may need longer. timer_s: seconds on a clock, to find that a level does not keep up, and
+    level may need longer. timer_s: seconds on a clock, to find that a level is too slow, and
     to try better ones again; None in offline use, where sound may be prepared ahead of its time.
     """
 
@@ -341,18 +341,18 @@ class FallbackRecognizer:
 
     @property
     def level(self) -> str:
-        """The name of the level in use."""
+        """The name of the recogniser in use."""
         return self._level.name
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Why each better level is not in use, the best first; empty if the best is in use."""
+        """Why each better recogniser is not in use, the best first; () if the best is in use."""
         better = zip(self._levels, self._why_not[: self._current], strict=False)
         return tuple(f"{level.name}: {reason}" for level, reason in better)
 
     @property
     def hearing(self) -> Hearing | None:
-        """The class of the sound (speech, noise, silence) by the level in use; None if unknown."""
+        """The class of the sound (speech, noise, silence) by the recogniser in use, or None."""
         return self._level.hearing
 
     @property
@@ -366,17 +366,17 @@ class FallbackRecognizer:
         return self._level.saying
 
     def forget(self) -> None:
-        """Drop the words given to the level in use by `tell` that are not spoken yet."""
+        """Drop the words given to the recogniser in use by `tell` that are not spoken yet."""
         try:
             self._level.forget()
         except Exception as error:  # as in feed
             self._fall_back(_in_words(error))
 
     def tell(self, words: Sequence[PronouncedWord], behind_s: float = 0.0) -> None:
-        """Give the level in use the next words of a text. Raises TextError for too many words.
+        """Give the recogniser in use the next words of a text. Raises TextError for too many.
 
-        behind_s: seconds of these words' sound that were fed already. A level that raises any other
-        error is replaced.
+        behind_s: seconds of these words' sound that were fed already. A recogniser that raises
+        any other error is replaced.
         """
         try:
             self._level.tell(words, behind_s)
@@ -386,7 +386,7 @@ class FallbackRecognizer:
             self._fall_back(_in_words(error))
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """Pass the servos' speeds (n_servos,), deg/s, to the level in use and that on trial."""
+        """Pass the servos' speeds (n_servos,), deg/s, to the recognisers in use and on trial."""
         try:
             self._level.note_servo_speeds(sound_s, speeds_deg_s)
         except Exception as error:  # as in feed
@@ -398,17 +398,17 @@ class FallbackRecognizer:
             self._end_trial(_LONGEST_WAIT_S)
 
     def reset(self) -> None:
-        """Switch to the best usable level, ready for a new stream at sound time 0."""
+        """Switch to the best usable recogniser, ready for a new stream at sound time 0."""
         self._forget()
 
     def feed(self, block: AudioBlock) -> None:
-        """Feed the next block; a level that raises is replaced by the next lower one."""
+        """Feed the next block; a recogniser that raises is replaced by the next lower one."""
         self.feed_all((block,))
 
     def feed_all(self, blocks: Sequence[AudioBlock]) -> None:
-        """Feed all blocks that have come, the oldest first; a level that raises is replaced.
+        """Feed all blocks that have come, the oldest first; a recogniser that raises is replaced.
 
-        With a clock, of a backlog longer than `LONGEST_WAITING_S` the oldest blocks are dropped.
+        With a clock, of a backlog of more than 3 s the oldest blocks are dropped.
         """
         if self._timer_s is None:
             for block in blocks:
@@ -417,14 +417,14 @@ class FallbackRecognizer:
             self._keep_up(blocks, self._timer_s)
 
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
-        """Let the level in use compute ahead on the next blocks; replace it if it raises."""
+        """Let the recogniser in use compute ahead on the next blocks; replace it if it raises."""
         try:
             self._level.prepare(blocks)
         except Exception as error:  # as in feed
             self._fall_back(_in_words(error))
 
     def updates(self) -> list[PhonemeUpdate]:
-        """Return the new updates of the level in use, final phonemes unchanged; [] if it raises."""
+        """Return the recogniser's new updates, final phonemes unchanged; [] if it raises."""
         try:
             updates = self._level.updates()
         except Exception as error:  # as in feed
@@ -440,7 +440,7 @@ class FallbackRecognizer:
         return self._levels[self._current]
 
     def _add(self, level: FallbackLevel) -> None:
-        """Make a level's recogniser and add it; one that cannot be made is marked unusable."""
+        """Make and add the recogniser `level`; one that cannot be made is marked unusable."""
         recognizer: LiveRecognizer = NeutralRecognizer()
         reason = None
         try:
@@ -466,7 +466,7 @@ class FallbackRecognizer:
         self._level.begin(0.0)
 
     def _keep_up(self, blocks: Sequence[AudioBlock], timer_s: Callable[[], float]) -> None:
-        """Feed blocks, in a backlog several at once, and replace a level that does not keep up.
+        """Feed blocks, in a backlog several at once; replace a recogniser that is too slow.
 
         As sound arrives meanwhile, the backlog is the blocks left plus the time that has passed.
         """
@@ -496,7 +496,7 @@ class FallbackRecognizer:
     def _hear(
         self, blocks: Sequence[AudioBlock], timer_s: Callable[[], float], now_s: float
     ) -> float:
-        """Feed blocks to the level in use, or the first below that works; return the time now."""
+        """Feed blocks to the recogniser in use, or the next that works; return the clock's time."""
         while True:
             try:
                 now_s = _fed(self._level, blocks, timer_s, now_s)
@@ -509,9 +509,9 @@ class FallbackRecognizer:
     def _fall_back(
         self, reason: str, longest_wait_s: float = _LONGEST_WAIT_S, next_s: float = 0.0
     ) -> None:
-        """Replace the level in use by the next lower one that works, if it is not the neutral one.
+        """Replace the recogniser in use by the next lower one that works, but not the last one.
 
-        reason: in words. longest_wait_s: until a better level is tried. next_s: next block's start.
+        reason: in words. longest_wait_s: until a better one is tried. next_s: next block's start.
         """
         left = self._current
         if left == self._usable[-1]:
@@ -540,7 +540,7 @@ class FallbackRecognizer:
     def _try_better(
         self, heard: Sequence[AudioBlock], timer_s: Callable[[], float], now_s: float
     ) -> None:
-        """Start a trial of a better level if due, or feed it `heard`; switch to it if ready."""
+        """Start a trial of a better recogniser if due, or feed it `heard`; use it if ready."""
         try:
             if self._trial is not None:
                 self._trial.add(heard)
@@ -561,7 +561,7 @@ class FallbackRecognizer:
             self._take(self._trial.level, timer_s())
 
     def _end_trial(self, longest_wait_s: float) -> None:
-        """Drop a failed trial; schedule one of the next level, in `longest_wait_s` at most."""
+        """Drop a failed trial; schedule the next recogniser's, in `longest_wait_s` at most."""
         self._trial = None
         self._next_tried += 1
         self._wait_s = min(2.0 * self._wait_s, longest_wait_s)

@@ -174,7 +174,7 @@ class OwnNoise:
         self._power[used] *= np.exp(step[:, None] * share * off)
 
     def _shares_at(self, sound_s: float) -> Array | None:
-        """Return the weights (n_servos n_knots,) of learned noise then; None if no servo moves."""
+        """Return the noise's weights (n_servos n_knots,) at `sound_s`; None if no servo moves."""
         nearest = min(self._speeds, key=lambda entry: abs(entry[0] - sound_s), default=None)
         if nearest is None or abs(nearest[0] - sound_s) > _LASTS_S or not nearest[1].any():
             return None

@@ -106,7 +106,7 @@ class PosteriorStream:
     def _explained(
         self, own_noise: OwnNoise, frames: Array32, until_s: float, *, is_awake: bool
     ) -> NDArray[np.bool_]:
-        """Return (n,): whether the servos' noise explains each of `frames` (n, 40), the newest."""
+        """Return (n,): whether servo noise explains each of `frames` (n, 40), up to `until_s`."""
         first = self._n_frames - len(frames)
         middles = (first + np.arange(len(frames))) * HOP + WINDOW // 2
         times_s = until_s - (self._n_samples - middles) / SAMPLE_RATE_HZ

@@ -26,7 +26,7 @@ def make_recognizer(
     """Return a live recogniser that falls back from `engine` to the built-in recognisers below it.
 
     Below another package's recogniser are all built-in ones. timer_s: a clock in seconds, to
-    replace one that does not keep up with its sound, and to try better ones again; None in offline
+    replace one that is slower than its sound, and to try better ones again; None in offline
     use. weights: name or file. latency_s: in seconds, raised to what the slowest recogniser needs.
     Raises PluginError if `engine` is unknown or cannot be loaded.
     """

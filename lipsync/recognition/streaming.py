@@ -182,7 +182,7 @@ class AudioInput:
         self._resampler: soxr.ResampleStream | None = None
 
     def take(self, block: AudioBlock) -> tuple[Array32, float, Array32]:
-        """Return the silence and the jump that fill the gap before a block, and its samples.
+        """Return the silence and the seconds skipped in the gap before a block, and its samples.
 
         Parameters
         ----------

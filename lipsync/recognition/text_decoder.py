@@ -152,7 +152,7 @@ class TextDecoder:
 
     @property
     def place(self) -> int:
-        """The number of the word being spoken, by the path that is settled."""
+        """The number, from 0, of the word being spoken, by the path that is settled."""
         return int(self._place)
 
     @property
@@ -245,7 +245,7 @@ class TextDecoder:
         return self._path([*self._kept, *steps])
 
     def _step(self, front: "_Front", frame: int, age: int, *, keep: bool = False) -> "_Front":
-        """Return the search's front after frame number `frame`, by the head that fits its `age`.
+        """Return the paths' scores after frame number `frame`, by the head that fits its `age`.
 
         keep: the step is not searched again: the window of words may move, scores are normalised.
         """
@@ -286,7 +286,7 @@ class TextDecoder:
         return begins
 
     def _path(self, fronts: "list[_Front]") -> list[int]:
-        """Return the best path's phonemes, one per front after the first; settle the word there."""
+        """Return the best path's phonemes, one a frame after the first; settle the present word."""
         last = fronts[-1]
         state = int(last.scores.argmax())
         is_heard = bool(last.escape >= last.scores[state])
@@ -310,7 +310,7 @@ class TextDecoder:
         return path[::-1]
 
     def _left_from(self, front: "_Front") -> tuple[np.float32, int]:
-        """Return the best score of changing from `front` to the escape, and the state left."""
+        """Return the best score of leaving the text for free recognition, and the state left."""
         best = int(front.scores.argmax())
         pause = int(front.window.silences[front.scores.take(front.window.silences).argmax()])
         from_best = front.scores[best] - np.float32(self._settings.leave)
@@ -318,9 +318,9 @@ class TextDecoder:
         return (from_pause, pause) if from_pause > from_best else (from_best, best)
 
     def _source(self, front: "_Front", before: "_Front", state: int) -> tuple[bool, int]:
-        """Return how the best path reached `state` of the front `front`.
+        """Return how the best path reached `state` in the frame of `front`.
 
-        (False, the state of the front before, `before`), or (True, `state`) if from the escape.
+        (False, its state in the frame of `before`), or (True, `state`) if from free recognition.
         """
         window = front.window
         scores = before.scores if before.window is window else window.taken_over(before)
@@ -377,7 +377,7 @@ class _Window:
 
 @dataclass(frozen=True, slots=True)
 class _Front:
-    """The best score of a path to each state, and to the escape, after a frame of the search.
+    """The best score of a path to each state, and to free recognition, after a frame.
 
     begins: (n_words,), the score with which each word could begin in that frame.
     """
@@ -444,7 +444,7 @@ class _WordGraph:
         return int(self._words.words[-1])
 
     def append(self, words: Sequence[PronouncedWord], frames_per_s: int) -> None:
-        """Append words, which become states; drop those before the present window."""
+        """Append words, which become states; drop words before the present window."""
         end_state = int(self._words.silences[-1])
         parts = [self._words.part(self._first_word, self.n_words)]
         for number, word in enumerate(words, self.n_words):
@@ -471,7 +471,7 @@ class _WordGraph:
         self._window = None
 
     def around(self, place: int) -> tuple[tuple[str, ...], int]:
-        """Return the labels of the words around word number `place`, and that one's index."""
+        """Return the labels of up to 14 words around word number `place`, and that one's index."""
         labels = self._labels_from(self._first_word)
         return tuple(labels[:_WINDOW]), place - self._first_word
 
@@ -479,7 +479,7 @@ class _WordGraph:
         return self._labels[number - int(self._words.words[0]) :]
 
     def window(self, place: int) -> _Window:
-        """Return the window around word number `place`; silence after the last word is one too."""
+        """Return the window around word number `place`; the silence at the end counts as a word."""
         first = self._first_word = max(self._first_word, min(place, self.n_words) - _BEHIND)
         if self._window is None or self._window.first_word != first:
             end = first + _WINDOW

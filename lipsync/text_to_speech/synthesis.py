@@ -24,7 +24,7 @@ class UnspeakableTextError(SynthesisError):
 
 @dataclass(frozen=True, slots=True)
 class Voice:
-    """Language, voice, rate and pitch of speech; SynthesisError where a synthesiser lacks one.
+    """Language, voice, rate and pitch; a synthesiser that lacks one raises SynthesisError.
 
     language: one of the synthesiser's `languages()`. name: one of its `voices()`; "" leaves the
     choice for the language to it. rate_wpm: words a minute, 80 to 400, 175 as the voice was made.

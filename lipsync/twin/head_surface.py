@@ -353,7 +353,7 @@ class HeadSurface:
         return boundary_loops(self.triangles)
 
     def loop_from(self, first: int, then: int) -> list[int]:
-        """Return a hole's vertices in order, from `first` on in the shorter direction to `then`."""
+        """Return all vertices round a hole from `first`, in the shorter direction to `then`."""
         (loop,) = (each for each in self.loops if first in each)
         at = loop.index(first)
         turned = loop[at:] + loop[:at]

@@ -44,7 +44,7 @@ class FaceTracker(Protocol):
 
     @property
     def name(self) -> str:
-        """The tracker's name, for reports."""
+        """The tracker's name, as printed and stored with its results."""
 
     def faces(self, picture: Picture) -> tuple[Array, ...]:
         """Return the points of each face, the largest face first; () if there is no face.

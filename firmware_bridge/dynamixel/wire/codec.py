@@ -466,7 +466,10 @@ class SpanRead:
         return self._wider[size]
 
     def cut(self, statuses: Sequence[Status], address: int) -> list[Status]:
-        """Return the statuses reduced to this span's bytes; their data begin at `address`."""
+        """Return the statuses reduced to this span's bytes.
+
+        address: the register address at which the data in `statuses` begin.
+        """
         own = slice(self.address - address, self.address - address + self.size)
         return [Status(each.servo_id, each.error, each.data[own]) for each in statuses]
 

@@ -25,9 +25,10 @@ _AGAIN_S: Final = 0.0015
 
 
 class SpanGroup:
-    """A request for the same bytes of all `ids`; a fast read while that works; unreliable ids last.
+    """A repeated read of the same registers of servos `ids`; a fast read while that works.
 
-    leaves_out: whether servos have been silent for so long that they are polled only now and then.
+    Servos that were silent in two successive reads are read last, after five only now and then.
+    leaves_out: whether there are servos of the latter sort.
     """
 
     def __init__(self, ids: Sequence[int], address: int, size: int) -> None:
@@ -113,7 +114,7 @@ class SpanGroup:
             self._prepare()
 
     def _judge(self, span: SpanRead, statuses: Sequence[Status], again: Sequence[Status]) -> None:
-        """Count silent servos, and adapt the next request to them.
+        """Count which servos were silent, to put them last in the next request or leave them out.
 
         statuses: the answers to `span`; again: those to the retry for what was missing.
         """
@@ -145,9 +146,10 @@ class SpanGroup:
             self._prepare()
 
     def _count_bad_fast(self, missing: list[int]) -> None:
-        """Count a fast read that lacks ids `missing`; after too many, use plain reads for a while.
+        """Count a fast read that lacks ids `missing`; two in 100 requests switch to plain reads.
 
-        Not counted where every missing servo is known to be silent: fast reads are not at fault.
+        They last for 2000 requests, each further time twice as many. Not counted where every
+        missing servo is known to be silent: fast reads are not at fault.
         """
         if all(self._silent[each] >= _SUSPECT_AFTER for each in missing):
             return
@@ -161,7 +163,7 @@ class SpanGroup:
             self._slow_for = min(2 * self._slow_for, _SLOW_AT_MOST)
 
     def _prepare(self, *, retry: bool = False) -> None:
-        """Prepare the next request: suspect servos last, absent ones left out unless `retry`."""
+        """Prepare the next request: silent servos last, long silent ones only if `retry`."""
         trusted = [each for each in self._ids if self._silent[each] < _SUSPECT_AFTER]
         doubtful = [
             each

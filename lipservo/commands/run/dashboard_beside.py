@@ -20,7 +20,7 @@ _SOUNDS: Final = Path("lipservo") / "sounds"
 
 
 def with_sounds(voice: VoiceOptions | None) -> VoiceOptions:
-    """Return the voice, silent for None, with a folder of sounds: its own, or one created here."""
+    """Return the voice, silent for None, with its folder of sound files, or with one made here."""
     voice = voice or VoiceOptions()
     if voice.sounds is not None:
         return voice

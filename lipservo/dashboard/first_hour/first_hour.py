@@ -206,7 +206,7 @@ class FirstHour:
             self._step = StepProcess(step, request, is_wanted=self._wanted(step), ended=self._over)
 
     def order(self, order: Mapping[str, Any]) -> None:
-        """Send an order to the step that runs. Raises FaceError where none runs."""
+        """Send an order, the fields of an `OrderBody`, to the step that runs. Raises FaceError."""
         step = self._step
         if step is None or not step.runs:
             raise FaceError("not_available", "nothing runs that could take it; begin the step")

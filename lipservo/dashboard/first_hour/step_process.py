@@ -80,7 +80,7 @@ class StepProcess:
         return None if self._process is None else self._process.pid
 
     def order(self, order: Mapping[str, Any]) -> None:
-        """Send the process an order; the order is lost if that hangs or has ended."""
+        """Send the process an order; it is lost if the process hangs or has ended."""
         process = self._process
         if process is not None and process.stdin is not None:
             with contextlib.suppress(OSError, ValueError):

@@ -21,7 +21,7 @@ _CACHE = "no-cache"
 
 
 class PackedHead:
-    """A face model's head as bytes, made once, in a thread that starts with this object."""
+    """A face model's head for drawing, as bytes that `make` returns, called once in a thread."""
 
     def __init__(self, make: Callable[[], bytes]) -> None:
         self._making: Future[tuple[bytes, str]] = Future()

@@ -223,7 +223,7 @@ class AccessLayer:
 
 
 def most_bytes(path: str) -> int:
-    """Return how many bytes the body of a request to this path may have."""
+    """Return how many bytes a request's body may have: 51 MB for files, 1 MiB elsewhere."""
     takes_files = path == "/api/lines" or path.startswith("/_nicegui/")
     return _MOST_FILE_BYTES if takes_files else _MOST_BODY_BYTES
 

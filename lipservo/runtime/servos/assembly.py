@@ -113,7 +113,7 @@ def servo_memories(face: FaceSettings) -> tuple[ServoMemory | None, ...]:
 
 
 def bus_for(face: FaceSettings, clock: Clock, *, strict: bool = True) -> ServoBus:
-    """Return the servo bus of the face, or one that joins its several buses; the caller enters it.
+    """Return the servo bus of the face, or one that joins its buses; the caller must enter it.
 
     strict: opening fails if a servo is missing; False: servos may be missing.
     """
@@ -132,20 +132,20 @@ def bus_for(face: FaceSettings, clock: Clock, *, strict: bool = True) -> ServoBu
 
 
 def wiring_of(face: FaceSettings) -> Wiring:
-    """Return the wiring of a face with one bus, with the file that keeps the last pulses sent."""
+    """Return the wiring of a face, which must have one bus, with the file for last pulses."""
     port = face.servo_port
     kept = None if port is None else kept_pulses_path(face.name, port, os.environ)
     return replace(face.wiring, kept=kept)
 
 
 def allow_first_start(face: FaceSettings) -> None:
-    """Allow servos of unknown position to jump to neutral; a person must have confirmed it."""
+    """Allow servos of unknown position to jump to neutral; a person must have agreed before."""
     for one in face.alone.values():
         one.bus_kind.allow_first_start(wiring_of(one))
 
 
 def simulated_wire(face: FaceSettings) -> tuple[ServoBus, ManualClock]:
-    """Return the face's servos, simulated byte by byte in memory, as (bus, the bus's clock)."""
+    """Return (bus, its clock) of the face's servos, simulated in memory down to each byte sent."""
     bus, clock = face.bus_kind.simulator().simulated_wire(face.wiring)
     return bus, clock
 

@@ -130,7 +130,7 @@ def driven_face(
 def face_life(
     name: str, port: str | None, bridge: Bridge, clock: Clock, options: DriveOptions
 ) -> Iterator[LifeCycle]:
-    """Yield the life cycle of a bridge, with its logs, its health log and its control socket.
+    """Yield the life cycle (start to end) of a bridge, with logs, health log and control socket.
 
     name: of the face. port: of its servos, None: simulated in memory. With a manual clock the life
     cycle has no logs and no control socket.

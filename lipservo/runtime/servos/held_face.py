@@ -51,9 +51,9 @@ _TWICE = 1.6
 
 
 def held_rate_hz(settings: FaceSettings) -> float:
-    """Return the tick rate of a held face: its own, or 50 Hz (for chirps) if higher and possible.
+    """Return the tick rate of a held face: the higher of its own and 50 Hz, which chirps need.
 
-    Possible: the face's buses allow it.
+    Its own where a bus is too slow.
     """
     if settings.rate_hz >= _DRIVE_RATE_HZ:
         return settings.rate_hz

@@ -44,7 +44,7 @@ class LimpPose:
 
 
 class LimpServos:
-    """A choice of servos of an open bus, to be switched off and read; no other is changed."""
+    """Some servos of an open bus, which are switched off and read; no other one is changed."""
 
     def __init__(
         self,
@@ -53,7 +53,7 @@ class LimpServos:
         clock: Clock,
         names: Sequence[str] | None = None,
     ) -> None:
-        """Select servos of the face `settings`, for which `bus` was made.
+        """Select servos of the face `settings`, for which `bus` must have been made.
 
         names: of the servos; None: the mouth's, in the order of the YAML.
         """

@@ -218,7 +218,7 @@ def face_yaml(name: str, kind: BusKind, port: str, rate: int, joints: Sequence[F
 
 @dataclass(frozen=True, slots=True)
 class WiredJoint:
-    """A hobby servo as a person described its wiring. positive: what a longer pulse does."""
+    """A hobby servo and its channel. positive: the motion that a longer pulse makes, `opens`."""
 
     name: str
     channel: int

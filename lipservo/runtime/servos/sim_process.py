@@ -21,7 +21,7 @@ class SimulatedServos:
     process: "subprocess.Popen[str]"
 
     def turn(self, index: int, by_deg: float) -> None:
-        """Turn simulated servo `index` by degrees, as fingers would; with torque on it resists."""
+        """Turn a servo by degrees, as fingers would; with torque on it resists. index: from 0."""
         assert self.process.stdin is not None
         with suppress(OSError):  # it has ended, and its port with it
             self.process.stdin.write(f"{index} {by_deg:.1f}\n")

@@ -156,7 +156,7 @@ class ExpressionClaims:
         self._shown_deg = np.zeros(len(self._head))
 
     def claims(self, expression: Expression, layer: Layer) -> list[Claim]:
-        """Return the claim for neck, eyes, lids and brows on `layer`; [] without such servos."""
+        """Return goals for neck, eyes, lids, brows as `layer`'s claim; [] without such servos."""
         if not self._head:
             return []
         wanted_deg = np.array([_wanted_deg(servo, expression) for servo in self._head])
@@ -294,7 +294,7 @@ class ExpressionLayer:
 
     @property
     def mouth_gain(self) -> float:
-        """The factor on the mouth's motion for the arousal, 0.85 to 1.2; closures apart."""
+        """The factor on the mouth's motion for the arousal, 0.85 to 1.2; closed lips excepted."""
         return max(_LEAST_MOUTH_GAIN, 1.0 + 0.2 * self._arousal)
 
     @property
@@ -348,7 +348,7 @@ class ExpressionLayer:
         self.expression = self._performed.step(live, performed, amount)
 
     def claims(self, mouth: Claim) -> list[Claim]:
-        """Return the claims of lips and expression on servos, given the lips' claim `mouth`."""
+        """Return the goals of lips and expression as claims, given `mouth`, the lips' claim."""
         is_idle = self._silent_s > _IDLE_AFTER_S and self.requests.look_at_deg is None
         claims = self._claims.claims(self.expression, Layer.IDLE if is_idle else Layer.EXPRESSION)
         if self._is_speaking:

@@ -98,7 +98,7 @@ class RecognizedPhonemes:
         return ((), 0) if self._follower is None else self._follower.saying
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """Pass servo speeds to the recogniser, if the source is live and so can hear the servos.
+        """Pass servo speeds to the recogniser if the source is live: servo noise is in its sound.
 
         Parameters
         ----------
@@ -215,7 +215,7 @@ _FOLLOWED: Final[dict[UnitKind, MovedBy]] = {
 
 
 def with_known(update: PhonemeUpdate, stretches: Iterable[KnownStretch]) -> PhonemeUpdate:
-    """Return the update with phonemes known beforehand in place of the recognised ones.
+    """Return the update; within `stretches` known phonemes replace the recognised ones.
 
     stretches: (start_s, end_s, events) in order of time, not overlapping.
     """

@@ -404,7 +404,7 @@ class Speech:
         return self._synthesizer.event_at(sound_s)
 
     def captured_s(self, goal_s: float) -> float | None:
-        """Return the monotonic time of capture of the sound that moves the servos at `goal_s`.
+        """Return when the sound that moves the servos at `goal_s` was captured, both monotonic s.
 
         None before any sound moves them, or where it is not known. Call in order of time.
         """
@@ -456,7 +456,7 @@ class Speech:
         """Set the mouth's next goals from the poses `wanted` now and later.
 
         Backlash is compensated before the plan, so that the plan sees every reversal and keeps the
-        limits of the servos, not those of the horns.
+        limits of the servos, not those of their horns.
         """
         ahead = replace(wanted, positions_deg=self._backlash.feed(wanted.positions_deg))
         self._goals_deg = ahead.positions_deg[0]

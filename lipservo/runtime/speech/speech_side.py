@@ -34,7 +34,7 @@ _SMALLEST_CHANGE: Final = 0.02
 class AdjustableMouth:
     """The settings of the mouth's motion that may change while it moves: strength and others.
 
-    Closures lie outside of the strength (`FinishedSynthesizer`): a gain never opens them.
+    Strength does not scale closures (lips that touch): no gain opens them.
     """
 
     def __init__(self, synthesizer: Synthesizer) -> None:
@@ -129,7 +129,7 @@ class OwnVoice:
             self.playout.phonemes.append((event.phoneme, event.start_s, end_s))
 
     def be_quiet(self) -> None:
-        """Play nothing for `quiet_s` seconds, as servos that just got torque cannot follow."""
+        """Play nothing for the set `quiet_s`, as servos that just got torque cannot follow."""
         self.playout.be_quiet(self._quiet_s)
 
     def fall_silent(self) -> None:
@@ -170,7 +170,7 @@ _ROUNDING_TIME_S: Final = 0.03
 
 
 class SpeechBoard:
-    """A writer of speech records, of what a face shows, to a `LiveBoard`.
+    """A writer of what a face shows, as speech records, to a `LiveBoard` (shared memory).
 
     The dashboard draws its head from them, with lips that round where those of the talker, and so
     of the robot, hardly do (`lipsync.motion.rounding`).
@@ -338,7 +338,7 @@ class SpeechSide:
 
 
 def mouth_plan(face: Face) -> JointPlan:
-    """Return a planner of the calibrated joints' goals, within the YAML's and measured speeds."""
+    """Return a planner of the calibrated joints' goals, keeping to set and measured top speeds."""
     servos = [face.settings.servos[name] for name in face.calibration.servo_names]
     speeds_deg_s = np.array([servo.max_speed_deg_s for servo in servos])
     if face.calibration.following is not None:

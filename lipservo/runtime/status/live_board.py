@@ -177,7 +177,7 @@ class LiveBoard:
     def watch(cls, fd: int) -> Self:
         """Return the board, read-only, of a descriptor from the control socket.
 
-        Raises ValueError, OSError.
+        Raises ValueError if that contains no board, OSError if it cannot be mapped.
         """
         return cls(fd, writable=False)
 
@@ -231,7 +231,7 @@ FACE_STATES = tuple(state.value for state in FaceState)
 
 
 class ServoBoard:
-    """A writer of the servos' goals and positions to a `LiveBoard`."""
+    """A writer of the servos' goals and positions to a `LiveBoard`, a record a tick."""
 
     def __init__(self, board: LiveBoard, bridge: Bridge) -> None:
         self._board = board

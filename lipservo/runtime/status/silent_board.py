@@ -24,7 +24,7 @@ from lipsync.phonemes import PHONEMES, SILENCE
 
 
 class SilentBoard:
-    """A live board of a face without speech. fileno: descriptor that a client may watch."""
+    """Shared memory with the state of a face without speech. fileno: descriptor for clients."""
 
     def __init__(self, board: LiveBoard, n_components: int) -> None:
         self._board = board
@@ -47,7 +47,7 @@ class SilentBoard:
     def tell(self, bridge: Bridge, report: TickReport) -> None:
         """Write the report of one tick of `bridge`, with a silent mouth.
 
-        bridge: the same at every call.
+        bridge: must be the same at every call.
         """
         self._servos = self._servos or ServoBoard(self._board, bridge)
         self._servos.tell(report)

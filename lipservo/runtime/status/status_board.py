@@ -58,7 +58,7 @@ class _Note:
 
 
 class StatusBoard:
-    """The shared notes: make them with `create`; a child that inherits `fileno` calls `adopt`."""
+    """Shared memory with three notes: made by `create`; a child adopts the inherited `fileno`."""
 
     def __init__(self, fd: int) -> None:
         self._fd = fd
