@@ -102,12 +102,14 @@ class BusThread:
             return key in self._answers
 
     def ask(self, key: _Key, job: Callable[[], Any], wait_s: float, *, holds: bool = False) -> Any:
-        """Have the thread do a job; return its answer, None: not done within `wait_s`, call again.
+        """Have the thread do a job; return its answer, or None: it is not done within `wait_s`.
 
-        The job then continues, unless it has not begun and `holds`: such a job, after which the
-        servo may hold torque, is dropped, since later it may be forbidden. Other answers about the
-        job's servo that were not fetched are forgotten. key: as for `hand`. Raises PortError when
-        the port is gone.
+        key: (name of the job, index of the servo on the bus, or -1 for all). After None call again
+        with the same key: that waits for the job queued or begun before, or fetches its answer.
+        holds: whether the servo may hold torque after the job; then a job that has not begun when
+        `wait_s` is over is dropped, since later it may be forbidden, and a new call queues it anew.
+        Queueing a job discards other answers about its servo that were not fetched. Raises
+        PortError when the port is gone.
         """
         with self._changed:
             if key not in self._answers and key != self._running and key not in self._jobs:

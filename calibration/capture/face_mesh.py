@@ -160,9 +160,11 @@ class MeshFolder:
         return readings
 
     def all_readings(self) -> list[Reading]:
-        """Return pose, marker and position (3,) in mm, from every photograph.
+        """Read every photograph in the folder; return a list of (pose, marker, position).
 
-        Raises CalibrationError without pictures, or with the names of pictures without one face.
+        It has one tuple for each marker in each photograph: the pose's number, the marker's name,
+        its position (3,) in mm. Raises CalibrationError if there is no picture, or naming those
+        that are unreadable or show no face or two.
         """
         pictures = pose_pictures(self._folder)
         if not pictures:

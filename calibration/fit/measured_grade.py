@@ -240,9 +240,11 @@ def _viseme(units: AnimPhoUnits, frame: Array) -> str:
 def _without_far(
     seen_mm: Array, targets_mm: Array, lips: Sequence[int], names: tuple[str, ...]
 ) -> tuple[Array, tuple[str, ...]]:
-    """Return markers with lip points far from targets_mm as NaN, and a line that counts them.
+    """Return the markers with lip points far from their targets as NaN, and a report of how many.
 
-    lips: numbers of the lip markers; names: of all markers. The line is () without such points.
+    Far: by more than 8 mm, and more than 5 times the median distance of the pose's lip points.
+    seen_mm, targets_mm: (n_poses, n_markers, 3). lips: indices of the lip markers; names: of all
+    markers. The report is a tuple of one line for a person, or empty if no point is far.
     """
     far = np.zeros(seen_mm.shape[:2], dtype=bool)
     off_mm = np.linalg.norm((seen_mm - targets_mm)[:, lips], axis=2)

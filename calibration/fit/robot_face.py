@@ -443,10 +443,11 @@ class _Learning:
         )
 
     def at(self, filled: Array, goals_deg: Array) -> Array:
-        """Return markers at goals (m, n_servos): (m, n_markers, 3) mm from their mean positions.
+        """Predict markers at goals (m, n_servos) in degrees; return (m, n_markers, 3) mm.
 
-        filled: (n, n_markers, 3), captured markers with lost ones filled in; the rows with open
-        lips are those learnt from.
+        They count, as those of `filled`, from each marker's mean position over all captured poses.
+        filled: (n, n_markers, 3) mm, the captured markers, lost ones filled in; of these only the
+        poses in which no ladder presses the lips (`opened`) are learnt from.
         """
         assert self.hyperparameters is not None
         of = self._poses

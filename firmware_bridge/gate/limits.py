@@ -422,7 +422,7 @@ class Limiter:
         )
 
     def unchanged(self) -> Limited:
-        """Return the last goals with no limit hit, for a tick in which no servo gets new ones."""
+        """Return the goals sent last, and that no limit was hit: for a tick without new goals."""
         none = self._no_joint
         return Limited(self._sent_deg, none, none, none, none)
 

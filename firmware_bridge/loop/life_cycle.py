@@ -72,7 +72,7 @@ class Heartbeat(Protocol):
         """Report that a person started the face again."""
 
     def failed(self, index: int, reason: str) -> None:
-        """Report that the servo number `index` was given up for good, and why."""
+        """Report to the supervisor that servo number `index` was given up for good, and why."""
 
     def switched(self, index: int, *, on: bool) -> None:
         """Report that a person switched servo number `index` off, or `on` again."""

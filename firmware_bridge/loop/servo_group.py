@@ -339,7 +339,10 @@ class ServoGroup:
         self.supervision.switch_off(index, time_s)
 
     def switch_on(self, index: int, time_s: float) -> bool:
-        """Allow one servo torque again for a person; False: it was neither off nor given up."""
+        """Permit one servo torque again, at a person's order; a later tick switches it on.
+
+        Returns False if the servo was neither switched off nor given up. time_s: now.
+        """
         self.gate.switch_on(index)
         return self.supervision.switch_on(index, time_s)
 

@@ -312,7 +312,9 @@ def state_hello(layout: BoardLayout) -> str:
 def state_message(moment: Moment, layout: BoardLayout) -> str:
     """Return a snapshot as a JSON array in the order of `FIELDS` (names); null: not known.
 
-    Expression in hundredths, its angles in tenths of a degree.
+    The field `expression` is itself an array, in the order of `EXPRESSION_NAMES`: those that end
+    in `_deg` (angles of neck and eyes) in tenths of a degree, the others (lids, brow, smile) in
+    hundredths.
     """
     expression = [
         None if value == ABSENT else round(value / (10 if name.endswith("_deg") else 100))

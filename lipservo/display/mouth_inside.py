@@ -208,9 +208,12 @@ class _Opening:
         self._along, self._is_upper = s, (t - top) < (bottom - t)
 
     def nearest_lip(self, rest_px: Array) -> tuple[Pixels, Pixels]:
-        """Return for each pixel the nearer lip's rim: its x and y in the photograph.
+        """Return for each pixel of the view a point on the rim of the lip nearer to the pixel.
 
-        rest_px (n, 2): the inner rim in the photograph.
+        The point is where that rim, in the view, crosses the line through the pixel at right
+        angles to the line between the mouth's corners. Returned are x and y, two arrays of the
+        view's shape, of the same point of the lip in the photograph, where the mouth is at rest.
+        rest_px (n, 2): the lip points in the photograph, in the order of the constructor's `lips`.
         """
         found = []
         for axis in (0, 1):

@@ -64,9 +64,10 @@ def render(sound: Path, script: Script, output: Path, how: Rendering) -> Rendere
 
 
 def rendered_line(sound: Path, script: Script, how: Rendering) -> tuple[Performance, Rendered]:
-    """Return a sound's performance, not written, and its figures, whose `output` is the sound.
+    """Compute the performance of a sound (a line) without writing it; return it and its figures.
 
-    script: its phones or text, if known; how: options. Raises UserError.
+    The figures are those of `Rendered`; as there is no output file yet, `output` holds `sound`.
+    script: the line's phones or text, if known; how: options. Raises UserError.
     """
     speaker = load_speaker(how.model, how.offline)
     line, heard_notes = spoken_line(sound, script)

@@ -29,7 +29,11 @@ class SupervisedTrace:
     """A trace (record) of every bridge tick, from the speech side's first status on."""
 
     def __init__(self, requested: RequestedFace, notes: StatusBoard, live: LiveBoard) -> None:
-        """Prepare `requested`'s trace. notes: has the speech status. live: has frames shown."""
+        """Prepare the trace that `requested` names; its file is opened by a thread, within `with`.
+
+        notes: the board from which the speech process's status is read, for the trace's header.
+        live: the board from which the frames of the face shown are read.
+        """
         self._requested = requested
         self._notes = notes
         self._live = live

@@ -249,7 +249,11 @@ class _Closure:
 
 
 def _closures(times_s: Array, gaps_mm: Array) -> list[_Closure]:
-    """Return each closure of the lips: its start, interpolated between ticks, and its ticks."""
+    """Return each closure of the lips, an interval in which their gap is below 1 mm.
+
+    It has its start, interpolated between ticks, and the times of its ticks. One that is there at
+    the first tick is left out. times_s: (n_ticks,) sound times; gaps_mm: (n_ticks,) lip gaps.
+    """
     closed = gaps_mm < CLOSED_GAP_MM
     found = []
     for start in (np.flatnonzero(closed[1:] & ~closed[:-1]) + 1).tolist():

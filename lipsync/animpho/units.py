@@ -130,9 +130,10 @@ def face_fields(face: FaceModel) -> dict[str, Any]:
 
 
 def read_animphos(file: ModelFile, face: FaceModel) -> AnimPhoUnits:
-    """Return the AnimPhos of an open model file; `face` must be the face of the same file.
+    """Return the AnimPhos, recorded pieces of motion of one phoneme each, of an open model file.
 
-    Raises ModelError if they are missing or damaged, or have another number of components.
+    face: the face model of the same file; only its number of components is checked. Raises
+    ModelError if the AnimPhos are missing or damaged, or have another number of components.
     """
 
     def assemble(arrays: Mapping[str, NDArray[np.generic]]) -> AnimPhoUnits:

@@ -358,9 +358,12 @@ class Playout:
             yield AudioBlock(heard, start_s), AudioBlock(spoken, start_s)
 
     def _next(self, start_s: float) -> tuple[Samples, Samples, Samples]:
-        """Return 10 ms from `start_s` on, for the recogniser, the loudspeaker, the prosody tracker.
+        """Return the next 10 ms, from `start_s` on, as three blocks.
 
-        They come from the first stream that has sound, else from the microphone or silence.
+        They are for the recogniser, the loudspeaker and the prosody tracker. All three are of the
+        first stream that has sound, but the recogniser's is silent if the stream's phonemes are
+        known, the loudspeaker's if another program plays the stream. Without a stream the
+        loudspeaker's is silent, the other two are the microphone's, or silent.
         """
         waiting = (each for each in self._playing if not each.stream.is_over)
         may_speak = start_s >= self._quiet_s and not self._is_paused

@@ -60,7 +60,7 @@ class Blinks:
         return closure(self._since_s)
 
     def _drawn_interval(self) -> float:
-        """Return a random interval until the next blink, log-normal with mean 1."""
+        """Return a random interval until the next blink, log-normal, in units of its mean."""
         return self._random.lognormvariate(-SIGMA * SIGMA / 2.0, SIGMA)
 
 

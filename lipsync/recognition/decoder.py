@@ -100,6 +100,9 @@ class ViterbiDecoder:
     def scores(self, posteriors: Array32) -> Array32:
         """Return the log scores of posteriors, to be passed to `push` frame by frame.
 
+        A phoneme's score is the weighted sum of its log posterior and that of its viseme class,
+        plus a bonus for closures; weight and bonus are in the decoder's settings.
+
         Parameters
         ----------
         posteriors : Array32

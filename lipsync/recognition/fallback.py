@@ -469,6 +469,8 @@ class FallbackRecognizer:
         """Feed blocks, in a backlog several at once; replace a recogniser that is too slow.
 
         As sound arrives meanwhile, the backlog is the blocks left plus the time that has passed.
+        Too slow: the backlog is over 0.3 s, and a second of sound costs over 3 s of work, or the
+        backlog lasts 6 s (`Pace.failing`).
         """
         end_s = blocks[-1].end_s
         if end_s - blocks[0].start_s > LONGEST_WAITING_S:

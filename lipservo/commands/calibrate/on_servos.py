@@ -298,8 +298,9 @@ def touch(
 ) -> None:
     """Find anew where the lips meet, in a minute, and write it into a calibration.
 
-    The map stays; the file that was there is kept as `.previous`. With --sim pty and no --tracker
-    the markers are computed.
+    The map from face to servo angles does not change; the old file is kept as `.previous`. Contact
+    is detected by --tracker; without it by the servos' current, with --sim pty by markers computed
+    from the simulated servos.
     """
     from calibration.files.calibration_file import load_calibration, save_calibration
 

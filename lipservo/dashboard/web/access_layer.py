@@ -132,7 +132,9 @@ class OneTimeCode:
     def admits(self, given: str, client_port: int, server_port: int) -> bool:
         """Return whether a request with code `given` may get the token's cookie; True only once.
 
-        client_port, server_port: of its connection, by which its user is found.
+        The code must be right and not yet used, and the user of the program at the other end of the
+        connection must be the constructor's `user` (not checked where the operating system does not
+        list its sockets). client_port, server_port: of that connection.
         """
         if self._is_used or not is_same_token(given, self.code):
             return False

@@ -211,7 +211,10 @@ def file_routes(link: FaceLink) -> APIRouter:
 
     @routes.get("/lines")
     async def listed() -> JsonObject:
-        """The sound files that the face can play."""
+        """Return `lines`: the files in the face's folder of sounds, which it can play, by name.
+
+        Each has `name`, `n_bytes` and `changed_s` (seconds since 1970); 1000 at most.
+        """
         return {"lines": await asyncio.to_thread(lines().listed)}
 
     @routes.post("/lines", status_code=201, response_model=dict[str, Any])

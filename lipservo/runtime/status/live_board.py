@@ -154,7 +154,10 @@ class LiveBoard:
 
     @classmethod
     def create(cls, layout: BoardLayout) -> Self:
-        """Create an empty board, writable. Raises ValueError if the servos' names are too long."""
+        """Create an empty board, writable, in new shared memory, which `fileno` hands to others.
+
+        layout: names and sizes of the records. Raises ValueError if servos' names are too long.
+        """
         text = json.dumps(asdict(layout)).encode()
         if len(text) > _ABOUT_BYTES - _ABOUT_HEAD.size:
             raise ValueError("names of servos are too long for a live board")
