@@ -94,9 +94,10 @@ def repeats(capture: Capture) -> list[tuple[int, int]]:
 
 
 def is_repeated(capture: Capture) -> bool:
-    """Return whether every joint is moved in some pose that was captured both early and late."""
-    goals_deg = capture.goals_deg[[early for early, _ in repeats(capture)]]
-    return bool(len(goals_deg)) and bool((np.abs(goals_deg) > _STILL_DEG).any(axis=0).all())
+    """Return whether neutral, and every joint moved alone, were captured both early and late."""
+    moved = np.abs(capture.goals_deg[[early for early, _ in repeats(capture)]]) > _STILL_DEG
+    n_moved = moved.sum(axis=1)
+    return bool((n_moved == 0).any()) and bool(moved[n_moved == 1].any(axis=0).all())
 
 
 @dataclass(frozen=True, slots=True)

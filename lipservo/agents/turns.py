@@ -107,10 +107,15 @@ class AgentStream:
             self._put(event.kind)
 
     def tell_dropped(self, kind: str) -> None:
-        """Drop the stream, of which nothing was played; send `kind`, `interrupted` or `cleared`."""
+        """Drop the stream, of which nothing was played; send `kind`, `interrupted` or `cleared`.
+
+        `cleared` is followed by `finished`, as after the rest of a stream that was playing.
+        """
         n_dropped = self.speech.n_received
         self.speech.drop()
         self._put(kind, dropped_s=n_dropped / self.rate_hz, n_dropped=n_dropped)
+        if kind == "cleared":
+            self._put("finished")
 
     def tell_position(self, n_played: int) -> None:
         """Send the client the samples played, at least `n_played`, and the seconds that wait."""

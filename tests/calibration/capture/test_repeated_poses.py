@@ -12,6 +12,7 @@ from calibration.capture.repeated_poses import (
     changed_poses,
     face_change,
     first_part,
+    is_repeated,
     repeats,
 )
 from calibration.capture.straight_lines import straight_lines
@@ -52,6 +53,19 @@ def test_the_first_part_is_neutral_and_every_joint_alone_from_either_side():
     assert len(part) == 2 + 2 * len(JOINTS)
     assert (np.count_nonzero(part.goals_deg, axis=1) <= 1).all()
     assert len(repeats(capture_of())) == len(part)
+
+
+def test_a_plan_that_repeats_only_a_mixed_pose_is_not_compared():
+    """A plan of the user's own may repeat any pose; what each joint does alone is not in it."""
+    again = replace(TWICE, goals_deg=PLAN.goals_deg, from_below=PLAN.from_below)
+    mixed = int(np.flatnonzero((again.goals_deg != 0.0).all(axis=1))[0])
+    goals_deg = np.vstack([again.goals_deg, again.goals_deg[mixed]])
+    from_below = np.vstack([again.from_below, again.from_below[mixed]])
+    capture = capture_of(plan=replace(again, goals_deg=goals_deg, from_below=from_below))
+
+    assert len(repeats(capture)) >= 1
+    assert not is_repeated(capture)
+    assert is_repeated(capture_of())
 
 
 @pytest.mark.parametrize("seed", range(8))

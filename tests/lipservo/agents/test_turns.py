@@ -1,5 +1,8 @@
 """Whose turn it is, besides what clients see over the wire: the face's own speech, lost events."""
 
+import asyncio
+import json
+
 import numpy as np
 import pytest
 from voice_agents.served_face import KeptSound
@@ -106,3 +109,17 @@ def test_what_the_face_is_about_to_say_of_its_own_is_interrupted_before_it_is_he
 
     assert speech.is_dropped
     assert face.playout.is_over
+
+
+def test_a_waiting_stream_that_is_cleared_is_finished():
+    """A client waits for `finished` after `cleared`: nothing else will come of this stream."""
+    face, speaker, waiting = Stepped("queue"), Outbox(), Outbox()
+    face.turns.open(speaker, START, face.now_s)
+    stream = face.turns.open(waiting, START, face.now_s)
+    stream.push(np.zeros(1600, np.float32), face.now_s)
+
+    face.turns.clear(waiting)
+
+    cleared, finished = (json.loads(asyncio.run(waiting.take())) for _ in range(2))
+    assert (cleared["type"], cleared["n_dropped"]) == ("cleared", 1600)
+    assert (finished["type"], finished["n_played"]) == ("finished", 0)
