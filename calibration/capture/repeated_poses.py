@@ -96,8 +96,7 @@ def repeats(capture: Capture) -> list[tuple[int, int]]:
 def is_repeated(capture: Capture) -> bool:
     """Return whether neutral, and every joint moved alone, were captured both early and late."""
     moved = np.abs(capture.goals_deg[[early for early, _ in repeats(capture)]]) > _STILL_DEG
-    n_moved = moved.sum(axis=1)
-    return bool((n_moved == 0).any()) and bool(moved[n_moved == 1].any(axis=0).all())
+    return bool((~moved).all(axis=1).any() and moved[moved.sum(axis=1) == 1].any(axis=0).all())
 
 
 @dataclass(frozen=True, slots=True)

@@ -100,9 +100,8 @@ class AgentStream:
             self.n_marks -= 1
             self._put("mark", name=event.name)
         elif event.kind in ("interrupted", "cleared"):
-            self._put(
-                event.kind, dropped_s=event.n_dropped / self.rate_hz, n_dropped=event.n_dropped
-            )
+            n_dropped = event.n_dropped
+            self._put(event.kind, dropped_s=n_dropped / self.rate_hz, n_dropped=n_dropped)
         else:
             self._put(event.kind)
 
@@ -177,7 +176,7 @@ class OwnSpeech:
             self.is_dropped = True
         elif event.kind == "finished":
             self.n_ended += 1
-        self.heard_s = event.position_s - (self.began_s or event.position_s)
+        self.heard_s = 0.0 if self.began_s is None else event.position_s - self.began_s
 
     def tell(self, kind: str) -> None:
         """Send the client `kind` (`started`, `finished`, `dropped`), seconds played and in all."""
