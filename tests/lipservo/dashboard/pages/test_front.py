@@ -13,13 +13,15 @@ SOUND = {
 }  # fmt: skip
 
 
+@pytest.mark.parametrize("colors", ["light", "dark"])
 @pytest.mark.parametrize("width", [390, 1440])
 @pytest.mark.parametrize("path", PAGES)
-def test_a_page_has_no_serious_barrier(path, width, opened):
+def test_a_page_has_no_serious_barrier(path, width, colors, opened):
     axe = pytest.importorskip(
         "axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed"
     )
     page = opened(path)
+    page.emulate_media(color_scheme=colors)
     page.set_viewport_size({"width": width, "height": 844})
     found = axe.Axe().run(page).response["violations"]
 
