@@ -44,7 +44,7 @@ class Closure:
     crossed: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Set `crossed`, `bends` as (n_gaps, n_servos, n_servos), which is quicker in a tick."""
+        """Set `crossed`: `bends` as a matrix of each gap, (n_gaps, n_servos, n_servos)."""
         n_servos = len(self.at_deg)
         crossed = np.zeros((len(self.bends), n_servos, n_servos))
         crossed[:, *pairs(n_servos)] = self.bends

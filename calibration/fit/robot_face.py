@@ -445,9 +445,9 @@ class _Learning:
     def at(self, filled: Array, goals_deg: Array) -> Array:
         """Predict markers at goals (m, n_servos) in degrees; return (m, n_markers, 3) mm.
 
-        They count, as those of `filled`, from each marker's mean position over all captured poses.
+        Positions are, as in `filled`, relative to each marker's mean over all captured poses.
         filled: (n, n_markers, 3) mm, the captured markers, lost ones filled in; of these only the
-        poses in which no ladder presses the lips (`opened`) are learnt from.
+        poses in which lips are not pressed together (`opened`) are learnt from.
         """
         assert self.hyperparameters is not None
         of = self._poses

@@ -70,7 +70,7 @@ class RunTimeMap:
         return mouth.kept_deg(poses_deg)
 
     def without(self, still: Sequence[int]) -> "RunTimeMap":
-        """Return the map with the joints numbered in `still` at 0 degrees for all faces."""
+        """Return a map whose joints numbered in `still` are at 0 degrees for every wanted face."""
         if not still:
             return self
         moves = np.ones(len(self.rest_deg))

@@ -317,7 +317,10 @@ def stream_message(text: str) -> StreamMessage | None:
 
 
 def command(text: str) -> Command | None:
-    """Parse a text from `/control`; None for an unknown type without `id`. Raises MessageError."""
+    """Return the message in a text from `/control`; None for an unknown type without `id`.
+
+    Raises MessageError for a malformed text, and for an unknown type with an `id`.
+    """
     return _parsed(text, COMMANDS)
 
 

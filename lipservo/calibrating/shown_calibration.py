@@ -330,7 +330,7 @@ def shown_lines(
 
 
 def coverage_values(calibration: Calibration) -> dict[str, dict[str, float | None]]:
-    """Return reach and errors of each viseme class, by its first phoneme; None if unknown."""
+    """Return the fields of `VisemeReach` (shares, mm; None: unknown) of each viseme, as dicts."""
     return {viseme: asdict(reach) for viseme, reach in calibration.coverage.items()}
 
 

@@ -37,7 +37,7 @@ class Street:
         return self.side.start(now_s)
 
     def tick(self, time_s: float, late: int) -> StreetTick:
-        """Advance speech and servos to monotonic `time_s`; return the frame and servo report.
+        """Advance speech and servos to monotonic `time_s`; return face shown and servo report.
 
         late: ticks missed just before this one.
         """

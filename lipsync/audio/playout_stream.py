@@ -396,7 +396,7 @@ class PlayingStream:
     is_followed: bool = False
 
     def add(self, start_s: float, n_samples: int) -> None:
-        """Add the block of 10 ms that begins at timeline position `start_s` to the segments.
+        """Record that the block of 10 ms at timeline position `start_s` plays the stream's samples.
 
         n_samples: samples of the stream up to and including this block.
         """

@@ -39,7 +39,7 @@ class TickPlan(Generic[Decision]):
 
     @property
     def newest(self) -> Decision:
-        """The decision of the newest tick."""
+        """The decision that was made for the newest tick, as `decide` returned it."""
         return self._kept[-1]
 
     @property

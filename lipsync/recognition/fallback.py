@@ -511,7 +511,7 @@ class FallbackRecognizer:
     def _fall_back(
         self, reason: str, longest_wait_s: float = _LONGEST_WAIT_S, next_s: float = 0.0
     ) -> None:
-        """Replace the recogniser in use by the next lower one that works, but not the last one.
+        """Replace the recogniser in use by the next lower one that works; the last one stays.
 
         reason: in words. longest_wait_s: until a better one is tried. next_s: next block's start.
         """
