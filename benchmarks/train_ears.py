@@ -7,41 +7,43 @@
 CORPORA holds librispeech, speechocean762 and picovoice_commands; ALIGNMENTS is a file of their
 alignments (`lipservo lines align-folder`) and of VOICES', the folder of synthetic voices
 (`write_voice`); SOUNDS holds recordings without speech. `arrays` writes disturbed copies of a
-quarter of the recordings each into FOLDER until it is stopped; `learn` beside it learns from all
-that are there, beginning as the shipped weights, and writes the running average of its weights;
-`mean` is that share of them and the rest of the shipped ones. Who is scored or validates trains
-nothing.
+quarter of the recordings each into FOLDER, until it is stopped or has made 400. `learn` beside it
+begins as the shipped weights, learns from all copies that are there, and writes the running average
+of its weights. `mean` is SHARE of what was learnt and the rest of the shipped weights. Scored and
+validation talkers train nothing.
 """
 
-import itertools
-import math
 import multiprocessing
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from lipservo_lab.corpus.alignment_cache import AlignedUtterance, read_alignments
-from lipservo_lab.corpus.transcribed import TranscribedUtterance, read_transcribed
-from lipservo_lab.learning.recognition import augmentation, noise
+from lipservo_lab.corpus.transcribed import (
+    TranscribedUtterance,
+    read_speakers,
+    read_transcribed,
+)
 from lipservo_lab.learning.recognition.augmentation import LabelledSamples, Surroundings
-from lipservo_lab.learning.recognition.noise import found, read_found_sounds
-from lipservo_lab.learning.recognition.nonspeech_sounds import laughter_of
+from lipservo_lab.learning.recognition.noise import read_found_sounds
 from lipservo_lab.learning.recognition.training_data import (
     TrainingArray,
     TrainingPlan,
     as_array,
+    disturbed_copy,
     draw_windows,
     read_labelled,
+    surroundings,
 )
 from lipservo_lab.learning.recognition.weight_average import averaged
 from lipservo_lab.worker_pool import worker_pool
 
-from lipsync.phonemes import PHONEMES, SILENCE
 from lipsync.recognition.alignment import LEAST_SCORE
-from lipsync.recognition.features import FRAMES_PER_S, HOP
+from lipsync.recognition.features import FRAMES_PER_S
 from lipsync.recognition.network import load_weights, save_weights
 
 HERE = Path(__file__).parent
@@ -63,7 +65,8 @@ PARTS = 4
 FOR_LEARNING = 4
 #: Begin to learn when there are so many arrays.
 ENOUGH = 16
-SOUND_FRAMES = 3 * FRAMES_PER_S
+#: 65 MB each with 8.8 h of recordings.
+MOST_ARRAYS = 400
 CLEAN: list[LabelledSamples] = []
 AROUND: list[Surroundings] = []
 
@@ -74,7 +77,7 @@ def say(line: str) -> None:
 
 
 def read_one(job: tuple[TranscribedUtterance, AlignedUtterance]) -> LabelledSamples:
-    """For the pool."""
+    """Return the labelled recording of an utterance and its alignment; for the pool."""
     return read_labelled(*job)
 
 
@@ -82,12 +85,10 @@ def arrays(given: Sequence[str]) -> None:
     """Write disturbed copies until stopped."""
     corpora, voices, sounds, folder = Path(given[0]), Path(given[2]), Path(given[3]), Path(given[4])
     folder.mkdir(parents=True, exist_ok=True)
+    if any(folder.iterdir()):
+        sys.exit(f"{folder}: holds something already; give an empty folder")
     alignments = read_alignments(Path(given[1]))
-    held = {
-        line.split(",")[0]
-        for each in HELD
-        for line in (HERE / "speakers" / f"{each}.csv").read_text().splitlines()[1:]
-    }
+    held = {name for each in HELD for name in read_speakers(HERE / "speakers" / f"{each}.csv")}
     spoken = [u for corpus in CORPORA for u in read_transcribed(corpora / corpus)]
     spoken += [u for voice in sorted(voices.iterdir()) for u in read_transcribed(voice)]
     jobs = [
@@ -98,60 +99,36 @@ def arrays(given: Sequence[str]) -> None:
     ]  # fmt: skip
     fork, n_cores = multiprocessing.get_context("fork"), os.cpu_count() or 1
     with worker_pool(n_cores, fork) as pool:
-        heard = pool.submit(read_found_sounds, sounds)
+        found_sounds = pool.submit(read_found_sounds, sounds)
         CLEAN[:] = pool.map(read_one, jobs, chunksize=16)
-        some = CLEAN[:: max(1, len(CLEAN) // 200)]
-        speech = [each.samples for each in some]
-        laughter = laughter_of([(each.samples, each.labels) for each in some])
-        AROUND[:] = [
-            Surroundings(
-                noise.babble(speech), noise.babble(speech, 1), laughter, found(heard.result())
-            )
-        ]
+        AROUND[:] = [surroundings(CLEAN, found_sounds.result())]
     hours = sum(len(each.labels) for each in CLEAN) / (3600 * FRAMES_PER_S)
     say(f"{len(jobs)} utterances, {hours:.2f} h, {len({u.speaker for u, _ in jobs})} voices")
     with worker_pool(max(1, n_cores - FOR_LEARNING), fork) as pool:
-        waiting = set()
-        for number in itertools.count():
-            waiting.add(pool.submit(one_array, number, folder))
-            while len(waiting) > 2 * n_cores:
-                time.sleep(0.2)
-                waiting = {each for each in waiting if not each.done()}
+        for _ in pool.map(partial(one_array, folder), range(MOST_ARRAYS)):
+            pass
 
 
-def one_array(number: int, folder: Path) -> None:
-    """Write one part of the recordings; the first of them lightly disturbed, and some sounds."""
+def one_array(folder: Path, number: int) -> None:
+    """Write the array of a part of the recordings; the first of each part is lightly disturbed."""
     copy, part = divmod(number, PARTS)
-    array = as_array(disturbed(copy, part), load_weights(START).scale, PLAN.delays)
+    copies = disturbed_copy(CLEAN[part::PARTS], AROUND[0], copy, part)
+    array = as_array(copies, load_weights(START).scale, PLAN.delays)
     unfinished = folder / f"{number}.unfinished.npy"
     np.save(folder / f"{number}.targets.npy", array.targets.astype(np.int8))
     np.save(unfinished, array.features)
     unfinished.rename(folder / f"{number}.features.npy")
 
 
-def disturbed(copy: int, part: int) -> Iterator[LabelledSamples]:
-    """The recordings of a part, and a sound of 3 s after every second."""
-    silence = np.full(SOUND_FRAMES, PHONEMES.index(SILENCE))
-    for index, each in enumerate(CLEAN[part::PARTS]):
-        rng = np.random.default_rng([1, copy, part, index])
-        if copy == 0:
-            yield augmentation.augment_lightly(rng, each)
-        else:
-            yield augmentation.augment_heavily(rng, each, AROUND[0])
-        if index % 2 == 0:
-            samples = augmentation.no_speech(rng, SOUND_FRAMES * HOP, AROUND[0])
-            yield LabelledSamples(samples, silence)
-
-
 class Growing:
-    """The windows of each step, of all arrays that are there by now: the light ones first."""
+    """The windows of each step, drawn from all arrays that `arrays` has written by then."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._arrays: dict[int, TrainingArray] = {}
 
     def look(self) -> list[TrainingArray]:
-        """All arrays that are there."""
+        """Return all arrays in the folder, those written since the last call among them."""
         for path in self._folder.glob("*.features.npy"):
             number = int(path.name.split(".")[0])
             if number not in self._arrays:
@@ -161,7 +138,7 @@ class Growing:
         return list(self._arrays.values())
 
     def __getitem__(self, step: int) -> tuple[np.ndarray, np.ndarray]:
-        """Features (b, 40, n) and targets (b, n_heads, n)."""
+        """Return features (b, 40, n) and targets (b, n_heads, n) of a step."""
         if step % 50 < 10 or not self._arrays:
             self.look()
         rng = np.random.default_rng([0, step])
@@ -183,6 +160,8 @@ def learn(given: Sequence[str]) -> None:
     torch.set_num_threads(2)
     start = load_weights(START)
     while len(list(folder.glob("*.features.npy"))) < ENOUGH:
+        if time.monotonic() - came > seconds:
+            sys.exit(f"{folder}: no {ENOUGH} arrays in {seconds:.0f} s; start `arrays` beside it")
         time.sleep(0.1)
     windows = Growing(folder)
     network = started_from(start, windows.look(), PLAN).to(device)
@@ -206,7 +185,7 @@ def learn(given: Sequence[str]) -> None:
         if share >= 1.0:
             break
         batch = training.Batch(features.to(device), targets.to(device), None)
-        rate = PLAN.peak_rate * min(1.0, share / 0.04) * 0.5 * (1.0 + math.cos(math.pi * share))
+        rate = training.learning_rate(PLAN, round(share * PLAN.n_steps))
         losses.append(training.learn_from(batch, network, optimizer, PLAN, rate))
         average.update_parameters(network)
         if share - shown > 0.05:
@@ -217,7 +196,6 @@ def learn(given: Sequence[str]) -> None:
             save_weights(exported(average.module, start.scale, PLAN), out)
     save_weights(exported(average.module, start.scale, PLAN), out)
     say("done")
-    os._exit(0)
 
 
 def mean(given: Sequence[str]) -> None:

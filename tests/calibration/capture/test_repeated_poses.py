@@ -57,11 +57,10 @@ def test_the_first_part_is_neutral_and_every_joint_alone_from_either_side():
 
 def test_a_plan_that_repeats_only_a_mixed_pose_is_not_compared():
     """A plan of the user's own may repeat any pose; what each joint does alone is not in it."""
-    again = replace(TWICE, goals_deg=PLAN.goals_deg, from_below=PLAN.from_below)
-    mixed = int(np.flatnonzero((again.goals_deg != 0.0).all(axis=1))[0])
-    goals_deg = np.vstack([again.goals_deg, again.goals_deg[mixed]])
-    from_below = np.vstack([again.from_below, again.from_below[mixed]])
-    capture = capture_of(plan=replace(again, goals_deg=goals_deg, from_below=from_below))
+    mixed = int(np.flatnonzero((PLAN.goals_deg != 0.0).all(axis=1))[0])
+    goals_deg = np.vstack([PLAN.goals_deg, PLAN.goals_deg[mixed]])
+    from_below = np.vstack([PLAN.from_below, PLAN.from_below[mixed]])
+    capture = capture_of(plan=replace(PLAN, goals_deg=goals_deg, from_below=from_below))
 
     assert len(repeats(capture)) >= 1
     assert not is_repeated(capture)

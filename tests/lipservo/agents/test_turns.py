@@ -120,6 +120,9 @@ def test_a_waiting_stream_that_is_cleared_is_finished():
 
     face.turns.clear(waiting)
 
-    cleared, finished = (json.loads(asyncio.run(waiting.take())) for _ in range(2))
+    def took():
+        return json.loads(asyncio.run(asyncio.wait_for(waiting.take(), 5.0)))
+
+    cleared, finished = took(), took()
     assert (cleared["type"], cleared["n_dropped"]) == ("cleared", 1600)
     assert (finished["type"], finished["n_played"]) == ("finished", 0)

@@ -303,7 +303,10 @@ def _batches(
         num_workers=min(_DRAWERS, os.cpu_count() or 1) if is_gpu else 0,
         pin_memory=is_gpu,
     )
-    known = None if taught is None else _OnDevice.of(taught, device)
+    known = None
+    if taught is not None:
+        parts = (torch.from_numpy(each).to(device) for each in (taught.labels, taught.posteriors))
+        known = _OnDevice(*parts)
     for features, targets in drawn:
         moved = features.to(device, non_blocking=True), targets.to(device, non_blocking=True)
         yield Batch(*moved, None) if known is None else known.batch(*moved)
@@ -311,26 +314,16 @@ def _batches(
 
 @dataclass(frozen=True, slots=True)
 class _OnDevice:
-    """What a teacher says of all frames, on the device: see `Taught`."""
+    """A `Taught` (a teacher's labels and posteriors of all frames) as tensors of one device."""
 
     labels: torch.Tensor
     posteriors: torch.Tensor
 
-    @classmethod
-    def of(cls, taught: Taught, device: torch.device) -> "_OnDevice":
-        """A copy."""
-        return cls(
-            torch.from_numpy(taught.labels).to(device),
-            torch.from_numpy(taught.posteriors).to(device),
-        )
-
     def batch(self, features: torch.Tensor, targets: torch.Tensor) -> Batch:
-        """Labels and posteriors in place of the numbers of frames."""
-        rows = (targets - len(PHONEMES)).clamp(min=-1)
-        is_known = rows >= 0
-        labels = torch.where(is_known, self.labels[rows.clamp(min=0)], targets)
-        is_soft = is_known & (labels != NO_TARGET)
-        soft = self.posteriors[rows.clamp(min=0)].float() * is_soft.unsqueeze(-1)
+        """Return a batch with labels and posteriors in place of the frame numbers in `targets`."""
+        is_known, rows = targets >= len(PHONEMES), (targets - len(PHONEMES)).clamp(min=0)
+        labels = torch.where(is_known, self.labels[rows], targets)
+        soft = self.posteriors[rows].float() * is_known.unsqueeze(-1)
         return Batch(features, labels, soft)
 
 
@@ -341,7 +334,26 @@ def learn_from(
     plan: TrainingPlan,
     rate: float,
 ) -> float:
-    """Make one step of the optimizer at a learning rate; return the loss before it."""
+    """Make one step of the optimizer at a learning rate; return the loss before it.
+
+    Parameters
+    ----------
+    batch : Batch
+        Windows on the network's device.
+    network : TorchNetwork
+        Changed by the step.
+    optimizer : torch.optim.Optimizer
+        Of the network.
+    plan : TrainingPlan
+        Weights of the loss.
+    rate : float
+        Learning rate.
+
+    Returns
+    -------
+    float
+        The loss.
+    """
     for group in optimizer.param_groups:
         group["lr"] = rate
     network.train()

@@ -67,22 +67,6 @@ class Taught:
     labels: NDArray[np.int64]
     posteriors: NDArray[np.float16]
 
-    def decoded(self, targets: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return phonemes' numbers, and rows of `posteriors`.
-
-        Parameters
-        ----------
-        targets : NDArray[np.int64]
-            (n,).
-
-        Returns
-        -------
-        tuple[NDArray[np.int64], NDArray[np.int64]]
-            (n,) each; -1 where there is no row.
-        """
-        rows = np.maximum(targets - len(PHONEMES), -1)
-        return np.where(rows >= 0, self.labels[rows], targets), rows
-
 
 def read_labelled(utterance: TranscribedUtterance, aligned: AlignedUtterance) -> LabelledSamples:
     """The utterance's samples, with a tail of silence, and labels."""
@@ -211,28 +195,73 @@ def _one_array(job: tuple[int, int, FeatureScale, tuple[int, ...]]) -> TrainingA
 
 
 def _augmented(clean: Sequence[LabelledSamples], copy: int, seed: int) -> Iterable[LabelledSamples]:
+    around = surroundings(clean, _FOUND)
+    if _TAUGHT_ENDS:
+        clean = [
+            replace(each, labels=len(PHONEMES) + np.arange(end - len(each.labels), end))
+            for each, end in zip(clean, _TAUGHT_ENDS, strict=True)
+        ]
+    return disturbed_copy(clean, around, copy, seed)
+
+
+def surroundings(
+    clean: Sequence[LabelledSamples], found_sounds: Sequence[Array32] = ()
+) -> Surroundings:
+    """Return what may be heard beside speech: voices and laughter of at most 400 recordings.
+
+    Parameters
+    ----------
+    clean : Sequence[LabelledSamples]
+        Recordings of speech at 16 kHz.
+    found_sounds : Sequence[Array32]
+        Recordings (n,) at 16 kHz without speech; none: only made sounds are heard.
+
+    Returns
+    -------
+    Surroundings
+        To draw from.
+    """
     some = clean[:: max(1, len(clean) // 200)]
     voices = [each.samples for each in some]
-    around = Surroundings(
+    return Surroundings(
         noise.babble(voices),
         noise.babble(voices, 1),
         laughter_of([(each.samples, each.labels) for each in some]),
-        found(_FOUND) if _FOUND else None,
+        found(list(found_sounds)) if found_sounds else None,
     )
-    silence = PHONEMES.index(SILENCE)
+
+
+def disturbed_copy(
+    clean: Sequence[LabelledSamples], around: Surroundings, copy: int, seed: int
+) -> Iterator[LabelledSamples]:
+    """Yield each recording augmented, and after every second one a sound of 3 s without speech.
+
+    Parameters
+    ----------
+    clean : Sequence[LabelledSamples]
+        Recordings of speech at 16 kHz.
+    around : Surroundings
+        What may be heard beside speech.
+    copy : int
+        Number of the copy; 0 is augmented lightly, the others heavily.
+    seed : int
+        Of all draws, with `copy` and the recording's index.
+
+    Yields
+    ------
+    LabelledSamples
+        At 16 kHz, a label every 10 ms.
+    """
+    silence = np.full(round(_SOUND_S * FRAMES_PER_S), PHONEMES.index(SILENCE))
     for index, each in enumerate(clean):
         rng = np.random.default_rng([seed, copy, index])
-        if _TAUGHT_ENDS:
-            end = len(PHONEMES) + _TAUGHT_ENDS[index]
-            each = replace(each, labels=np.arange(end - len(each.labels), end))
         if copy == 0:
             yield augmentation.augment_lightly(rng, each)
         else:
             yield augmentation.augment_heavily(rng, each, around)
         if index % _UTTERANCES_PER_SOUND == 0:
-            n_frames = round(_SOUND_S * FRAMES_PER_S)
-            samples = augmentation.no_speech(rng, n_frames * HOP, around)
-            yield LabelledSamples(samples, np.full(n_frames, silence))
+            samples = augmentation.no_speech(rng, len(silence) * HOP, around)
+            yield LabelledSamples(samples, silence)
 
 
 #: Chance that a window of the lightly changed copy is drawn; the heavily changed share the rest.
