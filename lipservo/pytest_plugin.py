@@ -198,7 +198,7 @@ def simulated_face(
 @contextmanager
 def _daemon(arguments: list[str]) -> "Iterator[subprocess.Popen[str]]":
     process = subprocess.Popen(
-        [sys.executable, "-m", "lipservo", "daemon", *arguments],
+        [sys.executable, "-P", "-m", "lipservo", "daemon", *arguments],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,

@@ -37,7 +37,7 @@ _ROOM_TO_WORK_DEGC: Final = 5.0
 #: A restart takes half a second in the simulator; the manual does not say.
 _REBOOT_S: Final = 1.0
 _RETRY_S: Final = 0.5
-#: A third reboot in ten minutes means that something is broken.
+#: A servo that fails once more within ten minutes is broken.
 _REBOOTS: Final = 3
 _REBOOT_WINDOW_S: Final = 600.0
 #: A servo just enabled is slow for a second, then has to catch up.

@@ -92,7 +92,7 @@ class OeGuard:
         self.close()
         self._link, end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with end:
-            command = [sys.executable, "-m", "firmware_bridge.pca9685.oe_guard"]
+            command = [sys.executable, "-P", "-m", "firmware_bridge.pca9685.oe_guard"]
             self._process = subprocess.Popen(
                 [*command, self._chip, str(self._line), str(end.fileno())],
                 pass_fds=[end.fileno()],

@@ -81,7 +81,7 @@ def dashboard_child(
         arguments += ["--token-file", token_file]
     if model is not None:
         arguments += ["--model", str(model)]
-    command = [sys.executable, "-m", "lipservo", "dashboard", *arguments]
+    command = [sys.executable, "-P", "-m", "lipservo", "dashboard", *arguments]
     over = threading.Event()
 
     def look_after() -> None:

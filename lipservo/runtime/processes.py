@@ -276,7 +276,7 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
                 "starts %s, and `lipservo start` drives it: %s", can.released_words, record.why
             )
         writer, reader = channel_pair()
-        command = [sys.executable, "-m", "lipservo"]
+        command = [sys.executable, "-P", "-m", "lipservo"]
         whole = request_json(replace(request, control=listener.path))
         shared = ["--request", whole, "--lifeline", "{lifeline}"]
         shared += ["--board", "{board}", "--live", "{live}", "--channel", "{channel}"]

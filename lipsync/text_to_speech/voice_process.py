@@ -81,7 +81,7 @@ class VoiceProcess:
     def _started(self) -> "subprocess.Popen[bytes]":
         # A session of its own: Ctrl-C is for the face.
         return subprocess.Popen(
-            [sys.executable, "-m", self._module],
+            [sys.executable, "-P", "-m", self._module],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

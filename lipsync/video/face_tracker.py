@@ -181,13 +181,19 @@ def _networks(landmarker: Path) -> dict[str, bytes]:
 class MediapipeTracker:
     """A tracker by mediapipe's face mesh with attention, each picture by itself.
 
-    Raises MissingExtraError without mediapipe.
+    Raises MissingExtraError without mediapipe, TrackerError with a version that lacks this mesh.
     """
 
     def __init__(self) -> None:
         check_extra("mediapipe", "tracking without --landmarker")
         import mediapipe
 
+        if not hasattr(mediapipe, "solutions"):
+            raise TrackerError(
+                f"mediapipe {mediapipe.__version__} has no face mesh with attention any more: "
+                "`pip install 'mediapipe<0.10.30'` (up to Python 3.12), or give --landmarker FILE, "
+                "a face_landmarker.task (docs/own-face.md)"
+            )
         self._mesh: Any = mediapipe.solutions.face_mesh.FaceMesh(
             static_image_mode=True, max_num_faces=_MOST_FACES, refine_landmarks=True
         )

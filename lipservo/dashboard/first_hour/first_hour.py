@@ -300,8 +300,8 @@ class FirstHour:
             for made in ("by_eye", "measure"):  # poses of other limits, and of another neutral
                 self._keep_file(made).unlink(missing_ok=True)
             self._ends = {}
-        if settings.capabilities.set_up:
-            self.start("set_up")
+            if settings.capabilities.set_up:
+                self.start("set_up")
 
     def turn(self, servo: str, by_deg: float) -> None:
         """Rotate a simulated limp servo, as a hand would, by degrees of its joint."""

@@ -96,8 +96,8 @@ class StepProcess:
         self._is_over.wait(self._end_s + 2.0)
 
     def _run(self) -> None:
-        command = [sys.executable, "-m", "lipservo", "builder-process", self.step, self._request]
-        command += ["--parent", str(os.getpid())]
+        command = [sys.executable, "-P", "-m", "lipservo", "builder-process", self.step]
+        command += [self._request, "--parent", str(os.getpid())]
         pipe = subprocess.PIPE
         try:
             process = subprocess.Popen(

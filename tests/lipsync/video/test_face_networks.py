@@ -2,6 +2,7 @@
 
 import json
 import os
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -91,6 +92,14 @@ def test_a_file_that_is_no_landmarker_is_refused(tmp_path, content):
         path.write_bytes(content)
     with pytest.raises(TrackerError, match=r"face\.task: (no such file|not a face_landmarker)"):
         open_tracker(path)
+
+
+def test_a_mediapipe_without_the_old_face_mesh_is_named_with_what_to_install(tmp_path, monkeypatch):
+    (tmp_path / "mediapipe.py").write_text("__version__ = '0.10.35'\n")
+    monkeypatch.delitem(sys.modules, "mediapipe", raising=False)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(TrackerError, match=r"mediapipe 0\.10\.35 .* 'mediapipe<0\.10\.30'"):
+        open_tracker(None)
 
 
 def trackers():
