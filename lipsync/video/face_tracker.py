@@ -13,7 +13,6 @@ The other uses mediapipe's own face mesh, whose network its wheel contains: only
 """
 
 import zipfile
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -181,19 +180,12 @@ def _networks(landmarker: Path) -> dict[str, bytes]:
 class MediapipeTracker:
     """A tracker by mediapipe's face mesh with attention, each picture by itself.
 
-    Raises MissingExtraError without mediapipe, TrackerError with a version that lacks this mesh.
+    Raises ImportError without mediapipe, AttributeError with one from 0.10.30 on.
     """
 
     def __init__(self) -> None:
-        check_extra("mediapipe", "tracking without --landmarker")
         import mediapipe
 
-        if not hasattr(mediapipe, "solutions"):
-            raise TrackerError(
-                f"mediapipe {mediapipe.__version__} has no face mesh with attention any more: "
-                "`pip install 'mediapipe<0.10.30'` (up to Python 3.12), or give --landmarker FILE, "
-                "a face_landmarker.task (docs/own-face.md)"
-            )
         self._mesh: Any = mediapipe.solutions.face_mesh.FaceMesh(
             static_image_mode=True, max_num_faces=_MOST_FACES, refine_landmarks=True
         )
@@ -227,14 +219,16 @@ class MediapipeTracker:
 def open_tracker(landmarker: Path | None) -> FaceTracker:
     """Return a tracker by the landmarker file `landmarker`; None: by mediapipe.
 
-    Raises TrackerError for an unusable file or without mediapipe, MissingExtraError without the
-    library that runs the file.
+    Raises TrackerError for an unusable file or without a mediapipe that has this mesh,
+    MissingExtraError without the library that runs the file.
     """
     if landmarker is not None:
         return LitertTracker(landmarker)
-    if find_spec("mediapipe") is None:
+    try:
+        return MediapipeTracker()
+    except (ImportError, AttributeError) as error:
         raise TrackerError(
-            "no face tracker: give --landmarker FILE, a face_landmarker.task (docs/own-face.md "
-            "says how to get one), or, up to Python 3.12, `pip install 'lipservo[video]'`"
-        )
-    return MediapipeTracker()
+            "no mediapipe below 0.10.30, which tracks faces: up to Python 3.12 `pip install "
+            "'lipservo[video]'` brings it, or give --landmarker FILE, a face_landmarker.task "
+            "(docs/own-face.md says how to get one)"
+        ) from error

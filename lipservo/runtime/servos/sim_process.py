@@ -43,13 +43,9 @@ def simulated_servos(arguments: Sequence[str]) -> Iterator[SimulatedServos]:
     in the terminal does not reach it: servos stay until the process that drives them has released
     them. Raises UserError if it does not start.
     """
-    command = [sys.executable, "-P", "-m", "lipservo", "sim-bus", "--until-stdin-closes"]
+    argv = [sys.executable, "-P", "-m", "lipservo", "sim-bus", "--until-stdin-closes", *arguments]
     with subprocess.Popen(
-        [*command, *arguments],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        process_group=0,
+        argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, process_group=0
     ) as process:
         try:
             assert process.stdout is not None
