@@ -3,8 +3,8 @@
 Speech in a room with six walls: the image method of Allen and Berkley (1979).
 
 Each wall is a mirror that takes a part of the sound; a microphone gets the talker and all mirror
-images of the talker, each as late and as faint as it is far. Training knows rooms only as a tail of
-noise that fades (noise.py), so that this is another room than any it has heard.
+images of the talker, each as late and as faint as it is far. Training draws rooms of other sizes,
+with images for 50 ms only (noise.py).
 
 The sound of a robot's own servos, and how fast each turned while it was made.
 
@@ -34,7 +34,7 @@ from lipsync.recognition.features import FRAMES_PER_S
 #: An office: length, width and height, and what part of the pressure each wall gives back. Its
 #: sound falls by 60 dB in half a second.
 _SIZE_M, _WALLS_KEEP = np.array([5.2, 4.1, 2.7]), 0.85
-_LONGEST_S, _SOUND_M_S = 0.6, 343.0
+_LONGEST_S = 0.6
 #: Where the microphone stands; how far away somebody speaks, and no nearer to a wall than so.
 _LOW_M, _HIGH_M, _AWAY_M, _FROM_WALLS_M = (1.0, 1.0, 1.0), (4.2, 3.1, 1.6), (0.7, 1.8), 0.5
 #: Tried until somebody stands so far away within the walls.
@@ -98,23 +98,11 @@ def impulse_response(spoken_m: Array, heard_m: Array) -> Array:
     Array
         (n,) samples at 16 kHz.
     """
-    apart_m, bounces = zip(*(_images(k, spoken_m[k], heard_m[k]) for k in range(3)), strict=True)
-    x_m, y_m, z_m = np.ix_(*apart_m)
-    far_m = np.sqrt(x_m**2 + y_m**2 + z_m**2)
-    x, y, z = np.ix_(*bounces)
-    level = _WALLS_KEEP ** (x + y + z) / far_m
-    at = np.rint(far_m / _SOUND_M_S * SAMPLE_RATE_HZ).astype(np.int64)
+    far_m, n_walls = noise.images(_SIZE_M, spoken_m, heard_m, _LONGEST_S)
+    level = _WALLS_KEEP**n_walls / far_m
+    at = np.rint(far_m / noise.SOUND_M_S * SAMPLE_RATE_HZ).astype(np.int64)
     in_time = at < round(_LONGEST_S * SAMPLE_RATE_HZ)
     return np.asarray(np.bincount(at[in_time], weights=level[in_time]), dtype=np.float64)
-
-
-def _images(axis: int, spoken_m: float, heard_m: float) -> tuple[Array, Array]:
-    """Along one axis: how far each image is, and off how many walls it came; (n_images,) each."""
-    length_m = _SIZE_M[axis]
-    most = int(np.ceil(_SOUND_M_S * _LONGEST_S / (2 * length_m)))
-    rooms = np.arange(-most, most + 1)
-    places_m = np.concatenate([2 * rooms * length_m + spoken_m, 2 * rooms * length_m - spoken_m])
-    return places_m - heard_m, np.concatenate([np.abs(2 * rooms), np.abs(2 * rooms - 1)])
 
 
 _N_SERVOS = 8

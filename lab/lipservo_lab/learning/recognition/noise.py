@@ -15,13 +15,17 @@ import soundfile
 import soxr
 from numpy.typing import NDArray
 
-from lipsync.arrays import Array32
+from lipsync.arrays import Array, Array32
 from lipsync.audio.file import read_speech
 from lipsync.audio.source import SoundError
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.errors import UserError
 
 Noise = Callable[[np.random.Generator, int], Array32]
+
+SOUND_M_S = 343.0
+#: From beside the talker to across the room; images are reckoned one by one up to so late.
+_AWAY_M, _IMAGES_S, _REVERBERATION_S = (0.25, 4.0), 0.05, (0.15, 0.8)
 
 
 def white(rng: np.random.Generator, n: int) -> Array32:
@@ -179,14 +183,15 @@ def add_noise(speech: Array32, noise: Array32, snr_db: float) -> Array32:
 
 
 def reverberate(rng: np.random.Generator, speech: Array32) -> Array32:
-    """Return speech in a room: reflections, then an exponential tail of noise, 0.15 to 0.7 s.
+    """Return speech in a room: the talker's images in six walls, then a diffuse tail.
 
-    What is not direct has .02 to 3 times its power, as from beside the talker to across the room.
+    Images (Allen and Berkley 1979) for the first 50 ms; after that they are so many that their sum
+    is noise, whose power falls as Eyring's formula says. The direct sound keeps time and level.
 
     Parameters
     ----------
     rng : np.random.Generator
-        Draws the room.
+        Draws the room, its walls, and where the talker and the microphone are.
     speech : Array32
         (n,) at 16 kHz.
 
@@ -195,24 +200,65 @@ def reverberate(rng: np.random.Generator, speech: Array32) -> Array32:
     Array32
         (n,).
     """
-    reverberation_s, wet = rng.uniform(0.15, 0.7), rng.uniform(0.15, 1.7)
-    time_s = np.arange(round(reverberation_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
-    # -60 dB after the reverberation time: Sabine's definition.
-    tail = rng.standard_normal(len(time_s)) * 10.0 ** (-3.0 * time_s / reverberation_s)
-    # Diffuse sound comes after the first walls, which send single echoes.
-    tail[: round(rng.uniform(0.0, 0.02) * SAMPLE_RATE_HZ)] = 0.0
-    n_echoes = int(rng.integers(0, 9))
-    at = rng.integers(16, round(0.05 * SAMPLE_RATE_HZ), n_echoes)
-    echo_power = float(np.sum(tail**2)) * rng.uniform(0.0, 1.5)
-    strengths = rng.uniform(0.2, 1.0, n_echoes) * rng.choice((-1.0, 1.0), n_echoes)
-    if n_echoes:
-        strengths *= np.sqrt(echo_power / np.sum(strengths**2))
-        np.add.at(tail, at, strengths)
-    tail *= wet / np.sqrt(np.sum(tail**2))
-    tail[0] = 1.0
-    n_fft = 1 << (len(speech) + len(tail)).bit_length()
-    wet_speech = np.fft.irfft(np.fft.rfft(speech, n_fft) * np.fft.rfft(tail, n_fft), n_fft)
-    return wet_speech[: len(speech)].astype(np.float32)
+    size_m = rng.uniform((2.2, 2.2, 2.1), (9.0, 7.0, 3.8))
+    surface_m2 = 2.0 * float(np.sum(size_m * np.roll(size_m, 1)))
+    volume_m3 = float(np.prod(size_m))
+    falls_per_s = np.log(1e6) / np.exp(rng.uniform(*np.log(_REVERBERATION_S)))
+    # Eyring: a ray meets a wall every 4 V / S metres, which keeps walls_keep ** 2 of its power.
+    walls_keep = np.exp(-falls_per_s / SOUND_M_S * 2.0 * volume_m3 / surface_m2)
+    heard_m = size_m * rng.uniform(0.1, 0.9, 3)
+    direction = rng.normal(size=3) * [1.0, 1.0, 0.3]
+    away_m = np.exp(rng.uniform(*np.log(_AWAY_M)))
+    spoken_m = heard_m + away_m * direction / np.linalg.norm(direction)
+    spoken_m = np.clip(spoken_m, 0.05 * size_m, 0.95 * size_m)
+    far_m, n_walls = images(size_m, spoken_m, heard_m, _IMAGES_S)
+    level = walls_keep**n_walls / far_m
+    direct_m = max(0.1, float(np.linalg.norm(spoken_m - heard_m)))
+    at = np.rint((far_m - direct_m) / SOUND_M_S * SAMPLE_RATE_HZ).astype(np.int64)
+    near = (at > 0) & (at < round(_IMAGES_S * SAMPLE_RATE_HZ))
+
+    time_s = np.arange(round(_REVERBERATION_S[1] * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
+    power = 4.0 * np.pi * SOUND_M_S / (volume_m3 * SAMPLE_RATE_HZ) * np.exp(-falls_per_s * time_s)
+    response = np.sqrt(power) * rng.standard_normal(len(time_s))
+    response[: round(_IMAGES_S * SAMPLE_RATE_HZ)] = 0.0
+    np.add.at(response, at[near], level[near])
+    response *= direct_m
+    response[0] = 1.0
+    n_fft = 1 << (len(speech) + len(response)).bit_length()
+    wet = np.fft.irfft(np.fft.rfft(speech, n_fft) * np.fft.rfft(response, n_fft), n_fft)
+    return wet[: len(speech)].astype(np.float32)
+
+
+def images(
+    size_m: Array, spoken_m: Array, heard_m: Array, longest_s: float
+) -> tuple[Array, NDArray[np.int64]]:
+    """Return a talker's images in the six walls of a room (Allen and Berkley 1979).
+
+    Parameters
+    ----------
+    size_m : Array
+        (3,): length, width and height.
+    spoken_m, heard_m : Array
+        (3,): where the talker and the microphone are, from a corner.
+    longest_s : float
+        At least those whose sound takes no longer are returned.
+
+    Returns
+    -------
+    tuple[Array, NDArray[np.int64]]
+        (n_x, n_y, n_z) each: the distance from each image to the microphone in m, and how many
+        reflections it comes of. The talker is among them, with none.
+    """
+    apart_m, reflections = [], []
+    for length_m, spoken, heard in zip(size_m, spoken_m, heard_m, strict=True):
+        most = int(np.ceil(SOUND_M_S * longest_s / (2 * length_m)))
+        rooms = np.arange(-most, most + 1)
+        places_m = (2 * rooms * length_m + spoken, 2 * rooms * length_m - spoken)
+        apart_m.append(np.concatenate(places_m) - heard)
+        reflections.append(np.concatenate((np.abs(2 * rooms), np.abs(2 * rooms - 1))))
+    x_m, y_m, z_m = np.ix_(*apart_m)
+    x, y, z = np.ix_(*reflections)
+    return np.sqrt(x_m**2 + y_m**2 + z_m**2), x + y + z
 
 
 def telephone(speech: Array32) -> Array32:
