@@ -52,7 +52,7 @@ def test_it_comes_with_the_face_comes_again_and_goes_with_it(program, caplog):
             control.touch()
             wait_for(lambda: len(starts(program)) == 1)
             pid, told = starts(program)[0].split(" ", 1)
-            assert told.startswith(f"-m lipservo dashboard --control {control}")
+            assert told.startswith(f"-P -m lipservo dashboard --control {control}")
             assert f"--listener {listener.fileno()}" in told
             assert "--token-file token.txt" in told
             assert told.endswith("--open")
