@@ -228,7 +228,7 @@ def open_tracker(landmarker: Path | None) -> FaceTracker:
         return MediapipeTracker()
     except (ImportError, AttributeError) as error:
         raise TrackerError(
-            "no mediapipe below 0.10.30, which tracks faces: up to Python 3.12 `pip install "
+            f"no usable mediapipe below 0.10.30 ({error}): up to Python 3.12 `pip install "
             "'lipservo[video]'` brings it, or give --landmarker FILE, a face_landmarker.task "
             "(docs/own-face.md says how to get one)"
         ) from error
