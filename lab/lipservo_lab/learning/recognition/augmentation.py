@@ -144,6 +144,8 @@ _SPEED = (0.88, 1.12)
 _WARP = (0.85, 1.40)
 #: Of the made sounds. Laughter by real vowels is hardest to tell from speech.
 _LAUGHTER_SHARE = 0.15
+#: Fans, hiss, traffic: the commonest noise of all, and what earlier weights heard better.
+_STEADY_SHARE = 0.12
 #: Heard before somebody speaks, s.
 _BEFORE_S = (0.2, 1.5)
 _SILENCE_INDEX = PHONEMES.index(SILENCE)
@@ -185,6 +187,8 @@ class Surroundings:
         Array32
             (n,).
         """
+        if rng.random() < _STEADY_SHARE:
+            return (noise.white if rng.random() < 0.5 else noise.coloured)(rng, n)
         if self.found is not None and rng.random() < 0.45:
             return self.found(rng, n)
         chance = rng.random()
@@ -227,9 +231,9 @@ def augment_heavily(
     rng: np.random.Generator, clean: LabelledSamples, around: Surroundings
 ) -> LabelledSamples:
     """Another voice, speed, room, line, noise, loudness: each with its own chance."""
-    changed = _by_another_voice(rng, clean)
+    changed = by_another_voice(rng, clean)
     samples = changed.samples
-    if rng.random() < 0.25:
+    if rng.random() < 0.3:
         samples = noise.reverberate(rng, samples)
     if rng.random() < 0.75:
         samples = around.beside_speech(rng, samples)
@@ -274,7 +278,21 @@ def no_speech(rng: np.random.Generator, n: int, around: Surroundings) -> Array32
     return clipped.astype(np.float32)
 
 
-def _by_another_voice(rng: np.random.Generator, clean: LabelledSamples) -> LabelledSamples:
+def by_another_voice(rng: np.random.Generator, clean: LabelledSamples) -> LabelledSamples:
+    """Faster or slower, another vocal tract, shouted, whispered, or as it was.
+
+    Parameters
+    ----------
+    rng : np.random.Generator
+        Chooses.
+    clean : LabelledSamples
+        As recorded.
+
+    Returns
+    -------
+    LabelledSamples
+        As long as it was, or as the speed has made it.
+    """
     chance = rng.random()
     if chance < 0.3:
         return _at_speed(rng, clean)

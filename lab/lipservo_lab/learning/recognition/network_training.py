@@ -306,23 +306,28 @@ def _batches(
     known = None
     if taught is not None:
         parts = (torch.from_numpy(each).to(device) for each in (taught.labels, taught.posteriors))
-        known = _OnDevice(*parts)
+        known = TaughtOnDevice(*parts)
     for features, targets in drawn:
         moved = features.to(device, non_blocking=True), targets.to(device, non_blocking=True)
         yield Batch(*moved, None) if known is None else known.batch(*moved)
 
 
 @dataclass(frozen=True, slots=True)
-class _OnDevice:
-    """A `Taught` (a teacher's labels and posteriors of all frames) as tensors of one device."""
+class TaughtOnDevice:
+    """A `Taught` (labels and a teacher's posteriors of all frames) as tensors of one device.
+
+    posteriors: None: labels alone teach.
+    """
 
     labels: torch.Tensor
-    posteriors: torch.Tensor
+    posteriors: torch.Tensor | None
 
     def batch(self, features: torch.Tensor, targets: torch.Tensor) -> Batch:
         """Return a batch with labels and posteriors in place of the frame numbers in `targets`."""
         is_known, rows = targets >= len(PHONEMES), (targets - len(PHONEMES)).clamp(min=0)
         labels = torch.where(is_known, self.labels[rows], targets)
+        if self.posteriors is None:
+            return Batch(features, labels, None)
         soft = self.posteriors[rows].float() * is_known.unsqueeze(-1)
         return Batch(features, labels, soft)
 

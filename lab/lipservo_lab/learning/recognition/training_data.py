@@ -42,6 +42,8 @@ _TAIL_S = 0.15
 #: One sound without speech for so many utterances: a seventh of the time.
 _UTTERANCES_PER_SOUND = 2
 _SOUND_S = 3.0
+#: Of so many copies one has no noise, so that quiet rooms stay what is heard most often.
+_LIGHT_EVERY = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,7 +245,8 @@ def disturbed_copy(
     around : Surroundings
         What may be heard beside speech.
     copy : int
-        Number of the copy; 0 is augmented lightly, the others heavily.
+        Number of the copy. Of 0 the loudness is changed, of every fourth the loudness and the
+        voice; the others are augmented heavily.
     seed : int
         Of all draws, with `copy` and the recording's index.
 
@@ -257,6 +260,8 @@ def disturbed_copy(
         rng = np.random.default_rng([seed, copy, index])
         if copy == 0:
             yield augmentation.augment_lightly(rng, each)
+        elif copy % _LIGHT_EVERY == 0:
+            yield augmentation.augment_lightly(rng, augmentation.by_another_voice(rng, each))
         else:
             yield augmentation.augment_heavily(rng, each, around)
         if index % _UTTERANCES_PER_SOUND == 0:
