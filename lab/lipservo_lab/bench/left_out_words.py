@@ -16,6 +16,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
+from itertools import product
 from pathlib import Path
 from typing import Final
 
@@ -26,6 +27,7 @@ from lipservo_lab.evaluation.motion.measures import (
     Motion,
     confidence_intervals,
     figures,
+    paired_differences,
     sentence_sums,
 )
 from lipservo_lab.evaluation.motion.methods import REFERENCE, Heard, Method, all_methods
@@ -165,23 +167,41 @@ class _Lips:
         return round(1e3 * curve.best_s, 1)
 
 
+_Key = tuple[str, int, str]
+_PAIRED = ("ratio", "gap_r")
+
+
 @dataclass(slots=True)
 class _Scores:
-    """Sums of words, by the look-ahead in ms and what they are counted for; may only grow."""
+    """Sums of words, by strategy, look-ahead in ms and what they are counted for; may only grow."""
 
-    sums: dict[tuple[int, str], list[Array]] = field(default_factory=lambda: defaultdict(list))
-    lips: dict[tuple[int, str], _Lips] = field(default_factory=lambda: defaultdict(_Lips))
+    sums: dict[_Key, list[Array]] = field(default_factory=lambda: defaultdict(list))
+    lips: dict[_Key, _Lips] = field(default_factory=lambda: defaultdict(_Lips))
 
-    def row(self, lookahead_ms: int, name: str) -> Row:
+    def row(self, strategy: str, lookahead_ms: int, name: str) -> Row:
         """Figures with 95 % intervals over places where a word was spoken."""
-        sums = np.array(self.sums[lookahead_ms, name])
+        sums = np.array(self.sums[strategy, lookahead_ms, name])
         found = figures(sums.sum(axis=0))
-        intervals = confidence_intervals(sums, ("ratio", "gap_r"))
+        intervals = confidence_intervals(sums, _PAIRED)
         return {
+            "strategy": strategy,
+            "lookahead_ms": lookahead_ms,
             **{key: _rounded(found[key]) for key in ("ratio", "gap_r", "closure_hits")},
             **{f"{key}_95": list(map(_rounded, ends)) for key, ends in intervals.items()},
-            "best_shift_ms": self.lips[lookahead_ms, name].best_ms(),
+            "best_shift_ms": self.lips[strategy, lookahead_ms, name].best_ms(),
             "frames": int(sums[:, 0].sum()),
+        }
+
+    def less(self, strategy: str, other: str, lookahead_ms: int) -> Row:
+        """A strategy's figures over all words less another's of the same words, with intervals."""
+        ours, theirs = (np.array(self.sums[each, lookahead_ms, _ALL]) for each in (strategy, other))
+        differences = paired_differences(ours, theirs, _PAIRED)
+        return {
+            "strategy": strategy,
+            "less": other,
+            "lookahead_ms": lookahead_ms,
+            **{key: _rounded(value) for key, (value, _) in differences.items()},
+            **{f"{key}_95": list(map(_rounded, ends)) for key, (_, ends) in differences.items()},
         }
 
 
@@ -191,7 +211,7 @@ _ALL = "all"
 def left_out_figures(
     corpus: Corpus,
     model_of: Callable[[Part], TrainedModel],
-    method: Method,
+    methods: Sequence[Method],
     lookaheads_ms: Sequence[int],
     listen: Listen,
     limit: int,
@@ -199,7 +219,8 @@ def left_out_figures(
 ) -> dict[str, list[Row]]:
     """Rows over all words for each look-ahead; by class and by word for the last but one, or one.
 
-    corpus: labelled. limit: at most so many sentences of each word are played, spread evenly over
+    corpus: labelled. differences: over all words, what every further method has more than the
+    first, paired. limit: at most so many sentences of each word are played, spread evenly over
     their names. classes: words that begin or end with such a sound. words: those of `LEAST_FRAMES`
     frames, the worst first. Raises CorpusError.
     """
@@ -212,22 +233,26 @@ def left_out_figures(
             words_played = [
                 w for w in spoken_words(utterance) if (utterance.name, w.text) in played
             ]
-            _add(scores, model, utterance, words_played, method, lookaheads_ms, listen(utterance))
+            _add(scores, model, utterance, words_played, methods, lookaheads_ms, listen(utterance))
     main_ms = lookaheads_ms[len(lookaheads_ms) // 2]
-    words = {text: scores.row(main_ms, text) for part in folds for text in part.words or ()}
-    rows = [
-        {"word": text, "lookahead_ms": main_ms, **row}
-        for text, row in words.items()
-        if int(str(row["frames"])) >= LEAST_FRAMES
-    ]
+    names = [method.name for method in methods]
+    spoken = {text for part in folds for text in part.words or ()}
+    rows = [{"word": text, **scores.row(name, main_ms, text)} for name in names for text in spoken]
     return {
-        "all": [{"lookahead_ms": ms, **scores.row(ms, _ALL)} for ms in lookaheads_ms],
-        "classes": [
-            {"class": name, "lookahead_ms": main_ms, **scores.row(main_ms, name)}
-            for name in BORDER_CLASSES
-            if scores.sums[main_ms, name]
+        "all": [scores.row(name, ms, _ALL) for name in names for ms in lookaheads_ms],
+        "differences": [
+            scores.less(name, names[0], ms) for name in names[1:] for ms in lookaheads_ms
         ],
-        "words": sorted(rows, key=lambda row: float(str(row["gap_r"]))),
+        "classes": [
+            {"class": border, **scores.row(name, main_ms, border)}
+            for name in names
+            for border in BORDER_CLASSES
+            if scores.sums[name, main_ms, border]
+        ],
+        "words": sorted(
+            (row for row in rows if int(str(row["frames"])) >= LEAST_FRAMES),
+            key=lambda row: float(str(row["gap_r"])),
+        ),
     }
 
 
@@ -248,33 +273,35 @@ def _add(
     model: TrainedModel,
     utterance: Utterance,
     words: Sequence[Word],
-    method: Method,
+    methods: Sequence[Method],
     lookaheads_ms: Sequence[int],
     heard: Heard,
 ) -> None:
-    """Play a sentence tick by tick and add what some of its words come to."""
+    """Play a sentence tick by tick, by every method, and add what some of its words come to."""
     times_s = np.arange(len(utterance.markers_mm)) / utterance.frame_rate_hz
     ticks_s = np.arange(int(times_s[-1] / TICK_S) + 1, dtype=np.float64) * TICK_S
     recorded = Motion(utterance.markers_mm, model.coefficients(utterance.markers_mm))
     reference = all_methods()[REFERENCE].faces(model, Heard(utterance.phones), times_s, 0.0)
     ideal = Motion(model.markers_mm(reference), reference)
     seen_mm = model.lip_gaps_mm(utterance.markers_mm)
-    for ms in lookaheads_ms:
-        ticks = method.faces(model, heard, ticks_s, ms / 1e3)
+    spoken = [(w, speech_frames(utterance, frozenset({w.text}))) for w in words]
+    for method, ms in product(methods, lookaheads_ms):
+        if method.looks_ahead or ms == lookaheads_ms[0]:
+            ticks = method.faces(model, heard, ticks_s, ms / 1e3)
         ours_mm = model.lip_gaps_mm(model.markers_mm(ticks))
         faces = np.stack([np.interp(times_s, ticks_s, column) for column in ticks.T], axis=1)
         made = Motion(model.markers_mm(faces), faces)
-        for word in words:
-            scored = speech_frames(utterance, frozenset({word.text}))
+        for word, scored in spoken:
             if not scored.any():
                 continue
             sums = sentence_sums(model, utterance, scored, recorded, made, ideal)
             at_s = times_s[scored][:, None] + _SHIFTS_S
             around_mm = np.interp(at_s, ticks_s, ours_mm)
             for name in (_ALL, word.text, *_borders(utterance, word)):
-                scores.sums[ms, name].append(sums)
-                scores.lips[ms, name].seen.append(seen_mm[scored])
-                scores.lips[ms, name].ours.append(around_mm)
+                scores.sums[method.name, ms, name].append(sums)
+                lips = scores.lips[method.name, ms, name]
+                lips.seen.append(seen_mm[scored])
+                lips.ours.append(around_mm)
 
 
 def _borders(utterance: Utterance, word: Word) -> set[str]:

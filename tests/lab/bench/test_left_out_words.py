@@ -1,5 +1,6 @@
 """Every word once unseen by the model that moves the mouth in it."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -7,10 +8,13 @@ import pytest
 from lipservo_lab.bench.left_out_words import KeptModels, left_out_figures, word_folds
 from lipservo_lab.corpus.grid import read_grid
 from lipservo_lab.corpus.utterance import Corpus, CorpusError, Word
-from lipservo_lab.evaluation.motion.methods import LiveMethod
+from lipservo_lab.evaluation.motion.methods import LiveMethod, SplineMethod
 from lipservo_lab.evaluation.motion.motion_scores import true_phonemes
 from small_corpus import write_corpus
 from small_model import small_model
+from typer.testing import CliRunner
+
+from lipservo.cli import app
 
 TEXTS = ("red", "blue", "green")
 
@@ -73,7 +77,7 @@ def test_a_model_is_learned_once_and_kept_until_its_sentences_change(corpus, tmp
 
 def test_all_words_classes_and_look_aheads_are_scored(corpus):
     rows = left_out_figures(
-        corpus, lambda _: small_model(), LiveMethod(), (0, 100), true_phonemes, 1,
+        corpus, lambda _: small_model(), [LiveMethod()], (0, 100), true_phonemes, 1,
         lambda _, items: items,
     )  # fmt: skip
     assert [row["lookahead_ms"] for row in rows["all"]] == [0, 100]
@@ -81,3 +85,39 @@ def test_all_words_classes_and_look_aheads_are_scored(corpus):
     assert {row["lookahead_ms"] for row in rows["classes"]} == {100}
     assert rows["words"] == []  # none has 300 frames
     assert np.isfinite(rows["all"][1]["ratio"])
+    assert rows["differences"] == []
+
+
+def test_a_second_method_is_compared_in_the_same_words(corpus):
+    """One that sees the whole sentence: the look-ahead is the first method's alone."""
+    rows = left_out_figures(
+        corpus, lambda _: small_model(), [LiveMethod(), SplineMethod()], (0, 200), true_phonemes,
+        2, lambda _, items: items,
+    )  # fmt: skip
+    of = {(row["strategy"], row["lookahead_ms"]): row for row in rows["all"]}
+    assert of["catmull-rom", 0] | {"lookahead_ms": 200} == of["catmull-rom", 200]
+    assert [row["lookahead_ms"] for row in rows["differences"]] == [0, 200]
+    for row in rows["differences"]:
+        assert (row["strategy"], row["less"]) == ("catmull-rom", "expected")
+        ours, live = (of[row[key], row["lookahead_ms"]] for key in ("strategy", "less"))
+        for name in ("ratio", "gap_r"):
+            assert row[name] == pytest.approx(ours[name] - live[name], abs=2e-4)
+            assert row[f"{name}_95"][0] <= row[name] <= row[f"{name}_95"][1]
+
+
+@pytest.mark.slow
+def test_a_scripted_line_is_scored_beside_the_live_one(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    folder = write_corpus(tmp_path / "c", 12)
+    for n, path in enumerate(sorted((folder / "labels").iterdir())):
+        path.write_text(path.read_text().replace('"word"', f'"{TEXTS[n % 3]}"'))
+    done = CliRunner().invoke(
+        app,
+        ["bench", "motion", "--corpus", str(folder), "--leave-words-out", "--offline",
+         "--lookahead-ms", "200", "--limit", "1", "--json", "-q"],
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    answer = json.loads(done.stdout)
+    assert [row["strategy"] for row in answer["all"]] == [answer["strategy"], "heard"]
+    (row,) = answer["differences"]
+    assert (row["strategy"], row["less"]) == ("heard", answer["strategy"])

@@ -38,6 +38,7 @@ _BARS: Final = {
     "new_b_recognized": ">= 0.60",
     "gap_r_recognized": ">= 0.835",
     "closure_hits": ">= 0.95",
+    "heard_closure_hits": ">= 0.985",
     "labiodental_hits": ">= 0.95",
     "gap_steps_per_s": "<= 0.02",
     "widest_gap_step_mm": "<= 4.5",

@@ -131,7 +131,8 @@ def motion(
         bool,
         typer.Option(
             "--offline",
-            help="Score the methods of `lipservo lines render` too: the published one and ours.",
+            help="Score the methods of `lipservo lines render` too: the published one and ours; "
+            "with --leave-words-out ours.",
         ),
     ] = False,
     leave_words_out: Annotated[
@@ -183,14 +184,13 @@ def motion(
         unit_share=unit_share,
     )
     if leave_words_out:
-        if model is not None or words is not None or offline or plots is not None:
+        if model is not None or words is not None or plots is not None:
             raise typer.BadParameter(
-                "--leave-words-out trains models of its own; leave out --model, --words, "
-                "--offline and --plots"
+                "--leave-words-out trains models of its own; leave out --model, --words and --plots"
             )
         _measure_left_out(
             corpus, question, strategy or DEFAULT_STRATEGY, limit,
-            skip_bad=skip_bad, as_json=as_json, quiet=quiet,
+            with_offline=offline, skip_bad=skip_bad, as_json=as_json, quiet=quiet,
         )  # fmt: skip
         return
     given = None
@@ -303,6 +303,7 @@ def _measure_left_out(
     strategy: str,
     limit: int,
     *,
+    with_offline: bool,
     skip_bad: bool,
     as_json: bool,
     quiet: bool,
@@ -315,11 +316,14 @@ def _measure_left_out(
         left_out_figures,
         word_folds,
     )
+    from lipservo_lab.bench.offline_models import models_of
     from lipservo_lab.bench.readability.readability_figures import OnceListener
     from lipservo_lab.corpus.grid import read_grid
     from lipservo_lab.evaluation.motion.motion_scores import true_phonemes
+    from lipservo_lab.evaluation.motion.offline_methods import OfflineMethod
     from lipservo_lab.learning.motion.model_teacher import ModelTeacher
     from lipsync.markers import MARKERS_47
+    from lipsync.offline.line_methods import DEFAULT_METHOD
     from lipsync.recognition.network import DEFAULT_WEIGHTS
 
     began_s = time.perf_counter()
@@ -347,10 +351,13 @@ def _measure_left_out(
         if question.phonemes != measure.PHONEMES_TRUE:
             with_text = question.phonemes == measure.PHONEMES_TEXT
             listen = OnceListener(measure.live_listener(with_text=with_text))
-        method = next(each for each in question.methods if each.name == strategy)
+        methods = [each for each in question.methods if each.name == strategy]
+        if with_offline:
+            rendering = models_of(sentences, "bench motion --offline")
+            methods.append(OfflineMethod(DEFAULT_METHOD, rendering))
         answer: dict[str, Any] = dict(
             left_out_figures(
-                sentences, models.of, method, question.lookaheads_ms, listen, limit, track
+                sentences, models.of, methods, question.lookaheads_ms, listen, limit, track
             )
         )
     if not as_json:

@@ -309,16 +309,46 @@ def confidence_intervals(
     dict[str, tuple[float, float]]
         Low and high by name.
     """
+    samples = _bootstrap(sums, seed, n_samples)
+    return {name: _ends(np.array([sample[name] for sample in samples])) for name in names}
+
+
+def paired_differences(
+    ours: Array, theirs: Array, names: Sequence[str]
+) -> dict[str, tuple[float, tuple[float, float]]]:
+    """Return how much more our figures are than others', over the same samples of sentences.
+
+    Parameters
+    ----------
+    ours,theirs : Array
+        (n_sentences, len(SUMS)), the same sentences in the same order.
+    names : Sequence[str]
+        Of figures.
+
+    Returns
+    -------
+    dict[str, tuple[float, tuple[float, float]]]
+        Difference and its 95 % interval, as `confidence_intervals` has it, by name.
+    """
+    mine, other = figures(ours.sum(axis=0)), figures(theirs.sum(axis=0))
+    pairs = list(zip(_bootstrap(ours), _bootstrap(theirs), strict=True))
+    return {
+        name: (mine[name] - other[name], _ends(np.array([a[name] - b[name] for a, b in pairs])))
+        for name in names
+    }
+
+
+def _bootstrap(sums: Array, seed: int = 0, n_samples: int = 1000) -> list[dict[str, float]]:
+    """Figures of samples of sentences; the same samples for as many sentences and the same seed."""
     rng = np.random.default_rng(seed)
     draws = rng.multinomial(len(sums), np.full(len(sums), 1.0 / len(sums)), size=n_samples)
-    samples = [figures(total) for total in draws @ sums]
-    found = {}
-    for name in names:
-        values = np.array([sample[name] for sample in samples])
-        finite = values[np.isfinite(values)]
-        low, high = np.percentile(finite, [2.5, 97.5]) if len(finite) else (np.nan, np.nan)
-        found[name] = (float(low), float(high))
-    return found
+    return [figures(total) for total in draws @ sums]
+
+
+def _ends(values: Array) -> tuple[float, float]:
+    finite = values[np.isfinite(values)]
+    low, high = np.percentile(finite, [2.5, 97.5]) if len(finite) else (np.nan, np.nan)
+    return float(low), float(high)
 
 
 def _share(part: float, whole: float) -> float:

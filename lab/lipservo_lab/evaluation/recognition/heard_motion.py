@@ -2,7 +2,7 @@
 
 What the live recogniser gives for a recording, update by update, as the mouth would get it.
 
-How many of the P, B, M and F, V that are spoken the mouth closes for, by recognised phonemes.
+How many of the P, B, M and F, V that are spoken, and that are heard, the mouth closes for.
 """
 
 import math
@@ -15,6 +15,7 @@ import numpy as np
 from lipservo.settings.motion_names import DEFAULT_STRATEGY
 from lipservo_lab.evaluation.motion.measures import CLOSING, closes, is_bilabial
 from lipservo_lab.evaluation.motion.methods import Heard, all_methods
+from lipservo_lab.evaluation.recognition.recognition_scores import SLACK_FRAMES
 from lipservo_lab.evaluation.recognition.stream_observers import UpdateLog
 from lipservo_lab.learning.motion.trained_model import TrainedModel
 from lipsync.arrays import Array
@@ -23,7 +24,8 @@ from lipsync.audio.source import SilenceAfter
 from lipsync.audio_block import BLOCK_S
 from lipsync.face.model import FaceModel
 from lipsync.motion.tick_plan import TICK_S
-from lipsync.phonemes import SILENCE, LiveRecognizer, PhonemeEvent
+from lipsync.phonemes import SILENCE, VISEME_OF, LiveRecognizer, PhonemeEvent
+from lipsync.recognition.features import FRAMES_PER_S
 from lipsync.recognition.streaming import RecognizerStream, SoundAhead
 from lipsync.recognition.text_decoder import TextFollower
 from lipsync.spoken_text import PronouncedWord
@@ -63,12 +65,14 @@ def recognize_file(
 class HeardMotion:
     """faces: (n, n_components) at times_s (n,), a tick apart; spoken_s: heard as speech.
 
-    sound_s: how long the recording is; the faces go on a little in the silence after it.
+    heard: the phonemes as finally decided. sound_s: how long the recording is; the faces go on a
+    little in the silence after it.
     """
 
     times_s: Array
     faces: Array
     spoken_s: float
+    heard: tuple[PhonemeEvent, ...]
     sound_s: float = 0.0
 
 
@@ -84,15 +88,19 @@ def heard_motion(
     )
     faces = all_methods()[DEFAULT_STRATEGY].faces(model, heard, times_s, lookahead_s)
     with FileSource(recording) as source:
-        return HeardMotion(times_s, faces, spoken_s, source.duration_s)
+        return HeardMotion(times_s, faces, spoken_s, heard.events, source.duration_s)
 
 
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """A phone that closes the mouth, as it was spoken, and whether the mouth closed for it."""
+    """A phone that closes the mouth, as it was spoken, and whether the mouth closed for it.
+
+    is_heard: whether the recogniser decided for a phone of its viseme class at its time.
+    """
 
     phone: PhonemeEvent
     is_reached: bool
+    is_heard: bool
 
 
 def closure_hits(
@@ -105,19 +113,49 @@ def closure_hits(
     """
     gaps_mm = model.lip_gaps_mm(model.markers_mm(motion.faces))
     return [
-        Closure(phone, closes(phone, motion.times_s, gaps_mm))
+        Closure(phone, closes(phone, motion.times_s, gaps_mm), is_heard(phone, motion.heard))
         for phone in phones
         if phone.phoneme in CLOSING
     ]
 
 
+def is_heard(phone: PhonemeEvent, events: Iterable[PhonemeEvent]) -> bool:
+    """Whether a phone of the same viseme class was heard at its time.
+
+    It may be `SLACK_FRAMES` beside, as for the recall of `bench recognition`.
+    """
+
+    def frames(one: PhonemeEvent) -> tuple[int, int]:
+        end_s = one.start_s if one.end_s is None else one.end_s
+        return round(one.start_s * FRAMES_PER_S), round(end_s * FRAMES_PER_S)
+
+    first, end = frames(phone)
+    return any(
+        VISEME_OF[event.phoneme] == VISEME_OF[phone.phoneme]
+        and frames(event)[0] < end + SLACK_FRAMES
+        and frames(event)[1] > first - SLACK_FRAMES
+        for event in events
+    )
+
+
 def closure_figures(closures: Iterable[Closure]) -> dict[str, object]:
-    """Counts and shares, P B M and F V apart; None where nothing was spoken that closes."""
+    """Counts and shares, P B M and F V apart; None where nothing was spoken that closes.
+
+    heard_...: of those alone that the recogniser heard.
+    """
     figures: dict[str, object] = {}
     found = list(closures)
     for name, wanted in (("closure", True), ("labiodental", False)):
-        reached = [c.is_reached for c in found if is_bilabial(c.phone.phoneme) == wanted]
-        figures[f"{name}s"] = len(reached)
-        figures[f"{name}s_met"] = sum(reached)
-        figures[f"{name}_hits"] = sum(reached) / len(reached) if reached else None
+        spoken = [c for c in found if is_bilabial(c.phone.phoneme) == wanted]
+        figures |= _counts(name, spoken)
+        figures |= _counts(f"heard_{name}", [c for c in spoken if c.is_heard])
     return figures
+
+
+def _counts(name: str, closures: Sequence[Closure]) -> dict[str, object]:
+    n_reached = sum(c.is_reached for c in closures)
+    return {
+        f"{name}s": len(closures),
+        f"{name}s_met": n_reached,
+        f"{name}_hits": n_reached / len(closures) if closures else None,
+    }

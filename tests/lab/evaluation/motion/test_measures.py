@@ -11,6 +11,7 @@ from lipservo_lab.evaluation.motion.measures import (
     Motion,
     confidence_intervals,
     figures,
+    paired_differences,
     sentence_sums,
 )
 from lipservo_lab.evaluation.motion.methods import REFERENCE, Heard, all_methods
@@ -165,6 +166,17 @@ def test_a_bootstrap_of_equal_sentences_has_no_spread_and_of_unequal_ones_holds_
     low, high = confidence_intervals(sums, ["rmse_mm"])["rmse_mm"]
     assert low < figures(sums.sum(axis=0))["rmse_mm"] < high
     assert high - low < 0.2
+
+
+def test_differences_are_of_the_same_samples_of_sentences():
+    sums = np.abs(np.random.default_rng(0).normal(10.0, 3.0, (200, len(SUMS))))
+    farther = sums.copy()
+    farther[:, SUMS.index("squared_mm2")] *= 1.21
+    whole, (low, high) = paired_differences(farther, sums, ["rmse_mm"])["rmse_mm"]
+    rmse_mm = figures(sums.sum(axis=0))["rmse_mm"]
+    assert whole == pytest.approx(0.1 * rmse_mm)
+    ends_mm = confidence_intervals(sums, ["rmse_mm"])["rmse_mm"]
+    assert (low, high) == pytest.approx([0.1 * end for end in ends_mm])
 
 
 def test_only_the_words_asked_for_count():
