@@ -11,8 +11,7 @@ alignments (`lipservo lines align-folder`) and of VOICES', the folder of synthet
 quarter of the recordings each into FOLDER, until it is stopped or has made 600. Beside it `teach`
 trains a larger network that hears .6 s ahead and writes what it says of each frame of the clean
 recordings, and `learn` begins as the shipped weights, grown to CHANNELS, learns from all copies
-that
-there are, by their labels alone or by the teacher's posteriors too, and writes the running average
+that are there, by labels alone or by the teacher's posteriors too, and writes the running average
 of its weights. `mean` is SHARE of what was learnt and the rest of the shipped weights. Scored and
 validation talkers train nothing.
 """
@@ -305,9 +304,7 @@ def teach(given: Sequence[str]) -> None:
     labels = known.labels.cpu().numpy()
     agreed = float(np.mean(posteriors.argmax(axis=1) == labels))
     certain = float(np.mean(posteriors.max(axis=1).astype(np.float32)))
-    say(
-        f"the teacher agrees with {agreed:.3f} of the labels; its largest posterior is {certain:.3f}"
-    )
+    say(f"agrees with {agreed:.3f} of the labels; largest posterior {certain:.3f} in the mean")
     np.save(folder / "unfinished.npy", posteriors)
     (folder / "unfinished.npy").rename(folder / "posteriors.npy")
 

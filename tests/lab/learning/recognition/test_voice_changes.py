@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 import soundfile
-from lipservo_lab.learning.recognition.augmentation import shouted, warped, whispered
+from lipservo_lab.learning.recognition.augmentation import (
+    LabelledSamples,
+    shouted,
+    warped,
+    whispered,
+)
+from lipservo_lab.learning.recognition.training_data import disturbed_copy, surroundings
 from speech import CLIP_PATH
 
 RATE_HZ = 16_000
@@ -56,3 +62,23 @@ def test_a_whisper_has_no_pitch(clip):
 
     assert strongest_period(clip) > 0.5
     assert strongest_period(whispered(np.random.default_rng(0), clip)) < 0.35
+
+
+def test_every_fourth_copy_has_other_voices_and_no_noise():
+    """What was silent stays silent there; in most other copies it is heard through something."""
+    samples = np.zeros(2 * RATE_HZ, np.float32)
+    samples[:RATE_HZ] = 0.3 * np.sin(2.0 * np.pi * 220.0 / RATE_HZ * np.arange(RATE_HZ))
+    recordings = [LabelledSamples(samples, np.zeros(200, np.int64))] * 12
+    around = surroundings(recordings)
+
+    def silent(copy: int) -> list[bool]:
+        spoken = [
+            each.samples[: samples.size]
+            for each in disturbed_copy(recordings, around, copy, seed=0)
+            if len(each.samples) != 3 * RATE_HZ
+        ]
+        return [float(np.abs(each[-8_000:]).max()) < 1e-3 for each in spoken]
+
+    assert all(silent(0))
+    assert np.mean(silent(4)) > 0.7, "whispered noise alone may fill it"
+    assert np.mean(silent(1)) < 0.5
