@@ -166,6 +166,10 @@ class Windows:
         self._rng = np.random.default_rng(plan.channels)
         self._seen: set[int] = set()
 
+    def __len__(self) -> int:
+        """Return how many arrays were seen."""
+        return len(self._seen)
+
     def look(self) -> None:
         """Take in the arrays written since the last call; the oldest make room."""
         import torch
@@ -260,8 +264,7 @@ def trained(
         if share - shown > 0.05:
             shown, mean = share, np.mean(losses)
             losses.clear()
-            n_arrays = len(list(windows._folder.glob("*.features.npy")))
-            say(f"{share:.2f}: step {step}, loss {mean:.4f}, {n_arrays} arrays")
+            say(f"{share:.2f}: step {step}, loss {mean:.4f}, {len(windows)} arrays")
             keep(average.module)
     say(f"done: {step} steps")
     return average
