@@ -224,8 +224,9 @@ def make_synthesizer(
 
         if not file.has(ANIMPHO_PART):
             raise ModelError(
-                f"{file.name}: holds no AnimPhos for strategy {options.strategy}; take --strategy "
-                f"{LIVE_STRATEGY}, or train it again with `lipservo learn face`"
+                f"{file.name}: holds no AnimPhos for strategy {options.strategy}; write "
+                f"`motion: {{strategy: {LIVE_STRATEGY}}}` in the face's YAML, or train it again "
+                "with `lipservo learn face`"
             )
         units = read_animphos(file, face)
         if options.strategy == UNIT_STRATEGY:
@@ -243,7 +244,8 @@ def _soft_of(file: ModelFile, face: FaceModel, options: MotionOptions) -> SoftEx
     logged.
     """
     soft = read_soft_expectation(file, face.n_components)
-    fitted = file.about["provenance"].get("soft_weights")
+    provenance = file.about.get("provenance")
+    fitted = provenance.get("soft_weights") if isinstance(provenance, dict) else None
     if soft is not None and options.engine == DEFAULT_RECOGNIZER:
         with suppress(WeightsError):  # damaged weights are told of where they are loaded
             if weights_digest(options.weights) != fitted:

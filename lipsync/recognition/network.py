@@ -206,11 +206,17 @@ def load_weights(path: str | PathLike[str]) -> NetworkWeights:
     except UNREADABLE as error:
         raise WeightsError(f"{path}: damaged or no weights file; copy or train it again") from error
     try:
-        weights = _weights(arrays)
+        version = int(arrays["format"])
+        weights = _weights(arrays) if version == _FORMAT else None
     except KeyError as error:
         raise WeightsError(f"{path}: no weights of a recogniser: {error} is missing") from error
     except (ValueError, TypeError, IndexError) as error:  # no layers, text for numbers
         raise WeightsError(f"{path}: no weights of a recogniser; train them again") from error
+    if weights is None:
+        raise WeightsError(
+            f"{path}: weights of format {version}, this lipservo reads format {_FORMAT}; update "
+            "lipservo, or train them again"
+        )
     if mistake := _mistake(weights):
         raise WeightsError(f"{path}: {mistake}; copy or train it again")
     return weights

@@ -70,6 +70,11 @@ def word_folds(corpus: Corpus) -> list[Part]:
     counts = Counter(w.text for u in corpus.utterances for w in spoken_words(u))
     if len(counts) < 2:
         raise CorpusError(f"{corpus.name}: {len(counts)} different words; none can be left out")
+    if not any(speech_frames(u, frozenset(counts)).any() for u in corpus.utterances):
+        raise CorpusError(
+            f"{corpus.name}: no phone of speech lies in any word; check that both tiers of labels/ "
+            "have the same times"
+        )
     dealt = sorted(counts, key=lambda text: (-counts[text], text))
     n_folds = min(N_FOLDS, len(dealt))
     folds = []
@@ -237,7 +242,12 @@ def left_out_figures(
     main_ms = lookaheads_ms[len(lookaheads_ms) // 2]
     names = [method.name for method in methods]
     spoken = {text for part in folds for text in part.words or ()}
-    rows = [{"word": text, **scores.row(name, main_ms, text)} for name in names for text in spoken]
+    rows = [
+        {"word": text, **scores.row(name, main_ms, text)}
+        for name in names
+        for text in spoken
+        if scores.sums[name, main_ms, text]  # none: too short for a frame, or said in silence
+    ]
     return {
         "all": [scores.row(name, ms, _ALL) for name in names for ms in lookaheads_ms],
         "differences": [

@@ -101,6 +101,12 @@ def read_grid(
     rigid = np.concatenate([s.landmarks_px[:, rows.rigid] for s in sentences])
     if head_reference_mm is None:
         head_reference_mm = refine_mean(rigid, (*rows.eyes, rows.eye_distance_mm))
+    elif len(head_reference_mm) != rigid.shape[1]:
+        raise CorpusError(
+            f"{folder / 'landmarks.json'}: {rigid.shape[1]} rigid points, and the model's head has "
+            f"{len(head_reference_mm)}; name the same points under groups, rigid, or give a model "
+            "learned from such a folder"
+        )
     utterances = tuple(_to_utterance(s, rows, head_reference_mm) for s in sentences)
     return Corpus(folder_name(folder), layout, utterances, head_reference_mm, tuple(skipped))
 

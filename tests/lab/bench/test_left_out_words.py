@@ -88,6 +88,26 @@ def test_all_words_classes_and_look_aheads_are_scored(corpus):
     assert rows["differences"] == []
 
 
+def test_a_word_without_a_frame_of_speech_is_left_out_of_the_rows(corpus):
+    """As a word in silence, or one shorter than a recorded frame."""
+    first = corpus.utterances[0]
+    silent = replace(first, words=(Word("hush", 0.1, 0.2), *first.words))
+    rows = left_out_figures(
+        replace(corpus, utterances=(silent, *corpus.utterances[1:])), lambda _: small_model(),
+        [LiveMethod()], (100,), true_phonemes, 2, lambda _, items: items,
+    )  # fmt: skip
+    assert rows["all"][0]["frames"] > 0
+
+
+def test_words_where_nobody_speaks_are_refused_before_anything_is_learned(corpus):
+    shifted = tuple(
+        replace(u, words=tuple(replace(w, start_s=9.0, end_s=9.5) for w in u.words))
+        for u in corpus.utterances
+    )
+    with pytest.raises(CorpusError, match="no phone of speech lies in any word"):
+        word_folds(replace(corpus, utterances=shifted))
+
+
 def test_a_second_method_is_compared_in_the_same_words(corpus):
     """One that sees the whole sentence: the look-ahead is the first method's alone."""
     rows = left_out_figures(

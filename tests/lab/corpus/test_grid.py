@@ -74,6 +74,11 @@ def test_another_folder_can_be_laid_on_the_same_head(tmp_path):
     np.testing.assert_array_equal(corpus.utterances[1].markers_mm, again.utterances[1].markers_mm)
 
 
+def test_a_head_of_other_rigid_points_is_refused(tmp_path):
+    with pytest.raises(CorpusError, match="6 rigid points, and the model's head has 24; name the"):
+        read_grid(write_corpus(tmp_path / "c", 2), head_reference_mm=np.zeros((24, 3)))
+
+
 @pytest.mark.parametrize(
     ("damage", "said"),
     [

@@ -154,6 +154,8 @@ def test_weights_of_a_yaml_are_found_from_its_folder(tmp_path):
     ("motion", "said"),
     [
         ({"strength": 2}, "face.yaml.motion.strength: 2 is outside 0..1.5"),
+        ({"unit_share": 1.2}, "face.yaml.motion.unit_share: 1.2 is outside 0..1"),
+        ({"stage": -0.1}, "face.yaml.motion.stage: -0.1 is outside 0..1"),
         ({"strategy": "best"}, "face.yaml.motion.strategy: 'best' is not known here; use one of"),
         ({"volume": 1}, "face.yaml.motion.volume: unknown setting"),
         (None, "face.yaml.motion: None is not settings of its own"),

@@ -73,6 +73,7 @@ def test_a_face_says_what_it_plays_and_follows_what_is_set():
         in_json = invoke("set", "smoothness", "1", "--json")
         gap = invoke("set", "lip_gap_offset_mm", "-0.5")
         too_far = invoke("set", "lip_gap_offset_mm", "4")
+        too_much = invoke("set", "unit_share", "1.2")
         shown = invoke("status").stdout
     (after,) = outcomes
 
@@ -96,6 +97,8 @@ def test_a_face_says_what_it_plays_and_follows_what_is_set():
     }  # fmt: skip
     assert (gap.exit_code, too_far.exit_code) == (0, 1)
     assert "lip_gap_offset_mm is 4; allowed: -3 to 3" in too_far.stderr
+    assert too_much.exit_code == 1
+    assert "unit_share is 1.2; allowed: 0 to 1" in too_much.stderr
     assert after.summary.strategy == "animpho"
     assert after.summary.recognizer == after.status.speech.recognizer
 

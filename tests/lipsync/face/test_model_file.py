@@ -2,6 +2,7 @@
 
 import json
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -85,7 +86,7 @@ def test_a_model_without_animphos_is_refused_with_what_plays_it(shipped, tmp_pat
     face = load_face(path)
     make_synthesizer(face, MotionOptions(strategy="expected"), path)
     for strategy in ("animpho", "priority"):
-        with pytest.raises(ModelError, match=r"no AnimPhos .*--strategy expected, .*`lipservo le"):
+        with pytest.raises(ModelError, match=r"no AnimPhos .*strategy: expected.*`lipservo learn"):
             make_synthesizer(face, MotionOptions(strategy=strategy), path)
 
 
@@ -124,3 +125,17 @@ def test_weights_that_a_model_was_not_fitted_to_work_and_are_logged(caplog):
         make_synthesizer(load_face(), MotionOptions(weights="grid"))
     assert "was not fitted to the recogniser's weights grid" in caplog.text
     assert "lipservo learn soft" in caplog.text
+
+
+def test_a_map_that_names_no_weights_works_and_is_logged(shipped, tmp_path, caplog):
+    path = tmp_path / "m.npz"
+    save_model(replace(shipped, provenance={}), path)
+    with np.load(path) as file:
+        content = {key: file[key] for key in file.files}
+    about = json.loads(content["about"].tobytes())
+    del about["provenance"]
+    content["about"] = np.frombuffer(json.dumps(about).encode(), dtype=np.uint8)
+    np.savez(path, **content)
+    with caplog.at_level("INFO", logger="lipservo"):
+        make_synthesizer(load_face(path), MotionOptions(), path)
+    assert "was not fitted to the recogniser's weights default" in caplog.text

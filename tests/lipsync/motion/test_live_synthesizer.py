@@ -1,6 +1,7 @@
 """The live synthesiser as its callers see it: in time, continuous, closed where it must be."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from spoken_phonemes import spoken, update_streams
 from lipsync.motion.finishing import Style, StyleError
 from lipsync.motion.live_synthesizer import LEAD, LiveSynthesizer
 from lipsync.motion.tick_plan import TICK_S
-from lipsync.phonemes import PHONEMES, PhonemeEvent, PhonemeUpdate
+from lipsync.phonemes import PHONEMES, FramePosteriors, PhonemeEvent, PhonemeUpdate
 from lipsync.recognition.scripted import ScriptedPhonemes
 
 
@@ -41,6 +42,35 @@ def test_the_future_beyond_the_look_ahead_makes_no_difference(lookahead_s):
     until_s = 0.60 - lookahead_s - TICK_S
     np.testing.assert_array_equal(faces(a, 0.0, until_s, TICK_S), faces(b, 0.0, until_s, TICK_S))
     assert not np.array_equal(a.frame_at(0.65).coefficients, b.frame_at(0.65).coefficients)
+
+
+@pytest.mark.parametrize("spoiled", ["nan", "rate"])
+def test_posteriors_that_turn_bad_in_speech_are_as_none_and_no_jump(spoiled):
+    """Doubted until 0.5 s, then no posteriors of ours: the mouth goes over to decided phonemes."""
+    model = load_trained_model()
+    told = spoken(("SIL", 0.3), ("AA", 0.4), ("IY", 0.4))
+    values = np.zeros((10, 1, len(PHONEMES)), np.float32)
+    values[..., [PHONEMES.index("AA"), PHONEMES.index("UW")]] = 0.5
+    good = FramePosteriors(100, 0, (0,), values)
+    bad = replace(
+        good, **{"nan": {"values": values * np.nan}, "rate": {"frames_per_s": 50}}[spoiled]
+    )
+
+    def shown(later: FramePosteriors | None) -> np.ndarray:
+        synthesizer, moved = LiveSynthesizer(model, model.expectation, soft=model.soft), []
+        for n in range(10):
+            end_s = 0.1 * (n + 1)
+            now = good if n < 5 else later
+            believed = now and replace(now, first_frame=10 * n)
+            synthesizer.push(PhonemeUpdate(0.0, end_s, end_s, told, believed))
+            moved.append(faces(synthesizer, end_s - 0.2, end_s - 0.1, TICK_S))
+        return np.concatenate(moved)
+
+    found = shown(bad)
+    np.testing.assert_array_equal(found, shown(None))
+    assert not np.array_equal(found, shown(good))
+    gaps_mm = np.array([model.lip_gap_mm(face) for face in found])
+    assert np.abs(np.diff(gaps_mm)).max() <= 4.5
 
 
 def test_a_phoneme_moves_the_mouth_before_its_end_is_known():

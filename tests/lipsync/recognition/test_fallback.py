@@ -7,7 +7,7 @@ from small_network import random_weights
 from speech import CLIP_PATH, white_noise
 
 from lipsync.audio_block import AudioBlock
-from lipsync.phonemes import SILENCE
+from lipsync.phonemes import PHONEMES, SILENCE
 from lipsync.recognition.energy_recognizer import EnergyRecognizer, NeutralRecognizer
 from lipsync.recognition.fallback import FallbackLevel, FallbackRecognizer
 from lipsync.recognition.network import WeightsError, load_weights, save_weights
@@ -147,3 +147,21 @@ def test_a_damaged_weights_file_is_named_in_one_line(tmp_path, spoil):
         np.savez(path, **arrays)
     with pytest.raises(WeightsError, match=r"weights\.npz: .*"):
         load_weights(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("format", 2, "of format 2, this lipservo reads format 1; update lipservo"),
+        ("phonemes", np.array([*PHONEMES[:-1], "QQ"]), "made for other phonemes"),
+    ],
+)
+def test_weights_that_mean_something_else_are_refused(tmp_path, name, value, said):
+    path = tmp_path / "weights.npz"
+    save_weights(random_weights(), path)
+    with np.load(path) as file:
+        arrays = dict(file) | {name: value}
+    np.savez(path, **arrays)
+    with pytest.raises(WeightsError, match=said) as refused:
+        load_weights(path)
+    assert "\n" not in str(refused.value)
