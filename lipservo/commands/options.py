@@ -201,8 +201,8 @@ FaceWeights = Annotated[str | None, _WEIGHTS]
 FaceStrategy = Annotated[
     Strategy | None,
     typer.Option(
-        help=f"How phonemes become motion: {DEFAULT_STRATEGY}, animpho, or the paper's naive, "
-        "priority; default: the face's.",
+        help="How phonemes become motion: animpho, expected, or the paper's naive, priority; "
+        f"default: the face's, or {DEFAULT_STRATEGY}.",
         show_default=False,
     ),
 ]

@@ -249,7 +249,7 @@ def _soft_of(file: ModelFile, face: FaceModel, options: MotionOptions) -> SoftEx
     if soft is not None and options.engine == DEFAULT_RECOGNIZER:
         with suppress(WeightsError):  # damaged weights are told of where they are loaded
             if weights_digest(options.weights) != fitted:
-                _LOG.info(
+                _LOG.warning(
                     "%s was not fitted to the recogniser's weights %s: it works, less well; "
                     "`lipservo learn soft` fits it", file.name, options.weights,
                 )  # fmt: skip

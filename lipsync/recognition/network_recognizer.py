@@ -24,7 +24,7 @@ from lipsync.recognition.decoder import (
     ViterbiDecoder,
 )
 from lipsync.recognition.features import FRAMES_PER_S, HOP, WINDOW
-from lipsync.recognition.network import LATENCY_S, NetworkWeights, find_weights
+from lipsync.recognition.network import LATENCY_S, NetworkWeights, WeightsError, find_weights
 from lipsync.recognition.own_noise import OwnNoise
 from lipsync.recognition.posteriors import PosteriorStream
 from lipsync.recognition.streaming import AudioInput, UpdateBuilder
@@ -158,7 +158,8 @@ class NetworkRecognizer:
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
         """Compute the scores of the blocks that will be fed next, all in one pass.
 
-        Raises ValueError for blocks that `feed` refuses; after that only `reset` helps.
+        Raises ValueError for blocks that `feed` refuses, WeightsError where the network overflows;
+        after that only `reset` helps.
         """
         samples: list[Array32] = []
         counts: list[tuple[float, int, int, int]] = []
@@ -172,6 +173,8 @@ class NetworkRecognizer:
         posteriors = self._posteriors.push(
             np.concatenate(samples), until_s, is_awake=self._decoder.is_awake
         )
+        if not np.isfinite(posteriors).all():
+            raise WeightsError("the weights give no probabilities; train them again")
         scores = self._decoder.scores(posteriors)
         noticeable = self._posteriors.noticeable
         end = 0

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -75,6 +76,22 @@ def test_a_fault_falls_back_a_level_and_what_was_final_stays(clip):
     after = {e.phoneme for e in timeline.events if e.start_s > 1.6}
     assert after <= {"AA", "AH", SILENCE}
     assert timeline.final_until_s > 2.8
+
+
+@pytest.mark.filterwarnings("ignore:.*encountered in matmul:RuntimeWarning")
+def test_weights_that_overflow_leave_the_jaw_to_loudness(clip):
+    """Training that diverged: finite weights, whose products are no numbers."""
+    weights = random_weights()
+    layers = tuple(
+        replace(each, kernel=each.kernel * np.float32(1e25)) for each in weights.residuals
+    )
+    overflowing = replace(weights, residuals=layers)
+    network = FallbackLevel("network", lambda: NetworkRecognizer(overflowing))
+    recognizer = FallbackRecognizer([network, ENERGY], 0.095)
+    timeline = listen(recognizer, clip)
+    assert recognizer.level == "energy"
+    assert "the weights give no probabilities; train them again" in recognizer.reasons[0]
+    assert {event.phoneme for event in timeline.events} <= {"AA", "AH", SILENCE}
 
 
 def test_when_every_level_fails_the_mouth_is_closed(clip):
