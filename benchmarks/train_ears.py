@@ -36,6 +36,7 @@ from lipservo_lab.corpus.transcribed import (
 from lipservo_lab.learning.recognition.augmentation import LabelledSamples, Surroundings
 from lipservo_lab.learning.recognition.noise import read_found_sounds
 from lipservo_lab.learning.recognition.training_data import (
+    MASKED_BANDS,
     TrainingArray,
     TrainingPlan,
     as_array,
@@ -80,10 +81,9 @@ PARTS = 4
 FOR_LEARNING = 3
 #: Begin to learn when there are so many arrays.
 ENOUGH = 16
-#: The newest so many are learnt from; 85 MB each on the device.
-KEPT_ARRAYS = 200
+#: The newest so many are learnt from; 95 MB each on the device.
+KEPT_ARRAYS = 300
 MOST_ARRAYS = 600
-MASKED_BANDS = 8
 CLEAN: list[LabelledSamples] = []
 AROUND: list[Surroundings] = []
 
@@ -164,11 +164,7 @@ class Windows:
         self._device = device
         self._arrays: dict[int, tuple[torch.Tensor, torch.Tensor]] = {}
         self._rng = np.random.default_rng(plan.channels)
-        self._seen: set[int] = set()
-
-    def __len__(self) -> int:
-        """Return how many arrays were seen."""
-        return len(self._seen)
+        self.seen: set[int] = set()
 
     def look(self) -> None:
         """Take in the arrays written since the last call; the oldest make room."""
@@ -176,9 +172,9 @@ class Windows:
 
         for path in self._folder.glob("*.features.npy"):
             number = int(path.name.split(".")[0])
-            if number in self._seen:
+            if number in self.seen:
                 continue
-            self._seen.add(number)
+            self.seen.add(number)
             features = torch.from_numpy(np.load(path)).to(self._device)
             targets = torch.from_numpy(np.load(self._folder / f"{number}.targets.npy"))
             self._arrays[number] = (features, self._of_heads(targets).to(self._device))
@@ -264,7 +260,7 @@ def trained(
         if share - shown > 0.05:
             shown, mean = share, np.mean(losses)
             losses.clear()
-            say(f"{share:.2f}: step {step}, loss {mean:.4f}, {len(windows)} arrays")
+            say(f"{share:.2f}: step {step}, loss {mean:.4f}, {len(windows.seen)} arrays")
             keep(average.module)
     say(f"done: {step} steps")
     return average
@@ -322,6 +318,8 @@ def learn(given: Sequence[str]) -> None:
     ends_at = time.monotonic() + seconds
     posteriors = folder / "posteriors.npy"
     while is_taught and not posteriors.exists():
+        if time.monotonic() > ends_at:
+            sys.exit(f"{posteriors}: not there after {seconds:.0f} s; start `teach` beside it")
         time.sleep(0.5)
     windows = ready(folder, seconds, plan)
     known = on_device(folder, posteriors if is_taught else None)

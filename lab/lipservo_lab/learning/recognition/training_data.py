@@ -271,7 +271,8 @@ def disturbed_copy(
 
 #: Chance that a window of the lightly changed copy is drawn; the heavily changed share the rest.
 _LIGHT_SHARE = 0.25
-_MASKED_BANDS = 8
+#: Of half of the windows up to so many neighbouring bands are blanked.
+MASKED_BANDS = 8
 
 
 class TrainingError(UserError):
@@ -365,6 +366,6 @@ def draw_windows(
         features[index] = array.features[part].T
         targets[index] = array.targets[part].T
         if rng.random() < 0.5:
-            band = int(rng.integers(0, N_BANDS - _MASKED_BANDS))
-            features[index, band : band + int(rng.integers(1, _MASKED_BANDS))] = 0.0
+            band = int(rng.integers(0, N_BANDS - MASKED_BANDS))
+            features[index, band : band + int(rng.integers(1, MASKED_BANDS))] = 0.0
     return features, targets
