@@ -314,16 +314,30 @@ def _batches(
 
 @dataclass(frozen=True, slots=True)
 class TaughtOnDevice:
-    """A `Taught` (labels and a teacher's posteriors of all frames) as tensors of one device.
+    """A `Taught` as tensors of one device.
 
-    posteriors: None: labels alone teach.
+    labels: (n,), posteriors: (n, n_phonemes) of all frames of all recordings; without posteriors
+    (None) labels alone teach.
     """
 
     labels: torch.Tensor
     posteriors: torch.Tensor | None
 
     def batch(self, features: torch.Tensor, targets: torch.Tensor) -> Batch:
-        """Return a batch with labels and posteriors in place of the frame numbers in `targets`."""
+        """Return a batch with labels and posteriors in place of the frame numbers in `targets`.
+
+        Parameters
+        ----------
+        features : torch.Tensor
+            (b, 40, n).
+        targets : torch.Tensor
+            (b, n_heads, n): below len(PHONEMES) labels, from there on frames of `labels`.
+
+        Returns
+        -------
+        Batch
+            Windows on the device; a frame that is none of `labels` has no posteriors.
+        """
         is_known, rows = targets >= len(PHONEMES), (targets - len(PHONEMES)).clamp(min=0)
         labels = torch.where(is_known, self.labels[rows], targets)
         if self.posteriors is None:
