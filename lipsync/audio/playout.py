@@ -169,6 +169,20 @@ class Playout:
         return 0 if self._microphone is None else self._microphone.lost_blocks
 
     @property
+    def microphone_s(self) -> float | None:
+        """The timeline position of what the microphone captures now; None while it is not heard.
+
+        The device's own delay, of some 10 to 40 ms, is not known and not in it.
+        """
+        if self._microphone is None or not self._is_listening:
+            return None
+        return self.committed_s + _HELD_BLOCKS * BLOCK_S
+
+    @property
+    def _is_listening(self) -> bool:
+        return not self._playing and self._position_s >= self._quiet_from_s
+
+    @property
     def output_rate_hz(self) -> int:
         """The sample rate in Hz of the loudspeaker, for which new streams must be made."""
         return 100 * len(self._played_silence)
@@ -421,8 +435,7 @@ class Playout:
         Silence without a microphone, while too little has come, while the robot speaks, and until
         the echo of its speech is over.
         """
-        is_speaking = bool(self._playing) or self._position_s < self._quiet_from_s
-        if self._microphone is None or is_speaking:
+        if self._microphone is None or not self._is_listening:
             # Nobody need hear that it is silent: the mouth closes a tenth of a second sooner.
             self._known.is_silent(start_s, start_s + BLOCK_S)
             if self._microphone is not None:

@@ -182,6 +182,22 @@ class SpokenPhonemes:
             return timed or ((), 0)
         return self._follower.saying
 
+    def note_servo_speeds(self, _sound_s: float, speeds_deg_s: Array) -> None:
+        """Pass servo speeds to the recogniser while it hears the microphone: servo noise is in it.
+
+        What the microphone captures now lies ahead of what is heard now, on the same timeline.
+
+        Parameters
+        ----------
+        _sound_s : float
+            Sound time of what is heard now, s.
+        speeds_deg_s : Array
+            (n_servos,) degrees a second.
+        """
+        captured_s = self._playout.microphone_s
+        if captured_s is not None and isinstance(self._recognizer, ServoListener):
+            self._recognizer.note_servo_speeds(captured_s, speeds_deg_s)
+
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
         """Fix and recognise the sound due at sound time `until_s`; return its phoneme updates."""
         blocks = self._playout.commit(until_s)

@@ -5,6 +5,7 @@ import pytest
 import soundfile
 from lipservo_lab.evaluation.recognition.benchmark import false_speech
 from lipservo_lab.evaluation.recognition.conditions import encoder_readings_deg, servo_noise
+from lipservo_lab.evaluation.recognition.half_duplex import half_duplex_false_speech
 from lipservo_lab.evaluation.recognition.stream_observers import label_frames
 from speech import CLIP_PATH
 
@@ -46,6 +47,20 @@ def test_a_robot_that_listened_to_its_servos_hears_a_voice_beside_them(clip):
     silence = PHONEMES.index(SILENCE)
     spoken = untold != silence
     assert np.mean(told[spoken] == untold[spoken]) > 0.9
+
+
+@pytest.mark.slow
+def test_a_robot_that_could_speak_learns_its_servos_by_its_microphone():
+    """Sound in pieces of 40 ms, 20 ms late, while encoders are read at once."""
+    level = np.float32(10 ** (-36 / 20))
+    sound, speeds = servo_noise(np.random.default_rng(0), 50 * RATE_HZ, robot=1)
+    sound, servos_deg = (level * sound).astype(np.float32), encoder_readings_deg(speeds)
+    learned, later = slice(0, 3000), slice(3000, 5000)
+    untold = half_duplex_false_speech(recognizer(), sound[30 * RATE_HZ :], None)
+    ears = recognizer()
+    half_duplex_false_speech(ears, sound[: 30 * RATE_HZ], servos_deg[learned])
+    told = half_duplex_false_speech(ears, sound[30 * RATE_HZ :], servos_deg[later])
+    assert told < 0.5 * untold
 
 
 def test_through_the_fallback_levels_and_with_a_level_that_cannot_be_told():

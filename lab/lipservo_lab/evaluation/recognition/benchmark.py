@@ -17,6 +17,7 @@ from lipservo_lab.evaluation.recognition.conditions import (
     encoder_readings_deg,
     servo_noise,
 )
+from lipservo_lab.evaluation.recognition.half_duplex import half_duplex_false_speech
 from lipservo_lab.evaluation.recognition.recognition_scores import Score, phone_sequence
 from lipservo_lab.evaluation.recognition.stream_observers import (
     NO_TEXT,
@@ -209,9 +210,10 @@ def own_servo_figures(make_recognizer: Callable[[], LiveRecognizer]) -> dict[str
     """The share of frames called speech while a robot's servos move without speech.
 
     20 s at -36 dBFS, 10 dB below usual speech; then the same of a robot that tells how its servos
-    move, after half a minute in which it listened to others of its moves. Means of four robots.
+    move, after half a minute in which it listened to others of its moves; and of one that listens
+    by a microphone and could speak. Means of four robots.
     """
-    without_speeds, with_speeds = [], []
+    without_speeds, with_speeds, half_duplex = [], [], []
     level = np.float32(10.0 ** (-36 / 20))
     for robot in range(_N_ROBOTS):
         rng, recognizer = np.random.default_rng(0), make_recognizer()
@@ -219,10 +221,13 @@ def own_servo_figures(make_recognizer: Callable[[], LiveRecognizer]) -> dict[str
         sound, speeds = servo_noise(rng, 20 * SAMPLE_RATE_HZ, robot)
         without_speeds.append(false_speech(recognizer, level * sound))
         false_speech(recognizer, level * first, encoder_readings_deg(first_speeds))
-        with_speeds.append(false_speech(recognizer, level * sound, encoder_readings_deg(speeds)))
+        servos_deg = encoder_readings_deg(speeds)
+        with_speeds.append(false_speech(recognizer, level * sound, servos_deg))
+        half_duplex.append(half_duplex_false_speech(recognizer, level * sound, servos_deg))
     return {
         "own_servos_speech_share": float(np.mean(without_speeds)),
         "own_servos_speech_share_told": float(np.mean(with_speeds)),
+        "own_servos_speech_share_half_duplex": float(np.mean(half_duplex)),
     }
 
 

@@ -3,12 +3,14 @@
 import math
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from lipservo_lab.evaluation.recognition.half_duplex import PieceMicrophone
 from spoken_phonemes import spoken, update_streams
 
 from lipservo.runtime.speech.phoneme_sources import SpokenPhonemes, with_known
-from lipsync.audio.playout import Playout
+from lipsync.audio.playout import ListenedMicrophone, Playout
 from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
 from lipsync.phonemes import FramePosteriors, PhonemeEvent, PhonemeUpdate
 from lipsync.timeline import PhonemeTimeline
@@ -173,3 +175,46 @@ def test_a_known_stream_that_dries_up_takes_its_phonemes_up_where_its_sound_goes
         face.go_on(n / 100)
     assert face.told(0.1, 0.29, 0.35, 0.45) == ["M", "IY", "SIL", "SIL"]
     assert face.told(0.55, 0.65, 0.75, 0.85) == ["IY", "P", "P", "SIL"]
+
+
+class ServoEars:
+    """A recogniser that remembers what it is told of the servos."""
+
+    latency_s = 0.05
+
+    def __init__(self):
+        self.told = []
+
+    def feed(self, block): ...
+
+    def updates(self):
+        return []
+
+    def reset(self): ...
+
+    def note_servo_speeds(self, sound_s, _speeds_deg_s):
+        self.told.append(sound_s)
+
+
+def test_servo_speeds_are_told_where_the_microphone_is_heard_and_nowhere_else():
+    """A second of listening, half a second of speech without servos in it, and its echo."""
+    ears = ServoEars()
+    playout = Playout(None, ListenedMicrophone(PieceMicrophone(np.zeros(3 * RATE_HZ, np.float32))))
+    source = SpokenPhonemes(playout, ears)
+    stream = PlayoutStream("a", RATE_HZ, RATE_HZ)
+    stream.push(np.zeros(RATE_HZ // 2, np.float32))
+    stream.end()
+    for n in range(300):
+        if n == 100:
+            playout.requests.append(PlayoutRequest("say", stream))
+        playout.advance(n / 100)
+        source.updates((n + 1) / 100)
+        source.note_servo_speeds(n / 100, np.array([40.0]))
+    told_s = np.array(ears.told)
+    # What the microphone captures now is committed after the 40 ms that are held back.
+    assert told_s[:3] == pytest.approx([0.05, 0.06, 0.07])
+    assert not ((told_s > 1.05) & (told_s < 1.85)).any()
+    assert told_s[-1] == pytest.approx(3.04)
+    mute = ServoEars()
+    SpokenPhonemes(Playout(None), mute).note_servo_speeds(0.0, np.array([40.0]))
+    assert mute.told == []

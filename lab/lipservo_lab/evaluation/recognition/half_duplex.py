@@ -1,0 +1,72 @@
+"""A silent robot that listens by a microphone and could speak: what it hears of its servos."""
+
+from typing import Final
+
+import numpy as np
+
+from lipservo.runtime.speech.phoneme_sources import SpokenPhonemes
+from lipsync.arrays import Array, Array32
+from lipsync.audio.playout import ListenedMicrophone, Playout
+from lipsync.audio.source import BLOCK_SAMPLES
+from lipsync.audio_block import BLOCK_S, AudioBlock
+from lipsync.phonemes import SILENCE, LiveRecognizer
+from lipsync.recognition.own_noise import ServoSpeeds
+from lipsync.timeline import PhonemeTimeline
+
+#: A sound card hands over pieces of 40 ms, 20 ms late.
+_PIECE_BLOCKS: Final = 4
+_LATE_BLOCKS: Final = 2
+
+
+class PieceMicrophone:
+    """A microphone that hands recorded sound over in pieces, late, as sound cards do."""
+
+    name, duration_s, is_live, lost_blocks = "microphone", None, True, 0
+
+    def __init__(self, samples: Array32) -> None:
+        """samples: (n,) at 16 kHz, captured from time 0 on."""
+        self._samples = samples
+        self._n_given = 0
+        self.now_s = 0.0
+
+    def blocks(self, _until_s: float) -> list[AudioBlock]:
+        """Return the blocks of whole pieces that have come by `now_s`."""
+        n_come = round(self.now_s / BLOCK_S) - _LATE_BLOCKS
+        n_come = min(max(0, n_come), len(self._samples) // BLOCK_SAMPLES)
+        n_come -= n_come % _PIECE_BLOCKS
+        first, self._n_given = self._n_given, max(n_come, self._n_given)
+        return [
+            AudioBlock(self._samples[n * BLOCK_SAMPLES :][:BLOCK_SAMPLES], n * BLOCK_S)
+            for n in range(first, self._n_given)
+        ]
+
+    def __enter__(self) -> "PieceMicrophone":
+        return self
+
+    def __exit__(self, *exc: object) -> None: ...
+
+
+def half_duplex_false_speech(
+    recognizer: LiveRecognizer, samples: Array32, servos_deg: Array | None
+) -> float:
+    """The share of time in which sound (n,) without speech is called speech.
+
+    servos_deg: (n // 160, n_servos), encoder readings each 10 ms, from which the recogniser learns
+    how the servos move; None: it is not told.
+    """
+    recognizer.reset()
+    microphone = PieceMicrophone(samples)
+    playout = Playout(None, ListenedMicrophone(microphone))
+    source, timeline, speeds = SpokenPhonemes(playout, recognizer), PhonemeTimeline(), ServoSpeeds()
+    spoken = []
+    for number in range(len(samples) // BLOCK_SAMPLES):
+        now_s = microphone.now_s = (number + 1) * BLOCK_S
+        playout.advance(now_s)
+        found = None if servos_deg is None else speeds.take(now_s, servos_deg[number])
+        if found is not None:
+            source.note_servo_speeds(*found)
+        for update in source.updates(now_s):
+            timeline.apply(update)
+        event = timeline.event_at(now_s - source.latency_s - BLOCK_S)
+        spoken.append(event is not None and event.phoneme != SILENCE)
+    return float(np.mean(spoken))
