@@ -57,12 +57,15 @@ class BelievedFrames:
         self._rows = np.zeros((_KEPT, len(PHONEMES)), np.float32)
         self._frames = np.full(_KEPT, -1)
 
-    def push(self, posteriors: FramePosteriors) -> None:
-        """Store new posteriors; invalid ones and those of another inventory or rate are ignored."""
+    def push(self, posteriors: FramePosteriors) -> bool:
+        """Store new posteriors; return whether all are valid and of our inventory and rate.
+
+        Others are ignored.
+        """
         values = posteriors.values[-_KEPT:]
         is_ours = values.shape[1:] == (len(posteriors.delays), len(PHONEMES))
         if not is_ours or posteriors.frames_per_s != FRAMES_PER_S:
-            return
+            return False
         first = posteriors.first_frame + len(posteriors.values) - len(values)
         sums = values.sum(axis=2)
         # Also false for NaN.
@@ -73,6 +76,7 @@ class BelievedFrames:
             places = frames[kept] % _KEPT
             self._rows[places] = values[kept, head]
             self._frames[places] = frames[kept]
+        return bool(usable.all())
 
     def around(self, track: PhonemeTrack, times_s: Array, known_until_s: float) -> Array32:
         """Return the posteriors of the frames from 0.15 s before to 0.15 s after each time.

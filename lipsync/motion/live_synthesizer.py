@@ -6,16 +6,17 @@ from what is known at its own time; between two of these the motion is a cubic, 
 position and speed whatever arrives.
 """
 
+import logging
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from lipsync.arrays import Array
 from lipsync.expectation.expectation import Expectation, PhonemeTrack, context_at, track_of
-from lipsync.expectation.soft_expectation import BelievedFrames, SoftExpectation
+from lipsync.expectation.soft_expectation import FRAMES_PER_S, BelievedFrames, SoftExpectation
 from lipsync.face.frame import Frame
 from lipsync.face.model import FaceModel
 from lipsync.motion.finishing import USED_LOOKAHEAD_S, FinishedSynthesizer, Style
@@ -29,12 +30,13 @@ from lipsync.motion.tick_plan import (
     planned_rest,
     tick_of,
 )
-from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
+from lipsync.phonemes import PHONEMES, PhonemeEvent, PhonemeUpdate
 from lipsync.timeline import PhonemeTimeline
 
 if TYPE_CHECKING:
     from lipsync.animpho.units import AnimPhoUnits
 
+_LOG: Final = logging.getLogger(__name__)
 #: Their names on the command line and in results: the expectation, and AnimPhos near it.
 LIVE_STRATEGY = "expected"
 UNIT_STRATEGY = "animpho"
@@ -102,6 +104,7 @@ class ExpectedMotion:
         self._ahead_s = n_ahead * TICK_S
         self._weights = _bell(2 * n_ahead + 1)
         self._smoothness = EasedSetting(smoothness, 1.0)
+        self._is_told = False
         self.reset()
 
     @property
@@ -132,8 +135,16 @@ class ExpectedMotion:
         """Apply a revision to phonemes and posteriors; motion already decided is not changed."""
         self._timeline.apply(update)
         self._track = track_of(self._timeline.events)
-        if update.posteriors is not None:
-            self._believed.push(update.posteriors)
+        posteriors = update.posteriors
+        if posteriors is None or self._believed.push(posteriors) or self._is_told:
+            return
+        self._is_told = True
+        _LOG.warning(
+            "probabilities of phonemes from the recogniser are not used: each head must give %d "
+            "that add up to 1, %d times a second; decided phonemes alone move the mouth",
+            len(PHONEMES),
+            FRAMES_PER_S,
+        )
 
     def frame_at(self, time_s: float) -> Frame:
         """Return the frame at sound time `time_s`; equal times give equal frames.

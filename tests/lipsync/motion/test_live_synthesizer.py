@@ -45,7 +45,7 @@ def test_the_future_beyond_the_look_ahead_makes_no_difference(lookahead_s):
 
 
 @pytest.mark.parametrize("spoiled", ["nan", "rate"])
-def test_posteriors_that_turn_bad_in_speech_are_as_none_and_no_jump(spoiled):
+def test_posteriors_that_turn_bad_in_speech_are_as_none_and_no_jump(spoiled, caplog):
     """Doubted until 0.5 s, then no posteriors of ours: the mouth goes over to decided phonemes."""
     model = load_trained_model()
     told = spoken(("SIL", 0.3), ("AA", 0.4), ("IY", 0.4))
@@ -67,8 +67,11 @@ def test_posteriors_that_turn_bad_in_speech_are_as_none_and_no_jump(spoiled):
         return np.concatenate(moved)
 
     found = shown(bad)
+    (record,) = caplog.records  # once, not at every update
+    assert "probabilities of phonemes from the recogniser are not used" in record.getMessage()
     np.testing.assert_array_equal(found, shown(None))
     assert not np.array_equal(found, shown(good))
+    assert len(caplog.records) == 1
     gaps_mm = np.array([model.lip_gap_mm(face) for face in found])
     assert np.abs(np.diff(gaps_mm)).max() <= 4.5
 
