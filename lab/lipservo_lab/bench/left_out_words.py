@@ -104,14 +104,15 @@ _LEARNING = (
 class KeptModels:
     """Models of parts of one corpus, made at the first use and kept in a folder.
 
-    heard: of the corpus's sentences, by name. Two runs at once make a model twice; its file is
-    written whole.
+    heard: of the corpus's sentences, by name. others: digests of weights that hear them too. Two
+    runs at once make a model twice; its file is written whole.
     """
 
     folder: Path
     corpus: Corpus
     heard: Mapping[str, Sequence[PhonemeEvent]]
     learn: Callable[[Corpus], TrainedModel]
+    others: tuple[str, ...] = ()
 
     def of(self, part: Part) -> TrainedModel:
         """The model trained on the part's sentences. Raises TrainingError, OutputError."""
@@ -119,16 +120,18 @@ class KeptModels:
         path = self.folder / f"{self._digest(training)}.npz"
         try:
             model = load_trained_model(path)
-            os.utime(path)
         except ModelError:
-            model = self.learn(training)
             self.folder.mkdir(parents=True, exist_ok=True)
-            save_model(model, path)
+            save_model(self.learn(training), path)
             self._forget_the_oldest()
+            # Rounded as in the file, so that the next run gives the same figures.
+            return load_trained_model(path)
+        os.utime(path)
         return model
 
     def _digest(self, training: Corpus) -> str:
         digest = hashlib.sha256(_code())
+        digest.update(repr(self.others).encode())
         for u in training.utterances:
             digest.update(repr((u.name, u.weight, u.phones, self.heard.get(u.name))).encode())
             digest.update(np.ascontiguousarray(u.markers_mm).tobytes())
@@ -232,7 +235,7 @@ def left_out_figures(
     scores, folds = _Scores(), word_folds(corpus)
     for part in folds:
         model = model_of(part)
-        played = _chosen(corpus, part, limit)
+        played = chosen_places(corpus, part, limit)
         sentences = corpus.keep({name for name, _ in played}).utterances
         for utterance in track(f"scoring {part.split}", list(sentences)):
             words_played = [
@@ -266,7 +269,7 @@ def left_out_figures(
     }
 
 
-def _chosen(corpus: Corpus, part: Part, limit: int) -> set[tuple[str, str]]:
+def chosen_places(corpus: Corpus, part: Part, limit: int) -> set[tuple[str, str]]:
     """(sentence, word) of a fold: at most `limit` sentences for each of its words."""
     chosen: set[tuple[str, str]] = set()
     for text in part.words or ():

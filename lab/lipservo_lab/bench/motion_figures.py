@@ -82,7 +82,7 @@ class Question:
 
 
 def question(
-    strategy: str | None,
+    strategies: str | None,
     lookaheads: str,
     phonemes: str,
     words: str | None,
@@ -92,8 +92,8 @@ def question(
 ) -> Question:
     """From the command line's texts; raises BenchError for what is not known here.
 
-    published_derivatives: of the paper's two strategies, as the paper prints equation (5).
-    unit_share: of the strategy `animpho`; None: its default.
+    strategies: names with commas; None: all. published_derivatives: of the paper's two strategies,
+    as the paper prints equation (5). unit_share: of the strategy `animpho`; None: its default.
     """
     methods = all_methods()
     for name, method in methods.items():
@@ -101,8 +101,9 @@ def question(
             methods[name] = replace(method, published_derivatives=published_derivatives)
         elif isinstance(method, LiveMethod) and None not in (method.unit_share, unit_share):
             methods[name] = replace(method, unit_share=unit_share)
-    if strategy is not None and strategy not in methods:
-        raise BenchError(f"unknown strategy {strategy!r}; known here: {', '.join(methods)}")
+    chosen = list(methods) if strategies is None else [n.strip() for n in strategies.split(",")]
+    if unknown := [name for name in chosen if name not in methods]:
+        raise BenchError(f"unknown strategy {unknown[0]!r}; known here: {', '.join(methods)}")
     known = (PHONEMES_TRUE, PHONEMES_RECOGNIZED, PHONEMES_TEXT)
     if phonemes not in known:
         raise BenchError(f"unknown phonemes {phonemes!r}; known here: {', '.join(known)}")
@@ -115,8 +116,8 @@ def question(
     named = None if words is None else frozenset(w.strip() for w in words.split(",") if w.strip())
     if named is not None and not named:
         raise BenchError("--words names no word")
-    chosen = tuple(methods.values()) if strategy is None else (methods[strategy],)
-    return Question(chosen, lookaheads_ms, phonemes, named)
+    scored = tuple(methods[name] for name in dict.fromkeys(chosen))
+    return Question(scored, lookaheads_ms, phonemes, named)
 
 
 def with_offline_methods(

@@ -72,7 +72,10 @@ def test_without_a_model_every_method_is_cross_validated(folder):
 @pytest.mark.slow
 def test_the_papers_tables_stand_beside_the_printed_numbers_with_each_recogniser(folder, model):
     paper = bench("--corpus", folder, "--model", model, "--lookahead-ms", "0")["paper"]
-    assert set(paper) == {"figure_1", "table_2", "table_3", "figure_6"}
+    assert set(paper) == {"data", "figure_1", "table_2", "table_3", "figure_6", "animphos"}
+    assert {row["figure"]: row["ours"] for row in paper["data"]}["sentences"] == 2
+    assert [row["components"] for row in paper["animphos"]] == ["all"]
+    assert all(0.0 < row["share_of_variance"] < 1.0 for row in paper["animphos"])
     assert [row["printed_case_2"] for row in paper["table_2"]] == [1.081, 1.151, 1.063]
     cases = {
         f"{strategy}_{case}"

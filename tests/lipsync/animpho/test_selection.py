@@ -6,66 +6,41 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from lipservo_lab.evaluation.motion.worked_example import ENDS, SAYS, choices, example_units
 from small_model import small_model
 
 from lipsync.animpho.selection import (
     Choice,
     NaiveSelection,
     PrioritySelection,
-    SelectionStrategy,
     chain_lengths,
     smoothness_energy,
 )
 from lipsync.animpho.units import AnimPhoUnits, IndexLists
-from lipsync.phonemes import PHONEMES
 
-FIRST, SECOND, THIRD = "B", "IY", "T"
-# Begin and end of AnimPho 1..8 on the only component that differs; number 0 is not in the figure.
-# 3 begins at rest; 6 then 7 continue most smoothly; of 4 and 5, 5 is smoother after 3.
-BEGINS = (1000.0, 5.0, 6.0, 0.0, 20.0, 12.0, 10.0, 30.0, 40.0)
-ENDS = (1000.0, 8.0, 9.0, 10.0, 25.0, 39.0, 30.0, 35.0, 45.0)
+_, _, THIRD = SAYS
 
 
 @pytest.fixture
 def figure_units() -> AnimPhoUnits:
     """The AnimPhos 1..8 of the figures under their own numbers."""
-    animphos = np.zeros((9, 5, 5))
-    animphos[:, :, 0] = np.linspace(BEGINS, ENDS, 5).T
-    table = {FIRST: (1, 2, 3), SECOND: (4, 5, 6), THIRD: (7, 8)}
-    rows = [PHONEMES.index(p) for p, numbers in table.items() for _ in numbers]
-    columns = [n for numbers in table.values() for n in numbers]
-    successors = IndexLists.from_pairs(np.array([1, 2, 5]), np.array([4, 5, 8]), 9)
-    return replace(
-        small_model().animphos,
-        rest=np.zeros(5),
-        samples=animphos,
-        successors=successors,
-        predecessors=successors.transposed(9),
-        phoneme_table=IndexLists.from_pairs(np.array(rows), np.array(columns), len(PHONEMES)),
-    )
-
-
-def spell(strategy: SelectionStrategy, units: AnimPhoUnits, *phonemes: str) -> list[Choice]:
-    choices = [strategy.first(units, phonemes[0])]
-    for phoneme in phonemes[1:]:
-        choices.append(strategy.following(units, phoneme, choices[-1]))
-    return choices
+    return example_units()
 
 
 def test_the_naive_strategy_takes_3_6_7_and_misses_twice(figure_units):
-    choices = spell(NaiveSelection(), figure_units, FIRST, SECOND, THIRD)
-    assert [c.animpho for c in choices] == [3, 6, 7]
-    assert [c.missed for c in choices] == [False, True, True]
+    chosen = choices(NaiveSelection(), figure_units, *SAYS)
+    assert [c.animpho for c in chosen] == [3, 6, 7]
+    assert [c.missed for c in chosen] == [False, True, True]
 
 
 def test_the_priority_strategy_recovers_the_chain_2_5_8(figure_units):
-    choices = spell(PrioritySelection(), figure_units, FIRST, SECOND, THIRD)
-    assert [c.animpho for c in choices] == [3, 5, 8]
-    assert [c.missed for c in choices] == [False, True, False]
+    chosen = choices(PrioritySelection(), figure_units, *SAYS)
+    assert [c.animpho for c in chosen] == [3, 5, 8]
+    assert [c.missed for c in chosen] == [False, True, False]
 
 
 def test_priorities_are_those_printed_in_the_figure(figure_units):
-    first, second, third = spell(PrioritySelection(), figure_units, FIRST, SECOND, THIRD)
+    first, second, third = choices(PrioritySelection(), figure_units, *SAYS)
     assert first.chain_lengths.tolist() == [0, 1, 1, 1, 0, 0, 0, 0, 0]
     assert second.chain_lengths.tolist() == [0, 0, 0, 0, 2, 2, 1, 0, 0]
     assert third.chain_lengths.tolist() == [0, 0, 0, 0, 0, 0, 0, 1, 3]
@@ -87,8 +62,8 @@ def test_a_fallback_of_another_phoneme_is_a_miss_even_when_it_is_connected(figur
 def test_the_priority_strategy_ends_the_longest_chain_that_spells_what_was_heard():
     """In the small model every order of phonemes exists, so the chain grows with each of them."""
     heard = ("SIL", "M", "AA", "IY", "UW", "M", "IY", "SIL")
-    choices = spell(PrioritySelection(), small_model().animphos, *heard)
-    assert [c.chain_lengths[c.animpho] for c in choices] == [1, 2, 3, 4, 5, 6, 7, 8]
+    chosen = choices(PrioritySelection(), small_model().animphos, *heard)
+    assert [c.chain_lengths[c.animpho] for c in chosen] == [1, 2, 3, 4, 5, 6, 7, 8]
 
 
 @given(st.lists(st.sampled_from(["SIL", "M", "AA", "IY", "UW"]), min_size=2, max_size=8))

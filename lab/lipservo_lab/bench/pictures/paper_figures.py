@@ -1,7 +1,7 @@
 """The figures of Wei and Deng that can be drawn; needs matplotlib, the extra `plots`.
 
 Figure 1: how much a live recogniser agrees with the labels. Figure 6: how often no AnimPho is both
-right and connected. Figures 4 and 5 are an example by hand, held by a test; their face is the twin.
+right and connected. Figures 4 and 5: what the two strategies choose in the paper's example.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,17 +13,20 @@ import numpy as np
 from lipservo.terminal.pictures import save_picture, without_screen
 from lipservo_lab.bench.pictures.motion_plots import COLOURS
 from lipservo_lab.evaluation.motion.paper_tables import PRINTED_AGREEMENT, PRINTED_PRIORITY_MISSES
+from lipservo_lab.evaluation.motion.worked_example import FOLLOWS, SAYS, choices, example_units
+from lipsync.animpho.selection import STRATEGIES
 
 Rows = Sequence[Mapping[str, object]]
 
 #: What is drawn into the folder.
-PAPER_PICTURES: Final = ("figure-1.png", "figure-6.png")
+PAPER_PICTURES: Final = ("figure-1.png", "figure-4-5.png", "figure-6.png")
 _BAR_WIDTH: Final = 0.8
 
 
 def draw_paper(folder: Path, tables: Mapping[str, Rows]) -> None:
-    """Draw figure_1 and figure_6 of `paper_tables`, with what the paper prints as grey."""
-    agreement, misses = PAPER_PICTURES
+    """Draw figure_1 and figure_6 of `paper_tables`, what the paper prints as grey; the example."""
+    agreement, example, misses = PAPER_PICTURES
+    _draw_example(folder / example)
     _bars(folder / agreement, tables["figure_1"], "agrees with the labels", PRINTED_AGREEMENT)
     printed = (PRINTED_PRIORITY_MISSES - 0.01, PRINTED_PRIORITY_MISSES + 0.01)
     _bars(folder / misses, tables["figure_6"], "misses", printed)
@@ -46,5 +49,45 @@ def _bars(path: Path, rows: Rows, label: str, printed: tuple[float, float]) -> N
     axis.set_ylim(0.0, 1.0)
     axis.set_ylabel(label)
     figure.legend(loc="outside upper center", ncols=1 + len(names), fontsize=8)
+    save_picture(figure, path)
+    plt.close(figure)
+
+
+def _draw_example(path: Path) -> None:
+    """A panel for each strategy: a column for each phoneme, arrows from AnimPhos to followers."""
+    without_screen()
+    from matplotlib import pyplot as plt
+
+    units, names = example_units(), ("naive", "priority")
+    at = {
+        number: (column, -line)
+        for column, numbers in enumerate(SAYS.values())
+        for line, number in enumerate(numbers)
+    }
+    figure, axes = plt.subplots(1, len(names), figsize=(9, 4), layout="constrained")
+    for axis, name in zip(axes, names, strict=True):
+        chosen = choices(STRATEGIES[name], units, *SAYS)
+        for before, after in FOLLOWS:
+            arrow = {"arrowstyle": "->", "shrinkA": 18, "shrinkB": 18}
+            axis.annotate("", at[after], at[before], arrowprops=arrow)
+        for place, choice in enumerate(chosen):
+            colour = "tab:red" if choice.missed else "tab:green"
+            axis.plot(*at[choice.animpho], "o", markersize=28, color=colour, alpha=0.4)
+            if place:
+                ends = zip(at[chosen[place - 1].animpho], at[choice.animpho], strict=True)
+                axis.plot(*ends, ":", color=colour)
+        for number, (column, line) in at.items():
+            lengths = chosen[column].chain_lengths
+            length = f"\nv = {lengths[number]:.0f}" if len(lengths) else ""
+            axis.text(column, line, f"{number}{length}", ha="center", va="center", fontsize=9)
+        axis.set_xticks(range(len(SAYS)), [f"/{phoneme}/" for phoneme in SAYS])
+        axis.set_yticks([])
+        axis.set_xlim(-0.5, len(SAYS) - 0.5)
+        axis.set_ylim(-2.6, 0.6)
+        n_missed = sum(choice.missed for choice in chosen)
+        axis.set_title(f"{name}: {n_missed} of {len(chosen) - 1} missed")
+    figure.supxlabel(
+        "arrows: who follows whom in training; green, red: chosen, and missed", fontsize=9
+    )
     save_picture(figure, path)
     plt.close(figure)

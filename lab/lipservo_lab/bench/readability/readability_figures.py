@@ -24,6 +24,7 @@ from lipservo_lab.bench.motion_figures import (
     live_listener,
     question,
 )
+from lipservo_lab.bench.readability.left_out_reading import pooled
 from lipservo_lab.bench.readability.robot_lips import ROBOT, calibrated_robot, shown_markers_mm
 from lipservo_lab.corpus.utterance import Corpus, Utterance, speech_frames
 from lipservo_lab.evaluation.motion.methods import Heard, Method
@@ -135,8 +136,13 @@ def reading_rows(
     reading: ReadingQuestion,
     track: Track,
     advance: Advance,
+    *,
+    is_pooled: bool = False,
 ) -> list[Row]:
-    """The rows of all parts. model_of: one that has learned no sentence of the part's test."""
+    """The rows of all parts. model_of: one that has learned no sentence of the part's test.
+
+    is_pooled: the parts are folds of one question, whose mean is told.
+    """
     listeners: dict[str, Listen] = {
         PHONEMES_TRUE: true_phonemes,
         PHONEMES_RECOGNIZED: OnceListener(live_listener(weights=reading.weights)),
@@ -150,6 +156,7 @@ def reading_rows(
             rows += _made_rows(split, reading, phonemes, listeners[phonemes], track)
         if reading.robot and part.split == KNOWN:
             rows += _robot_rows(split, reading, listeners, track, advance)
+    rows = pooled(rows) if is_pooled else rows
     _pair(rows)
     return rows
 
@@ -201,7 +208,7 @@ def _split(part: Part, model: TrainedModel, corpus: Corpus) -> _Split:
         if part.words is None:
             folds[kind.name] = known_fold(kind, sentences, part.test, seen)
         else:
-            folds[kind.name] = new_word_folds(kind, sentences, part.words, seen)
+            folds[kind.name] = new_word_folds(kind, sentences, part.words, seen, part.test)
     read = tuple(u for fold in folds[READERS[0].name] for u in fold.sentences)
     return _Split(part, model, read, recorded, folds)
 

@@ -3,13 +3,14 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from lipservo_lab.bench.left_out_words import KeptModels, cache_folder
 from lipservo_lab.bench.motion_figures import BenchError
 from lipservo_lab.corpus.utterance import Corpus, CorpusError
 from lipservo_lab.evaluation.motion.motion_scores import Part, words_part
 from lipservo_lab.evaluation.readability.reading_scores import reading_parts
 from lipservo_lab.learning.motion.model_teacher import ModelTeacher, Track
 from lipservo_lab.learning.motion.trained_model import TrainedModel, load_trained_model
-from lipsync.recognition.network import DEFAULT_WEIGHTS
+from lipsync.recognition.network import DEFAULT_WEIGHTS, load_weights, weights_digest
 
 ModelOf = Callable[[Part], TrainedModel]
 
@@ -67,3 +68,16 @@ def trained_models(corpus: Corpus, track: Track, tell: Callable[[str], None]) ->
     """
     teacher = ModelTeacher(corpus, DEFAULT_WEIGHTS, track, tell)
     return lambda part: teacher(corpus.keep(set(part.train)))
+
+
+def kept_models(
+    corpus: Corpus, track: Track, tell: Callable[[str], None], others: Sequence[Path]
+) -> ModelOf:
+    """The same, kept from one run to the next; `bench motion --leave-words-out` uses them too.
+
+    others: files of weights that hear the sentences too.
+    """
+    weights = [load_weights(path) for path in others]
+    digests = tuple(weights_digest(str(path)) for path in others)
+    teacher = ModelTeacher(corpus, DEFAULT_WEIGHTS, track, tell, weights)
+    return KeptModels(cache_folder(), corpus, teacher.heard, teacher, digests).of

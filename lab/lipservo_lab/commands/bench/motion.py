@@ -16,6 +16,7 @@ from rich.table import Table
 from lipservo.commands.options import Json, Landmarker, Quiet, SkipBad, UnitShare
 from lipservo.settings.motion_names import DEFAULT_STRATEGY
 from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json, progress_bar
+from lipservo_lab.commands.other_weights import OtherWeights
 from lipsync.errors import UserError, check_extra
 
 if TYPE_CHECKING:
@@ -113,7 +114,14 @@ def motion(
         str | None,
         typer.Option(help="Score these words alone, comma between; without --model unseen."),
     ] = None,
-    strategy: Annotated[str | None, typer.Option(help="Score one method only.")] = None,
+    strategy: Annotated[
+        str | None,
+        typer.Option(
+            help="Score these methods alone, comma between; with --leave-words-out every further "
+            "one in pairs with the first.",
+            show_default=False,
+        ),
+    ] = None,
     lookahead_ms: Annotated[str, typer.Option(help="Look-aheads, comma between.")] = "0,100,200",
     phonemes: Annotated[
         str, typer.Option(help="true, recognized live, or text: live with the words known.")
@@ -150,6 +158,7 @@ def motion(
     plots: Annotated[
         Path | None, typer.Option(help="Draw pictures into this folder.", show_default=False)
     ] = None,
+    also: OtherWeights = None,
     skip_bad: SkipBad = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -175,6 +184,8 @@ def motion(
     began_s = time.perf_counter()
     if plots is not None:
         check_folder(plots, (*PICTURES, *LINE_PICTURES) if offline else PICTURES)
+    if leave_words_out and strategy is None:
+        strategy = DEFAULT_STRATEGY
     question = measure.question(
         strategy,
         lookahead_ms,
@@ -189,10 +200,12 @@ def motion(
                 "--leave-words-out trains models of its own; leave out --model, --words and --plots"
             )
         _measure_left_out(
-            corpus, question, strategy or DEFAULT_STRATEGY, limit,
+            corpus, question, limit, also or (),
             with_offline=offline, skip_bad=skip_bad, as_json=as_json, quiet=quiet,
         )  # fmt: skip
         return
+    if also:
+        raise typer.BadParameter("--also is of models trained here: give --leave-words-out too")
     given = None
     if model is not None:
         given = load_trained_model(shipped)
@@ -300,8 +313,8 @@ def _answer(
 def _measure_left_out(
     folder: Path,
     question: "Question",
-    strategy: str,
     limit: int,
+    others: Sequence[Path],
     *,
     with_offline: bool,
     skip_bad: bool,
@@ -311,20 +324,17 @@ def _measure_left_out(
     """Print the figures of words that no model was trained on."""
     from lipservo_lab.bench import motion_figures as measure
     from lipservo_lab.bench.left_out_words import (
-        KeptModels,
-        cache_folder,
         left_out_figures,
         word_folds,
     )
     from lipservo_lab.bench.offline_models import models_of
     from lipservo_lab.bench.readability.readability_figures import OnceListener
+    from lipservo_lab.bench.readability.reading_models import kept_models
     from lipservo_lab.corpus.grid import read_grid
     from lipservo_lab.evaluation.motion.motion_scores import true_phonemes
     from lipservo_lab.evaluation.motion.offline_methods import OfflineMethod
-    from lipservo_lab.learning.motion.model_teacher import ModelTeacher
     from lipsync.markers import MARKERS_47
     from lipsync.offline.line_methods import DEFAULT_METHOD
-    from lipsync.recognition.network import DEFAULT_WEIGHTS
 
     began_s = time.perf_counter()
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
@@ -340,31 +350,27 @@ def _measure_left_out(
         ).labelled()
         word_folds(sentences)  # what cannot be left out is refused before the long part
         step = progress.add_task("training", total=None)
-        teacher = ModelTeacher(
-            sentences,
-            DEFAULT_WEIGHTS,
-            track,
-            lambda text: progress.update(step, description=text),
+        model_of = kept_models(
+            sentences, track, lambda text: progress.update(step, description=text), others
         )
-        models = KeptModels(cache_folder(), sentences, teacher.heard, teacher)
         listen = true_phonemes
         if question.phonemes != measure.PHONEMES_TRUE:
             with_text = question.phonemes == measure.PHONEMES_TEXT
             listen = OnceListener(measure.live_listener(with_text=with_text))
-        methods = [each for each in question.methods if each.name == strategy]
+        methods = list(question.methods)
         if with_offline:
             rendering = models_of(sentences, "bench motion --offline")
             methods.append(OfflineMethod(DEFAULT_METHOD, rendering))
         answer: dict[str, Any] = dict(
             left_out_figures(
-                sentences, models.of, methods, question.lookaheads_ms, listen, limit, track
+                sentences, model_of, methods, question.lookaheads_ms, listen, limit, track
             )
         )
     if not as_json:
         for name, rows in answer.items():
             _print_table(f"Words left out: {name}", rows)
     answer |= {
-        "strategy": strategy,
+        "strategy": ",".join(method.name for method in question.methods),
         "phonemes": question.phonemes,
         "limit": limit,
         "machine": machine_class(),

@@ -12,6 +12,7 @@ from rich.table import Table
 from lipservo.commands.options import Json, Quiet, SkipBad
 from lipservo.settings.motion_names import DEFAULT_STRATEGY
 from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json
+from lipservo_lab.commands.other_weights import OtherWeights
 
 if TYPE_CHECKING:
     from lipservo_lab.bench.motion_figures import Row
@@ -48,6 +49,17 @@ def readability(
             show_default=False,
         ),
     ] = None,
+    leave_words_out: Annotated[
+        bool,
+        typer.Option(
+            "--leave-words-out",
+            help="Instead: every word, by a model that never met it; as `bench motion`.",
+        ),
+    ] = False,
+    limit: Annotated[
+        int,
+        typer.Option(min=1, help="--leave-words-out: at most so many sentences of each word."),
+    ] = 20,
     strategy: Annotated[
         str,
         typer.Option(
@@ -68,6 +80,7 @@ def readability(
     plots: Annotated[
         Path | None, typer.Option(help="Draw a picture into this folder.", show_default=False)
     ] = None,
+    also: OtherWeights = None,
     skip_bad: SkipBad = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -84,9 +97,19 @@ def readability(
     began_s = time.perf_counter()
     if plots is not None:
         check_folder(plots, PICTURES)
+    if leave_words_out and (words is not None or models is not None):
+        raise typer.BadParameter(
+            "--leave-words-out trains models of its own; leave out --words and --models"
+        )
+    if also and not leave_words_out:
+        raise typer.BadParameter("--also is of models trained here: give --leave-words-out too")
     reading = reading_question(strategy, lookahead_ms, phonemes, robot=robot)
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-        rows, skipped = _measured(corpus, words, models, reading, progress, skip_bad=skip_bad)
+        rows, skipped = _measured(
+            corpus, words, models, reading, progress,
+            skip_bad=skip_bad, most_left_out=limit if leave_words_out else None,
+            others=also or (),
+        )  # fmt: skip
     if plots is not None:
         draw_readability(plots, rows)
     seconds = time.perf_counter() - began_s
@@ -106,11 +129,19 @@ def _measured(
     progress: Progress,
     *,
     skip_bad: bool,
+    most_left_out: int | None,
+    others: Sequence[Path],
 ) -> "tuple[list[Row], list[str]]":
-    """The rows, and what of the corpus was left out."""
+    """The rows, and what of the corpus was left out.
+
+    most_left_out: sentences of each word, every one by a model without it; None: `words`, or the
+    folder's own splits. others: files of weights that hear the sentences too.
+    """
+    from lipservo_lab.bench.readability.left_out_reading import left_out_parts
     from lipservo_lab.bench.readability.readability_figures import reading_rows, with_line_methods
     from lipservo_lab.bench.readability.reading_models import (
         given_models,
+        kept_models,
         requested_parts,
         trained_models,
     )
@@ -131,16 +162,21 @@ def _measured(
         progress=lambda names: progress.track(names, description="reading"),
     )
     labelled = sentences.labelled()
-    parts = requested_parts(folder, labelled, words)
+    if most_left_out is None:
+        parts = requested_parts(folder, labelled, words)
+    else:
+        parts = left_out_parts(labelled, most_left_out)
     step = progress.add_task("models", total=None)
+
+    def tell(text: str) -> None:
+        progress.update(step, description=text)
+
     if models is not None:
         model_of = given_models(models, parts)
+    elif most_left_out is None:
+        model_of = trained_models(labelled, track, tell)
     else:
-        model_of = trained_models(
-            labelled,
-            track,
-            lambda text: progress.update(step, description=text),
-        )
+        model_of = kept_models(labelled, track, tell, others)
 
     def advance(what: str, done: int, whole: int) -> None:
         progress.update(step, description=what, completed=done, total=whole)
@@ -151,7 +187,9 @@ def _measured(
         return models_of(labelled, "bench readability of a method of `render`")
 
     reading = with_line_methods(reading, models_of_lines)
-    rows = reading_rows(labelled, parts, model_of, reading, track, advance)
+    rows = reading_rows(
+        labelled, parts, model_of, reading, track, advance, is_pooled=most_left_out is not None
+    )
     return rows, list(sentences.skipped)
 
 

@@ -8,6 +8,7 @@
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, cast
 
@@ -16,6 +17,7 @@ from rich.progress import Progress
 
 from lipservo.commands.options import Json, Model, Quiet, SkipBad, WeightsChoice
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json, progress_bar
+from lipservo_lab.commands.other_weights import OtherWeights
 from lipsync.errors import UserError
 from lipsync.output_file import check_output
 from lipsync.recognition.network import DEFAULT_WEIGHTS
@@ -247,6 +249,7 @@ def train_soft(
     output: Annotated[Path, typer.Option("--output", "-o", help="The model file to write.")],
     model: Model = None,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
+    also: OtherWeights = None,
     table: Annotated[
         bool,
         typer.Option(
@@ -274,7 +277,7 @@ def train_soft(
     )
     from lipservo_lab.learning.motion.trained_model import load_trained_model, save_model
     from lipsync.face.model import is_model
-    from lipsync.recognition.network import find_weights, weights_digest
+    from lipsync.recognition.network import find_weights, load_weights, weights_digest
 
     began_s = time.perf_counter()
     face = load_trained_model(model)
@@ -297,9 +300,12 @@ def train_soft(
             progress.update(step, description=text)
 
         step = progress.add_task("posteriors to faces", total=None)
-        teacher = ModelTeacher(sentences, weights, track, tell) if table else None
-        copies = hear_copies(network, taught, track) if teacher is None else teacher.copies
+        others = [load_weights(path) for path in also or ()]
+        heard_by = ",".join(weights_digest(str(path)) for path in also or ())
+        teacher = ModelTeacher(sentences, weights, track, tell, others) if table else None
+        copies = hear_copies(network, taught, track, others) if teacher is None else teacher.copies
         made = with_soft_expectation(face, sentences, copies, digest)
+        made = replace(made, provenance={**made.provenance, "soft_others": heard_by})
         if made.soft is None:
             raise UserError(f"{corpus}: too little speech with sound to learn from; record more")
         save_model(made, output)

@@ -5,7 +5,8 @@ three clips, drawn at random, with true phonemes (case 1) and live recognised on
 each recogniser), over the baseline's. Table 3: what a phoneme costs in processor time. Figure 6:
 miss rates of eight phrases. Only ratios compare: the paper's RMSE has no unit.
 
-How often selection finds no AnimPho that is both right and connected.
+What the paper prints of its data beside the model's, and how much of the default motion AnimPhos
+are. How often selection finds no AnimPho that is both right and connected.
 
 Table 3 of Wei and Deng: what a phoneme costs, stage by stage, beside the printed numbers.
 
@@ -19,7 +20,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from lipservo.settings.motion_names import DEFAULT_STRATEGY
-from lipservo_lab.corpus.utterance import Utterance
+from lipservo_lab.corpus.utterance import Utterance, speech_frames
 from lipservo_lab.evaluation.motion.methods import Heard, LiveMethod, all_methods, script_of
 from lipservo_lab.evaluation.motion.motion_scores import Listen, Scores, add_scores, true_phonemes
 from lipservo_lab.learning.motion.trained_model import TrainedModel
@@ -40,8 +41,8 @@ from lipsync.animpho.trajectory import (
 from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits
 from lipsync.arrays import Array
 from lipsync.expectation.expectation import track_of
-from lipsync.motion.finishing import DEFAULT_LOOKAHEAD_S
-from lipsync.motion.live_synthesizer import UNIT_STRATEGY
+from lipsync.motion.finishing import DEFAULT_LOOKAHEAD_S, N_COARSE
+from lipsync.motion.live_synthesizer import LIVE_STRATEGY, UNIT_STRATEGY
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent, stand_in
 
 
@@ -200,6 +201,10 @@ def _live_ms(method: LiveMethod, model: TrainedModel, heard: Heard) -> float:
 N_CLIPS, N_PHRASES, N_HEARD = 3, 8, 10
 #: Figure 1: ten sentences agreed with their forced alignment to between so much.
 PRINTED_AGREEMENT = (0.45, 0.80)
+#: What the paper says of its recordings and of the AnimPhos made of them.
+PRINTED_DATA = {
+    "sentences": 166, "phonemes": 43, "components": 5, "successors_of_an_animpho": 3.45
+}  # fmt: skip
 #: Two phonemes are compared so often.
 _COMPARED_S = 0.01
 LOOKAHEAD_MS = 100
@@ -217,7 +222,7 @@ def paper_tables(
     *,
     seed: int = 0,
 ) -> dict[str, list[Row]]:
-    """Rows of figure_1, table_2, table_3 and figure_6; ours beside the paper's own strategy.
+    """Rows of data, figure_1, table_2, table_3, figure_6 and animphos; ours beside the paper's own.
 
     recognizers: by name; the first is the one in use, whose columns end in `case_2`, the others'
     in `case_2_NAME`.
@@ -227,6 +232,7 @@ def paper_tables(
     picked = [utterances[i] for i in rng.choice(len(utterances), n_drawn, replace=False)]
     drawn, clips = picked[:N_PHRASES], picked[:N_CLIPS]
     return {
+        "data": _data_rows(model),
         "figure_1": [_agreement(sentence, recognizers) for sentence in picked],
         "table_2": [_ratios(model, clip, i, recognizers) for i, clip in enumerate(clips)],
         "table_3": [
@@ -235,7 +241,52 @@ def paper_tables(
             for row in cost_rows(model, clip, number, next(iter(recognizers.values())))
         ],
         "figure_6": [_misses(model, phrase) for phrase in drawn],
+        "animphos": animpho_rows(model, picked),
     }
+
+
+def _data_rows(model: TrainedModel) -> list[Row]:
+    units = model.animphos
+    ours = {
+        "sentences": len(model.training_sentences),
+        "phonemes": len(units.known_phonemes),
+        "components": units.samples.shape[2],
+        "successors_of_an_animpho": units.mean_successors,
+    }
+    return [
+        {"figure": name, "printed": PRINTED_DATA[name], "ours": value}
+        for name, value in ours.items()
+    ]
+
+
+def animpho_rows(model: TrainedModel, sentences: Sequence[Utterance]) -> list[Row]:
+    """How much of the default motion of sentences is by AnimPhos: shares of its variance.
+
+    What AnimPhos add is the default strategy's motion less that of the expectation alone, in the
+    frames of speech, with true phonemes and `LOOKAHEAD_MS`.
+    """
+    methods = all_methods()
+    whole, added = [], []
+    for sentence in sentences:
+        times_s = np.arange(len(sentence.markers_mm)) / sentence.frame_rate_hz
+        ours, expected = (
+            methods[name].faces(model, Heard(sentence.phones), times_s, LOOKAHEAD_MS / 1e3)
+            for name in (UNIT_STRATEGY, LIVE_STRATEGY)
+        )
+        spoken = speech_frames(sentence)
+        whole.append(ours[spoken])
+        added.append((ours - expected)[spoken])
+    of_whole, of_added = (np.concatenate(each).var(axis=0) for each in (whole, added))
+    n_components = len(of_whole)
+    shown = {"all": slice(None), f"{N_COARSE + 1} to {n_components}": slice(N_COARSE, None)}
+    return [
+        {
+            "components": name,
+            "share_of_variance": float(of_added[part].sum() / of_whole[part].sum()),
+        }
+        for name, part in shown.items()
+        if of_whole[part].sum() > 0.0
+    ]
 
 
 def _agreement(sentence: Utterance, recognizers: Mapping[str, Listen]) -> Row:

@@ -252,23 +252,28 @@ def known_fold(
 
 
 def new_word_folds(
-    kind: ReaderKind, sentences: Sequence[Utterance], words: frozenset[str], recorded: Motions
+    kind: ReaderKind,
+    sentences: Sequence[Utterance],
+    words: frozenset[str],
+    recorded: Motions,
+    read: frozenset[str] | None = None,
 ) -> tuple[Fold, ...]:
     """The folds of new words, over the slots in which they are spoken.
 
-    Raises CorpusError where no sentence holds one of the words.
+    read: names of the sentences that are read; None: all that hold one of the words. Raises
+    CorpusError where no sentence holds one of the words.
     """
-    holding = sentences_with(words, sentences)
+    holding = [u for u in sentences_with(words, sentences) if read is None or u.name in read]
     slots = slots_of(words, sentences)
     missing = words - {w.text for u in holding for w in spoken_words(u)}
     if missing:
         raise CorpusError(f"no sentence holds {', '.join(map(repr, sorted(missing)))}")
     folds = []
     for first in range(min(N_FOLDS, len(holding))):
-        read = tuple(holding[first::N_FOLDS])
-        names = {u.name for u in read}
+        of_fold = tuple(holding[first::N_FOLDS])
+        names = {u.name for u in of_fold}
         fitted = [u for u in sentences if u.name not in names]
-        folds.append(Fold(fit_reader(kind, fitted, recorded, slots), read))
+        folds.append(Fold(fit_reader(kind, fitted, recorded, slots), of_fold))
     return tuple(folds)
 
 

@@ -2,8 +2,9 @@
 
 The recordings are of few talkers; so every sentence is heard as it is and again as other voices in
 other rooms would have spoken it (times stay), and its face is learned from the recogniser's
-posteriors each time. Frames are seen as they are live: by the heads that have spoken of them when a
-look-ahead of 100 ms is over, and on every other frame when there is less.
+posteriors each time; and from those of others, older or adapted, where some are given. Frames are
+seen as they are live: by the heads that have spoken of them when a look-ahead of 100 ms is over,
+and on every other frame when there is less.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -27,6 +28,7 @@ from lipservo_lab.learning.recognition.augmentation import warped
 from lipsync.arrays import Array, Array32
 from lipsync.audio.file import read_speech
 from lipsync.audio.source import SoundError
+from lipsync.errors import UserError
 from lipsync.expectation.soft_expectation import (
     FRAMES_PER_S,
     OFFSETS,
@@ -60,23 +62,38 @@ _FEWEST = 2000
 
 @dataclass(frozen=True, slots=True)
 class HeardCopies:
-    """Posteriors (n_frames, n_heads, n_phonemes) of sentences by name, a mapping for each voice."""
+    """Posteriors (n_frames, n_heads, n_phonemes) of sentences by name, a mapping for each voice.
+
+    by_others: of the same voices, by other weights in turn; empty where there are none.
+    """
 
     delays: tuple[int, ...]
     voices: tuple[Mapping[str, Array32], ...]
+    by_others: tuple[Mapping[str, Array32], ...] = ()
 
 
 def hear_copies(
     weights: NetworkWeights,
     utterances: Sequence[Utterance],
     progress: Callable[[str, Sequence[Utterance]], Iterable[Utterance]],
+    others: Sequence[NetworkWeights] = (),
 ) -> HeardCopies:
-    """A recogniser's posteriors of every sentence, in each voice; unreadable sounds left out."""
-    voices = []
+    """A recogniser's posteriors of every sentence, in each voice; unreadable sounds left out.
+
+    others: hear the voices too, one of them each. Raises UserError where one waits for other
+    times than `weights`.
+    """
+    if any(other.delays != weights.delays for other in others):
+        raise UserError(
+            "weights that hear the sentences together must wait alike: "
+            + "; ".join(_delays_ms(each) for each in (weights, *others))
+        )
+    voices, by_others = [], []
     with threadpool_limits(limits=1):  # several threads add up in changing order
         for number, factor in enumerate(_VOICES):
             rng = np.random.default_rng(number)
             heard: dict[str, Array32] = {}
+            heard_by_other: dict[str, Array32] = {}
             for utterance in progress(f"listening to voice {number + 1}", utterances):
                 try:
                     samples = read_speech(utterance.sound_path)
@@ -85,11 +102,22 @@ def hear_copies(
                 samples = np.concatenate((samples, np.zeros(_tail(), np.float32)))
                 if number:
                     samples = _disturbed(rng, samples, factor)
-                # Half precision: 60 MB a voice in place of 120, for 44 minutes.
-                believed = PosteriorStream(weights).push(samples).astype(np.float16)
-                heard[utterance.name] = believed  # type: ignore[assignment]
+                heard[utterance.name] = _believed(weights, samples)
+                if others:
+                    other = others[number % len(others)]
+                    heard_by_other[utterance.name] = _believed(other, samples)
             voices.append(heard)
-    return HeardCopies(weights.delays, tuple(voices))
+            by_others += [heard_by_other] if others else []
+    return HeardCopies(weights.delays, tuple(voices), tuple(by_others))
+
+
+def _believed(weights: NetworkWeights, samples: Array32) -> Array32:
+    """Posteriors in half precision: 60 MB a voice in place of 120, for 44 minutes."""
+    return PosteriorStream(weights).push(samples).astype(np.float16)
+
+
+def _delays_ms(weights: NetworkWeights) -> str:
+    return ", ".join(f"{1000 * delay / FRAMES_PER_S:.0f}" for delay in weights.delays) + " ms"
 
 
 def _tail() -> int:
@@ -190,11 +218,13 @@ def _rows(
         return np.empty((0, len(WINDOWS) * table.shape[1]), np.float32), motion[:0]
     margin = round(NEAR_SPEECH_S * utterance.frame_rate_hz)
     near = np.arange(max(0, spoken[0] - margin), min(len(motion), spoken[-1] + margin + 1))
+    seen = [(copies.voices[voice], ahead, ahead == _FULL_AHEAD) for voice, ahead in _SEEN]
+    seen += [(voice, _FULL_AHEAD, False) for voice in copies.by_others]
     inputs, faces = [], []
-    for voice, ahead in _SEEN:
-        chosen = near if ahead == _FULL_AHEAD else near[::2]
+    for voice, ahead, is_whole in seen:
+        chosen = near if is_whole else near[::2]
         frames = np.rint(chosen * (FRAMES_PER_S / utterance.frame_rate_hz))
-        values = copies.voices[voice][utterance.name].astype(np.float32)
+        values = voice[utterance.name].astype(np.float32)
         means = believed_means(values, copies.delays, frames, ahead)
         inputs.append((means @ table).reshape(len(frames), -1))
         faces.append(motion[chosen])

@@ -17,7 +17,7 @@ from lipservo_lab.learning.expectation.soft_training import (
 )
 from lipservo_lab.learning.motion.face_training import TrainingError, train
 from lipservo_lab.learning.motion.trained_model import TrainedModel
-from lipsync.recognition.network import find_weights, weights_digest
+from lipsync.recognition.network import NetworkWeights, find_weights, weights_digest
 
 Track = Callable[[str, Sequence[Utterance]], Iterable[Utterance]]
 
@@ -26,15 +26,22 @@ class ModelTeacher:
     """Call it with a part of the corpus for the model that learned it."""
 
     def __init__(
-        self, corpus: Corpus, weights: str, track: Track, tell: Callable[[str], None]
+        self,
+        corpus: Corpus,
+        weights: str,
+        track: Track,
+        tell: Callable[[str], None],
+        others: Sequence[NetworkWeights] = (),
     ) -> None:
         """corpus: labelled. weights: of the recogniser, a name or a file.
 
-        track: of what is listened to; tell: what training is doing.
+        track: of what is listened to; tell: what training is doing. others: hear the
+        sentences too, for the map from posteriors.
         """
         self._corpus = corpus
         self._weights = find_weights(weights)
         self._digest = weights_digest(weights)
+        self._others = others
         self._track = track
         self._tell = tell
         self.heard = hear_sentences(
@@ -44,7 +51,7 @@ class ModelTeacher:
     @cached_property
     def copies(self) -> HeardCopies:
         """Posteriors of every sentence in every voice: three minutes for 44 of speech."""
-        return hear_copies(self._weights, self._corpus.utterances, self._track)
+        return hear_copies(self._weights, self._corpus.utterances, self._track, self._others)
 
     def __call__(self, part: Corpus) -> TrainedModel:
         """Raises TrainingError for what `train` cannot learn from."""

@@ -133,6 +133,40 @@ def test_words_may_be_named_and_are_trained_without_where_no_model_is_given(fold
     }
 
 
+def test_words_left_out_are_one_row_of_all_folds_and_kept_models_are_read_again(
+    folder, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    asked = ["--leave-words-out", "--limit", "2", "--strategy", "animpho,expected"]
+    asked += ["--phonemes", "true", "--lookahead-ms", "100"]
+    found = bench("--corpus", folder, *asked)
+    rows = {(row["strategy"], row["reader"]): row for row in found["results"]}
+    assert list(rows) == [
+        (strategy, reader)
+        for strategy in ("recorded", "animpho", "expected")
+        for reader in ("components", "lips")
+    ]
+    for row in rows.values():
+        assert (row["split"], row["sentences"]) == ("left_out", 2 * len(FIRST + SECOND))
+        assert set(row["shares"]) == {*FIRST, *SECOND}
+        assert row["score"] == pytest.approx(sum(row["shares"].values()) / 6)
+        assert row["score_95"][0] <= row["score"] <= row["score_95"][1]
+    ours, without = (rows[name, "lips"] for name in ("animpho", "expected"))
+    assert ours["less_expected"] == pytest.approx(ours["score"] - without["score"])
+    assert found["left_out_true"] == rows["animpho", "components"]["score"]
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.npz")}
+    assert len(kept) == 6
+    assert bench("--corpus", folder, *asked)["results"] == found["results"]
+    assert set(tmp_path.rglob("*.npz")) == set(kept)
+
+
+def test_words_left_out_are_read_of_no_given_model(folder, models):
+    typed = ["--corpus", str(folder), "--models", str(models), "--leave-words-out"]
+    done = CliRunner().invoke(app, ["bench", "readability", *typed])
+    assert done.exit_code == 2
+    assert "leave out --words and --models" in " ".join(done.output.split())
+
+
 def test_a_table_is_printed(folder, models):
     typed = ["--strategy", "mean-face", "--phonemes", "true", "--no-robot", "-q"]
     done = CliRunner().invoke(

@@ -2,13 +2,15 @@
 
 import json
 
+import numpy as np
 import pytest
 from lipservo_lab.learning.motion.trained_model import load_trained_model
 from small_corpus import write_corpus
+from small_network import random_weights
 from typer.testing import CliRunner
 
 from lipservo.cli import app
-from lipsync.recognition.network import DEFAULT_WEIGHTS, weights_digest
+from lipsync.recognition.network import DEFAULT_WEIGHTS, save_weights, weights_digest
 
 
 def invoke(*arguments):
@@ -40,6 +42,22 @@ def test_a_fitted_model_names_its_weights_and_keeps_all_else(corpus, face, tmp_p
     assert after.provenance["soft_weights"] == figures["soft_weights"]
     assert after.checksum == before.checksum
     assert after.training_sentences == before.training_sentences
+
+
+def test_other_weights_may_hear_the_sentences_too(corpus, face, tmp_path):
+    older = tmp_path / "older.npz"
+    save_weights(random_weights(), older)
+    alone, both = tmp_path / "alone.npz", tmp_path / "both.npz"
+    given = ("learn", "soft", corpus, "--model", face, "-q")
+    assert invoke(*given, "-o", alone).exit_code == 0
+    assert invoke(*given, "-o", both, "--also", older).exit_code == 0
+    ours, also = (load_trained_model(path) for path in (alone, both))
+    assert also.provenance["soft_weights"] == weights_digest(DEFAULT_WEIGHTS)
+    assert not np.array_equal(ours.soft.output, also.soft.output)
+    answer = invoke(*given, "-o", tmp_path / "x.npz", "--also", tmp_path / "none.npz")
+    assert answer.exit_code != 0
+    assert "none.npz" in str(answer.exception or answer.output)
+    assert not (tmp_path / "x.npz").exists()
 
 
 def test_sentences_that_did_not_teach_the_model_are_named(face, tmp_path):

@@ -1,5 +1,7 @@
 """A map from posteriors is learned from what is believed as it is believed live."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from lipservo_lab.corpus.utterance import Utterance
@@ -7,10 +9,13 @@ from lipservo_lab.learning.expectation.soft_training import (
     HeardCopies,
     believed_means,
     fit_soft_expectation,
+    hear_copies,
     looks,
 )
+from small_network import random_weights
 from spoken_phonemes import spoken
 
+from lipsync.errors import UserError
 from lipsync.expectation.expectation import track_of
 from lipsync.expectation.soft_expectation import BelievedFrames, window_means
 from lipsync.phonemes import PHONEMES, FramePosteriors
@@ -65,6 +70,33 @@ def test_what_goes_with_a_phoneme_is_learned_and_the_same_again():
     _, motion, values = sentence(rng, 99)
     faces = soft.faces(believed_means(values, DELAYS, np.arange(0.0, 180.0, 4.0), 17))
     assert np.corrcoef(faces[:, 0], motion[:, 0])[0, 1] > 0.8
+
+
+def test_errors_of_other_weights_are_learned_too():
+    """Ours tell AA from S, others hear IY in place of AA: a face goes with what either says."""
+    rng = np.random.default_rng(1)
+    made = [sentence(rng, number) for number in range(12)]
+    heard = {utterance.name: values for utterance, _, values in made}
+    order = np.arange(len(PHONEMES))
+    order[[PHONEMES.index("AA"), PHONEMES.index("IY")]] = PHONEMES.index("S"), PHONEMES.index("AA")
+    by_others = {name: values[..., order] for name, values in heard.items()}
+    utterances, motions = [u for u, _, _ in made], [m for _, m, _ in made]
+    _, motion, values = sentence(rng, 99)
+    frames = np.arange(0.0, 180.0, 4.0)
+    agreed = []
+    for others in ((), (by_others,) * 5):
+        copies = HeardCopies(DELAYS, (heard,) * 5, others)
+        soft = fit_soft_expectation(utterances, motions, copies)
+        faces = soft.faces(believed_means(values[..., order], DELAYS, frames, 17))
+        agreed.append(np.corrcoef(faces[:, 0], motion[:, 0])[0, 1])
+    assert agreed[1] > agreed[0] + 0.3
+
+
+def test_weights_that_wait_for_other_times_cannot_listen_together():
+    weights = random_weights()
+    other = replace(weights, delays=(5,))
+    with pytest.raises(UserError, match=r"wait alike: .* ms; 50 ms"):
+        hear_copies(weights, [], lambda _, items: items, [other])
 
 
 def test_too_few_sentences_teach_no_map():

@@ -1,0 +1,65 @@
+"""Reading of words by models that never met them: the ten folds of words, and one row of them all.
+
+Readers learn every word off recorded faces; only what they read is of a model without the word.
+"""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final, cast
+
+import numpy as np
+
+from lipservo_lab.bench.left_out_words import chosen_places, word_folds
+from lipservo_lab.bench.motion_figures import Row
+from lipservo_lab.corpus.utterance import Corpus
+from lipservo_lab.evaluation.motion.motion_scores import Part
+from lipservo_lab.evaluation.readability.reading_scores import percentiles
+from lipsync.arrays import Array
+
+#: What the row of all folds is called.
+LEFT_OUT: Final = "left_out"
+_SAME = ("face", "phonemes", "strategy", "lookahead_ms", "reader")
+_MEANS = ("score", "samples", "gain", "gap_r")
+
+
+def left_out_parts(corpus: Corpus, limit: int) -> list[Part]:
+    """The folds of `word_folds`, of each word at most `limit` sentences. Raises CorpusError."""
+    return [
+        replace(part, test=frozenset(name for name, _ in chosen_places(corpus, part, limit)))
+        for part in word_folds(corpus)
+    ]
+
+
+def pooled(rows: Sequence[Row]) -> list[Row]:
+    """One row for each motion and reader: the mean over all words of all folds."""
+    alike: dict[tuple[object, ...], list[Row]] = defaultdict(list)
+    for row in rows:
+        alike[tuple(row[name] for name in _SAME)].append(row)
+    return [_mean(of_folds) for of_folds in alike.values()]
+
+
+def _mean(rows: Sequence[Row]) -> Row:
+    shares = [cast(dict[str, float], row["shares"]) for row in rows]
+    # Samples in which a word was not drawn are missing.
+    samples = [cast(Array, row["samples"]) for row in rows]
+    n_samples = min(map(len, samples))
+    columns = {name: [row[name] for row in rows] for name in _MEANS}
+    columns["samples"] = [each[:n_samples] for each in samples]
+    n_words = [len(each) for each in shares]
+    means = {
+        name: None if values[0] is None else np.average(np.array(values), axis=0, weights=n_words)
+        for name, values in columns.items()
+    }
+    return {
+        **rows[0],
+        **{name: value if name == "samples" else _plain(value) for name, value in means.items()},
+        "split": LEFT_OUT,
+        "score_95": list(percentiles(cast(Array, means["samples"]))),
+        "shares": {word: share for each in shares for word, share in each.items()},
+        "sentences": sum(cast(int, row["sentences"]) for row in rows),
+    }
+
+
+def _plain(value: Array | None) -> float | None:
+    return None if value is None else float(value)
