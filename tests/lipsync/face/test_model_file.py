@@ -1,6 +1,7 @@
 """Model files: who plays a face reads only what it plays; files of other versions are refused."""
 
 import json
+import re
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -74,7 +75,8 @@ def test_evaluation_reads_the_baselines_too(shipped, tmp_path):
             load_trained_model(with_junk(shipped, tmp_path / "m.npz", part))
 
 
-def test_a_model_without_animphos_is_refused_with_what_plays_it(shipped, tmp_path):
+@pytest.fixture
+def without_animphos(shipped, tmp_path) -> Path:
     path = tmp_path / "m.npz"
     save_model(shipped, path)
     with zipfile.ZipFile(path) as archive:
@@ -83,11 +85,29 @@ def test_a_model_without_animphos_is_refused_with_what_plays_it(shipped, tmp_pat
     with zipfile.ZipFile(path, "w") as archive:
         for name, content in members.items():
             archive.writestr(name, content)
-    face = load_face(path)
-    make_synthesizer(face, MotionOptions(strategy="expected"), path)
+    return path
+
+
+def test_a_model_without_animphos_is_refused_with_what_plays_it(without_animphos):
+    face = load_face(without_animphos)
+    make_synthesizer(face, MotionOptions(strategy="expected"), without_animphos)
     for strategy in ("animpho", "priority"):
         with pytest.raises(ModelError, match=r"no AnimPhos .*strategy: expected.*`lipservo learn"):
-            make_synthesizer(face, MotionOptions(strategy=strategy), path)
+            make_synthesizer(face, MotionOptions(strategy=strategy), without_animphos)
+
+
+@pytest.mark.parametrize(
+    "typed", [("export", "{sound}", "-o", "{out}"), ("bench", "closures")], ids=" ".join
+)
+def test_commands_refuse_a_model_without_animphos_and_write_nothing(
+    typed, without_animphos, tmp_path, sound
+):
+    out = tmp_path / "out.json"
+    filled = [each.format(sound=sound, out=out) for each in typed]
+    done = CliRunner().invoke(app, [*filled, "--model", str(without_animphos)])
+    assert done.exit_code != 0
+    assert re.search("(?i)animphos.*`lipservo learn face`", str(done.exception or done.output))
+    assert not out.exists()
 
 
 def test_a_file_that_was_replaced_between_two_readings_is_noticed(shipped, tmp_path):
