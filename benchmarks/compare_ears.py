@@ -5,7 +5,8 @@
 CORPORA holds librispeech, speechocean762 and picovoice_commands; ALIGNMENTS is the file of the
 scored talkers' alignments (`lipservo lines align`), which must be those of scored_alignments.txt.
 MOST: so many utterances at most in each condition but the first, evenly spaced. Frames as they are
-settled live at 95 ms; intervals: 95 % of 2,000 paired bootstrap samples of utterances.
+settled live at 95 ms; intervals: 95 % of 2,000 paired bootstrap samples of utterances. Of clean
+speech also the calibration errors of phones and visemes, by the head of 95 ms, without a decoder.
 """
 
 import sys
@@ -19,9 +20,11 @@ from lipservo_lab.corpus.transcribed import TranscribedUtterance, read_transcrib
 from lipservo_lab.evaluation.recognition.conditions import parse_condition
 from lipservo_lab.evaluation.recognition.recognition_scores import Score, settled_score
 from lipservo_lab.learning.recognition.augmentation import LabelledSamples
+from lipservo_lab.learning.recognition.temperature import reliability
 
 from lipsync.audio.file import read_speech
 from lipsync.phonemes import SILENCE, VISEME_OF
+from lipsync.recognition.batch import recording_posteriors
 from lipsync.recognition.network import load_weights
 
 HASHES = Path(__file__).parent / "speakers" / "scored_alignments.txt"
@@ -42,6 +45,8 @@ CONDITIONS = (
     ("speechocean762", None),
     *(("librispeech", noise) for noise in NOISES),
 )
+#: Frames that the head of 95 ms waits.
+DELAY = 7
 BABBLERS = slice(None, None, 40)
 N_SAMPLES = 2_000
 
@@ -79,7 +84,8 @@ def main() -> None:
         }
         print(f"{corpus} {noise or 'clean'}, {len(chosen)} utterances")
         for name in names:
-            print("  " + row(told[name], told[names[0]]) + f"  {name}", flush=True)
+            sure = "" if noise else "; sure {:.3f} / {:.3f}".format(*sureness(name, heard))
+            print("  " + row(told[name], told[names[0]]) + f"{sure}  {name}", flush=True)
 
 
 def disturbed(
@@ -94,6 +100,17 @@ def disturbed(
         voices = [read_speech(u.sound) for u in others[BABBLERS]] if "babble" in noise else []
         samples = parse_condition(noise).apply(samples, utterance.name, voices)
     return LabelledSamples(samples, aligned.labels(len(samples) // 160))
+
+
+def sureness(name: str, heard: Sequence[LabelledSamples]) -> tuple[float, float]:
+    """The calibration errors of phones and visemes of all utterances together."""
+    weights = load_weights(Path(name))
+    head = weights.delays.index(DELAY)
+    posteriors = [
+        recording_posteriors(weights, each.samples, len(each.labels) + DELAY)[DELAY:, head]
+        for each in heard
+    ]
+    return reliability(np.concatenate(posteriors), np.concatenate([each.labels for each in heard]))
 
 
 def row(scores: Sequence[Score], new: Sequence[Score]) -> str:

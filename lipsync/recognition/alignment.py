@@ -185,11 +185,11 @@ def _alignment(
 
 
 #: A text that scores less was not said.
-LEAST_SCORE = -3.5
+LEAST_SCORE = -3.0
 #: One that scores less was probably not said as it stands: words are missing, or too many.
-DOUBTFUL_SCORE = -1.5
+DOUBTFUL_SCORE = -1.3
 #: Nineteen in twenty true texts of native speakers, in words for people.
-USUAL_SCORES = "-0.2 to -0.8"
+USUAL_SCORES = "-0.2 to -0.7"
 #: A phone that is out of the question counts as this probability: one frame decides nothing.
 _SMALLEST = 1e-6
 

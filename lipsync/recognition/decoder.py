@@ -53,8 +53,8 @@ class PosteriorFormat:
     """The names and delays that belong to a recogniser's posteriors (n_frames, n_heads, n_names).
 
     names: phonemes of the last axis. delays: frames that each head waits, rising: in frame k the
-    head that waits d frames gives frame k - d. The posteriors of a head in a frame sum to 1, as
-    they were learned: no temperature is applied.
+    head that waits d frames gives frame k - d. The posteriors of a head in a frame sum to 1; the
+    shipped weights are as sure as they are right (docs/decisions/0087).
     """
 
     names: tuple[str, ...]
