@@ -37,6 +37,7 @@ from lipsync.recognition.network import (
     LATENCY_S,
     SHIPPED,
     WeightsError,
+    adapted_from,
     check_weights,
     weights_digest,
 )
@@ -240,15 +241,16 @@ def make_synthesizer(
 def _soft_of(file: ModelFile, face: FaceModel, options: MotionOptions) -> SoftExpectation | None:
     """Read the map from phoneme probabilities to `face` coefficients; None: `file` has none.
 
-    A map fitted to other recogniser weights than those in `options` is used; the mismatch is
-    logged.
+    A map fitted to other recogniser weights than those in `options`, or than those that they were
+    adapted from, is used; the mismatch is logged.
     """
     soft = read_soft_expectation(file, face.n_components)
     provenance = file.about.get("provenance")
     fitted = provenance.get("soft_weights") if isinstance(provenance, dict) else None
     if soft is not None and options.engine == DEFAULT_RECOGNIZER:
         with suppress(WeightsError):  # damaged weights are told of where they are loaded
-            if weights_digest(options.weights) != fitted:
+            heard_by = (weights_digest(options.weights), adapted_from(options.weights))
+            if fitted is None or fitted not in heard_by:
                 _LOG.warning(
                     "%s was not fitted to the recogniser's weights %s: it works, less well; "
                     "`lipservo learn soft` fits it", file.name, options.weights,

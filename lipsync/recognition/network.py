@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.array_archive import UNREADABLE, arrays_of
+from lipsync.array_archive import UNREADABLE, ArrayArchive, arrays_of
 from lipsync.arrays import Array32
 from lipsync.errors import UserError
 from lipsync.output_file import written_whole
@@ -27,6 +27,8 @@ from lipsync.recognition.features import N_BANDS, FeatureScale
 #: The committing head: a frame is settled so much later (docs/recognition.md).
 LATENCY_S = 0.095
 _TAPS = 3
+#: Key of the provenance: the digest of the weights that adaptation began with.
+ADAPTED_FROM = "adapted_from"
 #: Rows of one product of matrices. More cost as much a row (4.5 us at 192 channels), but BLAS then
 #: shares the product among threads, and on a computer with other work these wait for each other:
 #: 16 rows took 56 ms in place of 0.1 (2 cores, 16 processes, OpenBLAS).
@@ -169,7 +171,7 @@ def save_weights(
     """Write the network's weights to the file `path`, whole or not at all. Raises OutputError.
 
     Half precision changes posteriors by less than 0.01 (tested). provenance: origin of the weights,
-    stored in the file as JSON (`provenance`), where no program reads it at run time.
+    stored in the file as JSON (`provenance`); of it only `ADAPTED_FROM` is read again.
     """
     layers = (weights.entry, *weights.residuals)
     arrays: dict[str, NDArray[np.generic]] = {
@@ -248,6 +250,17 @@ def weights_digest(name_or_path: str) -> str:
         return hashlib.sha256(place.read_bytes()).hexdigest()[:16]
     except OSError as error:
         raise WeightsError(f"{name_or_path}: cannot be read: {error.strerror}") from error
+
+
+def adapted_from(name_or_path: str) -> str | None:
+    """Return the digest of the weights that those of a file were adapted from; None: of none."""
+    if name_or_path in SHIPPED:
+        return None
+    try:
+        with Path(name_or_path).open("rb") as file, ArrayArchive(file, _MOST_BYTES) as archive:
+            return str(json.loads(str(archive["provenance"]))[ADAPTED_FROM])
+    except (*UNREADABLE, KeyError, TypeError):
+        return None
 
 
 def check_weights(name_or_path: str) -> None:

@@ -17,6 +17,12 @@ from lipservo.cli import app
 from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
 from lipsync.errors import UserError
 from lipsync.face.model import ModelError, load_face
+from lipsync.recognition.network import (
+    ADAPTED_FROM,
+    load_shipped_weights,
+    save_weights,
+    weights_digest,
+)
 
 PARTS = {"face", "expectation", "animphos", "baselines"}
 
@@ -144,6 +150,17 @@ def test_weights_that_a_model_was_not_fitted_to_work_and_a_warning_says_so(caplo
     make_synthesizer(load_face(), MotionOptions(weights="grid"))
     assert "was not fitted to the recogniser's weights grid" in caplog.text
     assert "lipservo learn soft" in caplog.text
+
+
+def test_weights_adapted_from_those_of_the_map_are_no_others(tmp_path, caplog):
+    """The map heard adapted weights too (docs/decisions/0087)."""
+    weights, paths = load_shipped_weights(), [tmp_path / name for name in ("ours.npz", "new.npz")]
+    for path, origin in zip(paths, (weights_digest("default"), "another"), strict=True):
+        save_weights(weights, path, {ADAPTED_FROM: origin})
+    make_synthesizer(load_face(), MotionOptions(weights=str(paths[0])))
+    assert not caplog.records
+    make_synthesizer(load_face(), MotionOptions(weights=str(paths[1])))
+    assert "was not fitted to the recogniser's weights" in caplog.text
 
 
 def test_a_map_that_names_no_weights_works_and_is_logged(shipped, tmp_path, caplog):

@@ -289,7 +289,14 @@ def adapt(
     from lipservo_lab.learning.adaptation.voice import VoiceError, only_speaker, read_voice
     from lipservo_lab.learning.adaptation.voice_learning import AdaptationPlan
     from lipservo_lab.learning.adaptation.voice_learning import adapt as adapted
-    from lipsync.recognition.network import find_weights, is_weights, save_weights
+    from lipsync.recognition.network import (
+        ADAPTED_FROM,
+        adapted_from,
+        find_weights,
+        is_weights,
+        save_weights,
+        weights_digest,
+    )
 
     start = find_weights(weights)
     check_output(output, replaces=is_weights, kind="weights", inputs=[Path(weights)])
@@ -327,6 +334,7 @@ def adapt(
     about = {
         **figures,
         "weights": Path(weights).name,
+        ADAPTED_FROM: adapted_from(weights) or weights_digest(weights),
         "voice": voice_folder.resolve().name,
         "seed": seed,
         "steps": plan.n_steps,

@@ -13,7 +13,7 @@ from speech import CLIP_LABELS_PATH, CLIP_PATH
 from typer.testing import CliRunner
 
 from lipservo.cli import app
-from lipsync.recognition.network import find_weights, save_weights
+from lipsync.recognition.network import adapted_from, find_weights, save_weights
 from lipsync.textgrid import read_tiers, write_tiers
 
 pytest.importorskip("torch", reason="the extra `train` is not installed")
@@ -75,6 +75,7 @@ def test_weights_that_hear_the_voice_better_are_written_and_can_be_used(adapt, v
     with np.load(written) as file:
         provenance = json.loads(str(file["provenance"]))
     assert (provenance["voice"], provenance["steps"]) == ("voice", 40)
+    assert adapted_from(str(written)) == provenance["adapted_from"]
     heard = CliRunner().invoke(
         app, ["lines", "recognize", str(CLIP_PATH), "--weights", str(written), "--json"]
     )
