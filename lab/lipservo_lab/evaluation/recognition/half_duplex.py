@@ -27,11 +27,15 @@ class PieceMicrophone:
         """samples: (n,) at 16 kHz, captured from time 0 on."""
         self._samples = samples
         self._n_given = 0
-        self.now_s = 0.0
+        self._now_s = 0.0
+
+    def advance(self, now_s: float) -> None:
+        """Capture until `now_s`, s."""
+        self._now_s = now_s
 
     def blocks(self, _until_s: float) -> list[AudioBlock]:
-        """Return the blocks of whole pieces that have come by `now_s`."""
-        n_come = round(self.now_s / BLOCK_S) - _LATE_BLOCKS
+        """Return the blocks of whole pieces that have come by now."""
+        n_come = round(self._now_s / BLOCK_S) - _LATE_BLOCKS
         n_come = min(max(0, n_come), len(self._samples) // BLOCK_SAMPLES)
         n_come -= n_come % _PIECE_BLOCKS
         first, self._n_given = self._n_given, max(n_come, self._n_given)
@@ -60,7 +64,8 @@ def half_duplex_false_speech(
     source, timeline, speeds = SpokenPhonemes(playout, recognizer), PhonemeTimeline(), ServoSpeeds()
     spoken = []
     for number in range(len(samples) // BLOCK_SAMPLES):
-        now_s = microphone.now_s = (number + 1) * BLOCK_S
+        now_s = (number + 1) * BLOCK_S
+        microphone.advance(now_s)
         playout.advance(now_s)
         found = None if servos_deg is None else speeds.take(now_s, servos_deg[number])
         if found is not None:

@@ -199,7 +199,8 @@ class ServoEars:
 def test_servo_speeds_are_told_where_the_microphone_is_heard_and_nowhere_else():
     """A second of listening, half a second of speech without servos in it, and its echo."""
     ears = ServoEars()
-    playout = Playout(None, ListenedMicrophone(PieceMicrophone(np.zeros(3 * RATE_HZ, np.float32))))
+    microphone = PieceMicrophone(np.zeros(3 * RATE_HZ, np.float32))
+    playout = Playout(None, ListenedMicrophone(microphone))
     source = SpokenPhonemes(playout, ears)
     stream = PlayoutStream("a", RATE_HZ, RATE_HZ)
     stream.push(np.zeros(RATE_HZ // 2, np.float32))
@@ -207,6 +208,7 @@ def test_servo_speeds_are_told_where_the_microphone_is_heard_and_nowhere_else():
     for n in range(300):
         if n == 100:
             playout.requests.append(PlayoutRequest("say", stream))
+        microphone.advance(n / 100)
         playout.advance(n / 100)
         source.updates((n + 1) / 100)
         source.note_servo_speeds(n / 100, np.array([40.0]))
