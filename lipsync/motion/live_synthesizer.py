@@ -104,7 +104,7 @@ class ExpectedMotion:
         self._ahead_s = n_ahead * TICK_S
         self._weights = _bell(2 * n_ahead + 1)
         self._smoothness = EasedSetting(smoothness, 1.0)
-        self._is_told = False
+        self._has_warned = False
         self.reset()
 
     @property
@@ -136,9 +136,9 @@ class ExpectedMotion:
         self._timeline.apply(update)
         self._track = track_of(self._timeline.events)
         posteriors = update.posteriors
-        if posteriors is None or self._believed.push(posteriors) or self._is_told:
+        if posteriors is None or self._believed.push(posteriors) or self._has_warned:
             return
-        self._is_told = True
+        self._has_warned = True
         _LOG.warning(
             "probabilities of phonemes from the recogniser are not used: each head must give %d "
             "that add up to 1, %d times a second; decided phonemes alone move the mouth",

@@ -62,9 +62,9 @@ def reliability(posteriors: Array32, phones: NDArray[np.int64]) -> tuple[float, 
         0 to 1 each.
     """
     visemes = posteriors @ _MEMBERSHIP
-    said = (posteriors, phones), (visemes, _CLASS_OF[phones])
+    compared = (posteriors, phones), (visemes, _CLASS_OF[phones])
     phone, viseme = (
         calibration_error(each.max(axis=1).astype(np.float64), each.argmax(axis=1) == labels)
-        for each, labels in said
+        for each, labels in compared
     )
     return phone, viseme
