@@ -74,8 +74,11 @@ def test_the_papers_tables_stand_beside_the_printed_numbers_with_each_recogniser
     paper = bench("--corpus", folder, "--model", model, "--lookahead-ms", "0")["paper"]
     assert set(paper) == {"data", "figure_1", "table_2", "table_3", "figure_6", "animphos"}
     assert {row["figure"]: row["ours"] for row in paper["data"]}["sentences"] == 2
-    assert [row["components"] for row in paper["animphos"]] == ["all"]
-    assert all(0.0 < row["share_of_variance"] < 1.0 for row in paper["animphos"])
+    assert [row["components"] for row in paper["animphos"]] == ["all", "5 to 8"]
+    whole, fine = (row["share_of_variance"] for row in paper["animphos"])
+    assert 0.5 < whole < 1.0
+    assert fine == pytest.approx(1.0)
+    assert all(0.0 < row["added"] < 1.0 for row in paper["animphos"])
     assert [row["printed_case_2"] for row in paper["table_2"]] == [1.081, 1.151, 1.063]
     cases = {
         f"{strategy}_{case}"

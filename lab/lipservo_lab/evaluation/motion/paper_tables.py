@@ -41,7 +41,12 @@ from lipsync.animpho.trajectory import (
 from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits
 from lipsync.arrays import Array
 from lipsync.expectation.expectation import track_of
-from lipsync.motion.finishing import DEFAULT_LOOKAHEAD_S, N_COARSE
+from lipsync.motion.finishing import (
+    DEFAULT_LOOKAHEAD_S,
+    DEFAULT_UNIT_SHARE,
+    FINE_SHARE,
+    N_COARSE,
+)
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY, UNIT_STRATEGY
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent, stand_in
 
@@ -262,8 +267,8 @@ def _data_rows(model: TrainedModel) -> list[Row]:
 def animpho_rows(model: TrainedModel, sentences: Sequence[Utterance]) -> list[Row]:
     """How much of the default motion of sentences is by AnimPhos: shares of its variance.
 
-    What AnimPhos add is the default strategy's motion less that of the expectation alone, in the
-    frames of speech, with true phonemes and `LOOKAHEAD_MS`.
+    share_of_variance: each component's weighs as much as AnimPhos do in it. added: what they add to
+    the expectation alone. In frames of speech, with true phonemes and `LOOKAHEAD_MS`.
     """
     methods = all_methods()
     whole, added = [], []
@@ -278,11 +283,15 @@ def animpho_rows(model: TrainedModel, sentences: Sequence[Utterance]) -> list[Ro
         added.append((ours - expected)[spoken])
     of_whole, of_added = (np.concatenate(each).var(axis=0) for each in (whole, added))
     n_components = len(of_whole)
+    by_animphos = np.full(n_components, DEFAULT_UNIT_SHARE)
+    by_animphos[N_COARSE:] *= FINE_SHARE
+    by_animphos = np.minimum(1.0, by_animphos) * of_whole
     shown = {"all": slice(None), f"{N_COARSE + 1} to {n_components}": slice(N_COARSE, None)}
     return [
         {
             "components": name,
-            "share_of_variance": float(of_added[part].sum() / of_whole[part].sum()),
+            "share_of_variance": float(by_animphos[part].sum() / of_whole[part].sum()),
+            "added": float(of_added[part].sum() / of_whole[part].sum()),
         }
         for name, part in shown.items()
         if of_whole[part].sum() > 0.0
