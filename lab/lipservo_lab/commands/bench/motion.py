@@ -443,7 +443,7 @@ def figures(
         ),
     ],
     plots: Annotated[
-        Path | None, typer.Option(help="Draw Figures 1 and 6 here.", show_default=False)
+        Path | None, typer.Option(help="Draw Figures 1, 4, 5 and 6 here.", show_default=False)
     ] = None,
     as_json: Json = False,
     quiet: Quiet = False,

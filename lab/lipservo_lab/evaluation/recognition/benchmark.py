@@ -223,7 +223,10 @@ def own_servo_figures(make_recognizer: Callable[[], LiveRecognizer]) -> dict[str
         false_speech(recognizer, level * first, encoder_readings_deg(first_speeds))
         servos_deg = encoder_readings_deg(speeds)
         with_speeds.append(false_speech(recognizer, level * sound, servos_deg))
-        half_duplex.append(half_duplex_false_speech(recognizer, level * sound, servos_deg))
+        # Of its own: what heard this sound above has learned from it.
+        listener = make_recognizer()
+        half_duplex_false_speech(listener, level * first, encoder_readings_deg(first_speeds))
+        half_duplex.append(half_duplex_false_speech(listener, level * sound, servos_deg))
     return {
         "own_servos_speech_share": float(np.mean(without_speeds)),
         "own_servos_speech_share_told": float(np.mean(with_speeds)),
