@@ -69,10 +69,12 @@ class Jaw:
         return [(row[2] > 0.0, row[2]) for row in self.rows()]
 
     def is_off(self):
-        n_before = len(self.rows())
         if self.bus == "pca9685":
+            time.sleep(0.1)  # the last pulse is logged at the start of the next cycle, 20 ms later
+            n_before = len(self.rows())
             time.sleep(0.3)
             return len(self.rows()) == n_before
+        n_before = len(self.rows())
         return n_before > 0 and not self.sent()[-1][0]
 
     def was_off_since(self, n_before):
