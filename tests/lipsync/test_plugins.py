@@ -98,15 +98,18 @@ def test_a_face_names_the_synthesiser_of_another_package():
     face = parse_face(f"{FACE}sound: {{synthesizer: robotic}}\n", "face.yaml")
 
     assert type(synthesizer_for(face.sound.synthesizer)).__name__ == "Robotic"
-    assert SYNTHESIZERS.names() == ["espeak", "flite", "piper", "command", "robotic"]
+    names = SYNTHESIZERS.names()
+    assert names[:4] == ["espeak", "flite", "piper", "command"]
+    assert "robotic" in names[4:]
 
 
 def test_an_unknown_name_says_what_there_is_and_what_to_install():
     with pytest.raises(UserError) as error:
         synthesizer_for("hal")
+    names = ", ".join(SYNTHESIZERS.names())
     assert str(error.value) == (
-        "synthesiser 'hal' is not known here; use one of espeak, flite, piper, command, or install "
-        "the package that brings it (entry point lipservo.voices)"
+        f"synthesiser 'hal' is not known here; use one of {names}, or install the package that "
+        "brings it (entry point lipservo.voices)"
     )
     with pytest.raises(SettingsError, match=r"motion\.engine: recogniser 'hal' is not known"):
         parse_face(f"{FACE}motion: {{engine: hal}}\n", "face.yaml")

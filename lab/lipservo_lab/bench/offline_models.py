@@ -88,7 +88,7 @@ def building_cost(folder: Path, model: TrainedModel, *, skip_bad: bool) -> Cost:
     with tempfile.TemporaryDirectory() as place:
         face, made = Path(place) / "face.npz", Path(place) / "offline.npz"
         save_model(model, face)
-        train = [sys.executable, "-m", "lipservo", "learn", "offline", str(folder), "--quiet"]
+        train = [sys.executable, "-P", "-m", "lipservo", "learn", "offline", str(folder), "--quiet"]
         train += ["--model", str(face), "--output", str(made)]
         return cost_of([*train, "--skip-bad"] if skip_bad else train)
 

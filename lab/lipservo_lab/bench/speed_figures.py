@@ -47,7 +47,7 @@ def replay_speed(recordings: Sequence[Path]) -> float:
 
 def live_figures() -> dict[str, float]:
     """Start-up and memory of a whole `lipservo run`, in a process of its own."""
-    command = [sys.executable, "-m", "lipservo", "run", "--json"]
+    command = [sys.executable, "-P", "-m", "lipservo", "run", "--json"]
     finished = subprocess.run(command, check=True, capture_output=True, text=True)
     summary = json.loads(finished.stdout)
     return {

@@ -222,7 +222,7 @@ class _Day:
             token = self._token.read_text().strip()
             arguments = ["-m", "lipservo_lab.bench.agents.day_agent", url, token, str(_PERIOD_S)]
         process = subprocess.Popen(
-            [sys.executable, *arguments],
+            [sys.executable, "-P", *arguments],
             env=self._environment,
             stdout=subprocess.PIPE,
             stderr=log,

@@ -42,7 +42,7 @@ class HostWitness:
     def watching(cls) -> "Iterator[HostWitness]":
         """A process a core, until the block ends."""
         reader, writer = os.pipe()
-        command = [sys.executable, "-m", "lipservo_lab.bench.bus.host_witness"]
+        command = [sys.executable, "-P", "-m", "lipservo_lab.bench.bus.host_witness"]
         watchers = [
             subprocess.Popen([*command, str(core), str(writer)], pass_fds=[writer])
             for core in sorted(os.sched_getaffinity(0))

@@ -149,7 +149,7 @@ def client_process(kind: str, port: str, baud_rate: int) -> Iterator[MeasuredPro
         count = os.memfd_create("rounds")
         stack.callback(os.close, count)
         rounds = _CountedRounds(count)
-        command = [sys.executable, "-m", "lipservo_lab.bench.bus.servo_clients", kind, port]
+        command = [sys.executable, "-P", "-m", "lipservo_lab.bench.bus.servo_clients", kind, port]
         numbers = [baud_rate, N_SERVOS, RATE_HZ, reader.fileno(), count]
         command += [str(each) for each in numbers]
         process = stack.enter_context(_running(command, [reader.fileno(), count]))
@@ -178,7 +178,7 @@ def bridge_process(folder: Path, port: str, baud_rate: int) -> Iterator[Measured
         request = RunRequest(
             str(face), SILENCE, port=port, rate_hz=RATE_HZ, control=control.path, quiet=True
         )
-        command = [sys.executable, "-m", "lipservo", "bridge-process"]
+        command = [sys.executable, "-P", "-m", "lipservo", "bridge-process"]
         command += ["--request", request_json(request)]
         fds = {
             "channel": reader.fileno(),

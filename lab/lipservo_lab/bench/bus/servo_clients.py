@@ -188,7 +188,7 @@ def canned_peer(n_servos: int, *, on_time: bool = False) -> Iterator[str]:
 
     on_time: before all else that the computer does, where permitted.
     """
-    command = [sys.executable, "-m", "lipservo_lab.bench.bus.canned_peer", str(n_servos)]
+    command = [sys.executable, "-P", "-m", "lipservo_lab.bench.bus.canned_peer", str(n_servos)]
     options = ["--on-time"] if on_time else []
     with subprocess.Popen(
         [*command, str(_MOTION_SIZE), *options],

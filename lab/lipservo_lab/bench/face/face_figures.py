@@ -149,7 +149,16 @@ def served_head() -> Iterator[str]:
         probe.bind(("127.0.0.1", 0))
         listen = f"127.0.0.1:{probe.getsockname()[1]}"
         probe.close()
-        command = [sys.executable, "-m", "lipservo", "daemon", "--config", "face_head", "--quiet"]
+        command = [
+            sys.executable,
+            "-P",
+            "-m",
+            "lipservo",
+            "daemon",
+            "--config",
+            "face_head",
+            "--quiet",
+        ]
         command += ["--dashboard", "--dashboard-listen", listen]
         command += ["--open-to-this-computer", "--sounds", folder, "--listen", "127.0.0.1:0"]
         with subprocess.Popen([*command, "--control", str(Path(folder) / "head.sock")]) as process:

@@ -110,7 +110,7 @@ def _speaking_face(folder: Path) -> Iterator[tuple[int, Callable[[], dict[str, o
     hum = 0.1 * np.sin(np.arange(round(_SOUND_S * _RATE_HZ)) / 50.0)
     soundfile.write(folder / "line.wav", hum, _RATE_HZ)
     control = folder / "face.sock"
-    command = [sys.executable, "-m", "lipservo", "daemon", "--config", "face_sim", "--quiet"]
+    command = [sys.executable, "-P", "-m", "lipservo", "daemon", "--config", "face_sim", "--quiet"]
     command += ["--sounds", str(folder), "--listen", "127.0.0.1:0", "--control", str(control)]
 
     def status() -> dict[str, object]:

@@ -197,6 +197,7 @@ def clients(address: str, n: int, path: str) -> Iterator[Callable[[], float]]:
     """So many clients of a stream in a process of their own; afterwards: bytes a second of one."""
     command = [
         sys.executable,
+        "-P",
         "-m",
         "lipservo_lab.bench.face.stream_clients",
         address,

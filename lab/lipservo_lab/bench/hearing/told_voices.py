@@ -75,10 +75,10 @@ class Followed:
 
     def figures(self) -> dict[str, float]:
         """By name; `boundary_ms`: of all phones that were found, `found` their share."""
-        sizes_ms = np.abs(self.errors_ms or [np.nan])
+        sizes_ms, scored = np.abs(self.errors_ms or [np.nan]), self.score.figures()
         return {
             **self.score.bilabials.figures("closure"),
-            "viseme_all": self.score.figures()["viseme_all"],
+            **{name: scored[name] for name in ("viseme_all", "viseme_speech", "per")},
             "found": len(self.errors_ms) / max(1, self.n_phones),
             "boundary_ms_p50": float(np.percentile(sizes_ms, 50)),
             "boundary_ms_p90": float(np.percentile(sizes_ms, 90)),

@@ -126,7 +126,7 @@ def processor_s(arguments: Sequence[str]) -> float:
 
 
 def _spent_s(arguments: Sequence[str], environment: dict[str, str], folder: str) -> float:
-    command = [sys.executable, "-m", "lipservo", *arguments]
+    command = [sys.executable, "-P", "-m", "lipservo", *arguments]
     quiet = subprocess.DEVNULL
     with subprocess.Popen(command, stdout=quiet, stderr=quiet, env=environment, cwd=folder) as run:
         _, status, used = os.wait4(run.pid, 0)

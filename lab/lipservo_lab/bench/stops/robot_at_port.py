@@ -163,7 +163,7 @@ class RobotAtPort:
         """A process of this interpreter in the same surroundings; the kernel ends it with us."""
         with self.log.open("ab") as file:
             process = subprocess.Popen(
-                [sys.executable, *arguments],
+                [sys.executable, "-P", *arguments],
                 stdin=stdin,
                 stdout=file,
                 stderr=file,

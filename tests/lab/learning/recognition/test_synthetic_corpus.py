@@ -4,8 +4,8 @@ import pytest
 import soundfile
 from lipservo_lab.corpus.alignment_cache import LABELLED, align_corpus
 from lipservo_lab.corpus.transcribed import read_transcribed
+from lipservo_lab.learning.recognition.festival import Festival
 from lipservo_lab.learning.recognition.synthetic_corpus import (
-    Festival,
     SyntheticVoice,
     SyntheticVoiceError,
     read_voices,
@@ -23,13 +23,13 @@ def test_voices_are_written_with_their_synthesiser():
     assert [voice.folder_name for voice in voices] == ["espeak-en-us", "festival-ked"]
 
 
-@pytest.mark.parametrize("listed", ["", "awb", "flite:", "piper:amy", "flite:awb,"])
+@pytest.mark.parametrize("listed", ["", "awb", "flite:", "nobody:amy", "flite:awb,"])
 def test_another_form_is_refused_in_one_line(listed):
     with pytest.raises(SyntheticVoiceError, match="is no SYNTHESISER:VOICE"):
         read_voices(listed)
 
 
-@pytest.fixture(params=["espeak:en-us", "flite:awb", "festival:ked"])
+@pytest.fixture(params=["espeak:en-us", "flite:awb", "festival:ked", "festival:ked-sung"])
 def voice(request):
     (voice,) = read_voices(request.param)
     if voice.synthesizer == "festival":

@@ -1,0 +1,141 @@
+"""festival: English by diphone voices, as a `Synthesizer` that tells where each of its phones ends.
+
+The command runs a Scheme program: the text becomes an utterance, of which wave and segments are
+saved. It takes half a second to start, so that it speaks for training and scoring. Each voice
+sings, too (festival's singing mode): a note a syllable, up and down a scale.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import tempfile
+from itertools import cycle
+from pathlib import Path
+
+import numpy as np
+import soundfile
+
+from lipsync.text_to_speech.flite import segments
+from lipsync.text_to_speech.synthesis import (
+    DEFAULT_VOICE,
+    SynthesisError,
+    SynthesizedSpeech,
+    UnspeakableTextError,
+    Voice,
+    checked_text,
+    phoneme_events,
+)
+
+_LANGUAGE = "en-us"
+_TIMEOUT_S = 60.0
+_DIPHONES = "_diphone"
+_SUNG = "-sung"
+#: Notes up and down, Hz, and how long their syllables last at the default rate, s.
+_NOTES_HZ = (131, 147, 165, 175, 196, 220, 196, 175, 165, 147)
+_NOTES_S = (0.4, 0.3, 0.3, 0.6, 0.4, 0.8)
+#: No word has more syllables; notes that a word has no syllable for are not sung.
+_MOST_SYLLABLES = 8
+
+
+class Festival:
+    """The `Synthesizer` festival. Raises SynthesisError where it is not installed."""
+
+    longest_text = 2000
+
+    def __init__(self) -> None:
+        found = shutil.which("festival")
+        if found is None:
+            raise SynthesisError(
+                "festival is not installed: `apt install festival festvox-kdlpc16k`"
+            )
+        self._command = found
+        self._voices: tuple[str, ...] | None = None
+
+    def languages(self) -> tuple[str, ...]:
+        """American English alone."""
+        return (_LANGUAGE,)
+
+    def voices(self) -> tuple[str, ...]:
+        """The diphone voices that are installed, as `kal` and `ked`, and `ked-sung`."""
+        if self._voices is None:
+            listed = self._run("(print (voice.list))").strip("() \n").split()
+            diphone = (voice for voice in listed if voice.endswith(_DIPHONES))
+            spoken = sorted(voice.removesuffix(_DIPHONES) for voice in diphone)
+            self._voices = tuple(name + how for how in ("", _SUNG) for name in spoken)
+        return self._voices
+
+    def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
+        """See `Synthesizer`; a process of its own for each text. No times of words."""
+        written = checked_text(text, self.longest_text)
+        if voice.name not in self.voices():
+            raise SynthesisError(
+                f"festival has no voice {voice.name!r}; it has: {', '.join(self.voices())} "
+                "(`apt install festvox-kdlpc16k` brings ked)"
+            )
+        stretch = DEFAULT_VOICE.rate_wpm / voice.rate_wpm
+        diphones = f"(voice_{voice.name.removesuffix(_SUNG)}{_DIPHONES})"
+        with tempfile.TemporaryDirectory(prefix="lipservo-festival-") as folder:
+            sound, ends = Path(folder) / "sound.wav", Path(folder) / "segments"
+            if voice.name.endswith(_SUNG):
+                song = Path(folder) / "song.xml"
+                song.write_text(_song(written, stretch), "utf-8")
+                spoken = f"(require 'singing-mode)(tts_file \"{song}\" 'singing)"
+            else:
+                quoted = written.replace("\\", " ").replace('"', " ")
+                duration = f"(Parameter.set 'Duration_Stretch {stretch:.4f})"
+                spoken = f'{duration}(save (SynthText "{quoted}"))'
+            self._run(
+                f'(define (save utt) (utt.save.wave utt "{sound}")'
+                f'(utt.save.segs utt "{ends}") utt)'
+                f"(set! tts_hooks (list utt.synth save)){diphones}{spoken}"
+            )
+            try:
+                samples, sample_rate_hz = soundfile.read(sound, dtype="float32")
+                printed = ends.read_text("utf-8")
+            except (soundfile.LibsndfileError, OSError, RuntimeError):
+                raise UnspeakableTextError(
+                    f"festival said nothing of {written[:40]!r}; write English words"
+                ) from None
+        timed = segments(_as_flite_prints(printed), len(samples) / sample_rate_hz)
+        return SynthesizedSpeech(
+            np.clip(samples, -1.0, 1.0), sample_rate_hz, phoneme_events(timed), ()
+        )
+
+    def _run(self, program: str) -> str:
+        try:
+            done = subprocess.run(
+                [self._command, "--pipe"],
+                input=program.encode(),
+                capture_output=True,
+                env={**os.environ, "LC_ALL": "C"},
+                timeout=_TIMEOUT_S,
+                check=False,
+            )
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise SynthesisError(f"festival failed: {error}"[:200]) from None
+        return done.stdout.decode("utf-8", "replace")
+
+
+def _song(text: str, stretch: float) -> str:
+    """The text as festival's singing mode reads it: for each word more notes than syllables."""
+    notes_hz, notes_s = cycle(_NOTES_HZ), cycle(_NOTES_S)
+    words = []
+    for word in re.findall(r"\w[\w']*", text):  # a full stop would begin another song
+        pitches = ",".join(str(next(notes_hz)) for _ in range(_MOST_SYLLABLES))
+        lengths = ",".join(f"{stretch * next(notes_s):.3f}" for _ in range(_MOST_SYLLABLES))
+        words.append(
+            f'<PITCH FREQ="{pitches}"><DURATION SECONDS="{lengths}">{word}</DURATION></PITCH>\n'
+        )
+    return (
+        '<?xml version="1.0"?>\n'
+        '<!DOCTYPE SINGING PUBLIC "-//SINGING//DTD SINGING mark up//EN" "Singing.v0_1.dtd" []>\n'
+        f'<SINGING BPM="60">\n{"".join(words)}</SINGING>\n'
+    )
+
+
+def _as_flite_prints(segment_file: str) -> str:
+    """`0.2200 100 pau`, a line a segment after one with #, as `pau:0.2200 ...`."""
+    lines = segment_file.partition("#")[2].split("\n")
+    fields = [line.split() for line in lines if line.strip()]
+    return " ".join(f"{name}:{end}" for end, _, name in fields)
