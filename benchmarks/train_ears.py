@@ -1,7 +1,8 @@
 """The recogniser goes on learning for some minutes, on a GPU where there is one.
 
     python benchmarks/train_ears.py arrays CORPORA ALIGNMENTS VOICES SOUNDS FOLDER
-    python benchmarks/train_ears.py teach FOLDER SECONDS
+    python benchmarks/train_ears.py teach FOLDER SECONDS TEACHER.npz [FROM.npz]
+    python benchmarks/train_ears.py relabel FOLDER
     python benchmarks/train_ears.py learn FOLDER SECONDS WEIGHTS.npz CHANNELS labels|teacher
     python benchmarks/train_ears.py mean SHARE LEARNED.npz MEAN.npz
 
@@ -9,8 +10,9 @@ CORPORA holds librispeech, speechocean762 and picovoice_commands; ALIGNMENTS is 
 alignments (`lipservo lines align-folder`) and of VOICES', the folder of synthetic voices
 (`write_voice`); SOUNDS holds recordings without speech. `arrays` writes disturbed copies of a
 quarter of the recordings each into FOLDER, until it is stopped or has made 600. Beside it `teach`
-trains a larger network that hears .6 s ahead and writes what it says of each frame of the clean
-recordings, and `learn` begins as the shipped weights, grown to CHANNELS, learns from all copies
+trains a larger network that hears .6 s ahead, anew or going on from weights, and writes what it
+says of each frame of the clean recordings. `relabel` lays the labels anew by that, for a second
+round of `teach`. `learn` begins as the shipped weights, grown to CHANNELS, learns from all copies
 that are there, by labels alone or by the teacher's posteriors too, and writes the running average
 of its weights. `mean` is SHARE of what was learnt and the rest of the shipped weights. Scored and
 validation talkers train nothing.
@@ -35,8 +37,10 @@ from lipservo_lab.corpus.transcribed import (
 )
 from lipservo_lab.learning.recognition.augmentation import LabelledSamples, Surroundings
 from lipservo_lab.learning.recognition.noise import read_found_sounds
+from lipservo_lab.learning.recognition.retimed_labels import retimed, spoken_score
 from lipservo_lab.learning.recognition.training_data import (
     MASKED_BANDS,
+    NO_TARGET,
     TrainingArray,
     TrainingPlan,
     as_array,
@@ -50,7 +54,7 @@ from lipservo_lab.worker_pool import worker_pool
 from lipsync.phonemes import PHONEMES
 from lipsync.recognition.alignment import LEAST_SCORE
 from lipsync.recognition.features import FRAMES_PER_S, HOP, N_BANDS
-from lipsync.recognition.network import load_weights, save_weights
+from lipsync.recognition.network import NetworkWeights, load_weights, save_weights
 
 if TYPE_CHECKING:
     import torch
@@ -76,6 +80,8 @@ TEACHER = replace(
     PLAN, dilations=(1, 2, 4, 8, 16, 1, 2, 4, 8, 16, 32), channels=384, delays=(60,),
     head_weights=(1.0,), n_steps=8_000,
 )  # fmt: skip
+#: Windows of a step without a GPU, its seconds on one core, and the share of the rate it allows.
+BATCH_ON_PROCESSOR, STEP_ON_PROCESSOR_S, RATE_ON_PROCESSOR = 16, 0.5, 0.5
 PARTS = 4
 #: Processors left to what learns.
 FOR_LEARNING = 3
@@ -230,6 +236,20 @@ def ready(folder: Path, seconds: float, plan: TrainingPlan) -> Windows:
     return windows
 
 
+def affordable(plan: TrainingPlan, seconds: float) -> TrainingPlan:
+    """Return the plan for so many seconds; without a GPU fewer windows a step, at a lower rate."""
+    import torch
+
+    if torch.cuda.is_available():
+        return plan
+    return replace(
+        plan,
+        batch=BATCH_ON_PROCESSOR,
+        peak_rate=plan.peak_rate * RATE_ON_PROCESSOR,
+        n_steps=round(seconds / STEP_ON_PROCESSOR_S),
+    )
+
+
 def trained(
     network: "TorchNetwork",
     windows: Windows,
@@ -273,21 +293,34 @@ def on_device(folder: Path, posteriors: Path | None) -> "TaughtOnDevice":
 
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     labels = torch.from_numpy(np.load(folder / "clean.npz")["labels"]).to(device)
-    said = None if posteriors is None else torch.from_numpy(np.load(posteriors)).to(device)
+    if posteriors is None:
+        return TaughtOnDevice(labels, None)
+    said = torch.from_numpy(np.load(posteriors)).to(device)
+    said[labels < 0] = 0.0  # what was not said, a teacher does not know either
     return TaughtOnDevice(labels, said)
 
 
 def teach(given: Sequence[str]) -> None:
-    """Train the teacher and write its posteriors of the clean recordings."""
+    """Train the teacher; write it, and its posteriors of the clean recordings."""
     import torch
-    from lipservo_lab.learning.recognition.torch_network import TorchNetwork
+    from lipservo_lab.learning.recognition.torch_network import (
+        TorchNetwork,
+        exported,
+        started_from,
+    )
 
-    folder, seconds = Path(given[0]), float(given[1])
+    folder, seconds, out = Path(given[0]), float(given[1]), Path(given[2])
     ends_at = time.monotonic() + seconds
-    windows = ready(folder, seconds, TEACHER)
+    start = load_weights(Path(given[3])) if len(given) > 3 else None
+    plan = TEACHER if start is None else replace(TEACHER.shaped_as(start), delays=TEACHER.delays)
+    plan = affordable(plan, seconds)
+    windows = ready(folder, seconds, plan)
     known = on_device(folder, None)
-    network = TorchNetwork(TEACHER).to(known.labels.device)
-    network = trained(network, windows, known, TEACHER, ends_at).module.eval()
+    network = TorchNetwork(plan)
+    if start is not None:
+        network = started_from(of_last_head(start), [windows.some()], plan)
+    network = trained(network.to(known.labels.device), windows, known, plan, ends_at).module.eval()
+    save_weights(exported(network, load_weights(START).scale, plan), out)
     features = np.load(folder / "clean_features.npy", mmap_mode="r")
     ends, delay = np.load(folder / "clean.npz")["ends"], TEACHER.delays[0]
     posteriors = np.empty((ends[-1], len(PHONEMES)), np.float16)
@@ -301,11 +334,60 @@ def teach(given: Sequence[str]) -> None:
             posteriors[first:end] = torch.softmax(logits, 0).T.cpu().numpy()
             first = end
     labels = known.labels.cpu().numpy()
-    agreed = float(np.mean(posteriors.argmax(axis=1) == labels))
+    is_known = labels >= 0
+    agreed = float(np.mean((posteriors.argmax(axis=1) == labels)[is_known]))
     certain = float(np.mean(posteriors.max(axis=1).astype(np.float32)))
     say(f"agrees with {agreed:.3f} of the labels; largest posterior {certain:.3f} in the mean")
     np.save(folder / "unfinished.npy", posteriors)
     (folder / "unfinished.npy").rename(folder / "posteriors.npy")
+
+
+def of_last_head(weights: NetworkWeights) -> NetworkWeights:
+    """Return the weights with their last head alone, which goes on as the teacher's."""
+    n = len(PHONEMES)
+    return replace(
+        weights,
+        output=weights.output[:, -n:],
+        output_bias=weights.output_bias[-n:],
+        delays=TEACHER.delays,
+    )
+
+
+def relabel(given: Sequence[str]) -> None:
+    """Lay the labels of the clean recordings anew by the teacher's posteriors.
+
+    A recording whose phones the teacher does not find has no labels any more.
+    """
+    folder = Path(given[0])
+    with np.load(folder / "clean.npz") as clean:
+        before, ends = clean["labels"], clean["ends"]
+    posteriors = np.load(folder / "posteriors.npy", mmap_mode="r")
+    parts = [slice(first, end) for first, end in zip([0, *ends[:-1]], ends, strict=True)]
+    jobs = ((before[part], posteriors[part]) for part in parts)
+    with worker_pool(os.cpu_count() or 1, multiprocessing.get_context("fork")) as pool:
+        found = list(pool.map(relabelled, jobs, chunksize=16))
+    labels = np.concatenate(found)
+    is_dropped = np.array([(each < 0).all() for each in found])
+    is_known = (labels >= 0) & (before >= 0)
+    moved = float(np.mean((labels != before)[is_known]))
+    say(f"{is_dropped.sum()} recordings dropped; {moved:.3f} of the other frames moved")
+    unfinished = folder / "unfinished.npz"
+    np.savez(unfinished, labels=labels, ends=ends)
+    unfinished.rename(folder / "clean.npz")
+
+
+def relabelled(job: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Return the labels (n,) of a recording laid anew over posteriors; for the pool."""
+    labels, posteriors = job
+    spoken = labels[labels >= 0]
+    if not len(spoken):
+        return labels
+    phones = spoken[np.flatnonzero(np.diff(spoken, prepend=-1))]
+    logs = np.log(np.maximum(posteriors.astype(np.float32), 1e-6))
+    found = retimed(phones.tolist(), logs)
+    if found is None or spoken_score(found, logs) < LEAST_SCORE:
+        return np.full_like(labels, NO_TARGET)
+    return found
 
 
 def learn(given: Sequence[str]) -> None:
@@ -315,6 +397,7 @@ def learn(given: Sequence[str]) -> None:
 
     folder, seconds, out = Path(given[0]), float(given[1]), Path(given[2])
     plan, is_taught = replace(PLAN, channels=int(given[3])), given[4] == "teacher"
+    plan = affordable(plan, seconds)
     ends_at = time.monotonic() + seconds
     posteriors = folder / "posteriors.npy"
     while is_taught and not posteriors.exists():
@@ -343,4 +426,6 @@ def mean(given: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
-    {"arrays": arrays, "teach": teach, "learn": learn, "mean": mean}[sys.argv[1]](sys.argv[2:])
+    {
+        "arrays": arrays, "teach": teach, "relabel": relabel, "learn": learn, "mean": mean
+    }[sys.argv[1]](sys.argv[2:])  # fmt: skip

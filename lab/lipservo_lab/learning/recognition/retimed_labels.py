@@ -55,7 +55,7 @@ def taught_by(
         heard = _posteriors(teacher, recording)
         logs = np.log(np.maximum(heard, np.float32(_SMALLEST)))
         labels = retimed([PHONEME_INDEX[name] for name, _, _ in aligned.phones], logs)
-        if labels is not None and _score(labels, logs) >= LEAST_SCORE:
+        if labels is not None and spoken_score(labels, logs) >= LEAST_SCORE:
             kept.append(replace(recording, labels=labels))
             posteriors.append(heard.astype(np.float16))
         progress(number)
@@ -127,7 +127,11 @@ def _posteriors(teacher: NetworkWeights, recording: LabelledSamples) -> Array32:
     return recording_posteriors(teacher, recording.samples, n_frames + delay)[delay:, -1]
 
 
-def _score(labels: NDArray[np.int64], logs: Array32) -> float:
+def spoken_score(labels: NDArray[np.int64], logs: Array32) -> float:
+    """Return the mean log ratio of labels (n,) to the likeliest phones where either is speech.
+
+    logs: (n, n_phonemes), log posteriors.
+    """
     spoken = (labels != _SILENCE_INDEX) | (logs.argmax(axis=1) != _SILENCE_INDEX)
     ratio = logs[np.arange(len(logs)), labels] - logs.max(axis=1)
     return float(ratio[spoken].mean()) if spoken.any() else 0.0
