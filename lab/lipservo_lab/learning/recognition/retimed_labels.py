@@ -84,11 +84,10 @@ def retimed(phones: Sequence[int], logs: Array32) -> NDArray[np.int64] | None:
     NDArray[np.int64] | None
         (n,); None where they do not fit in.
     """
-    # Silences in a row are one.
-    order = [_SILENCE_INDEX]
-    order += [each for each in phones if each != _SILENCE_INDEX or order[-1] != _SILENCE_INDEX]
-    order += [_SILENCE_INDEX] if order[-1] != _SILENCE_INDEX else []
-    states = np.repeat(np.array(order), _STATES)
+    whole = np.array([_SILENCE_INDEX, *phones, _SILENCE_INDEX])
+    is_silence = whole == _SILENCE_INDEX
+    is_more_silence = is_silence & np.concatenate(([False], is_silence[:-1]))
+    states = np.repeat(whole[~is_more_silence], _STATES)
     n, n_states = len(logs), len(states)
     is_last = np.arange(n_states) % _STATES == _STATES - 1
     # Into a phone's first state, from the last one before a silence.

@@ -36,6 +36,13 @@ def test_a_silence_that_is_not_there_is_left_out():
     assert np.array_equal(retimed([SIL, P, SIL, AA, SIL, SIL, T, SIL], heard(truth)), truth)
 
 
+def test_a_silence_between_phones_stays_and_several_in_a_row_are_one():
+    truth = runs((SIL, 7), (P, 5), (AA, 11), (SIL, 20), (T, 4), (SIL, 6))
+
+    for phones in ([P, AA, SIL, T], [SIL, P, AA, SIL, SIL, T, SIL]):
+        assert np.array_equal(retimed(phones, heard(truth)), truth)
+
+
 def test_phones_keep_their_order_and_last_two_frames_whatever_is_heard():
     """The T is not heard: it takes as little as it may."""
     found = retimed([P, AA, T], heard(runs((P, 10), (AA, 20))))
