@@ -37,7 +37,7 @@ from lipservo_lab.corpus.transcribed import (
 )
 from lipservo_lab.learning.recognition.augmentation import LabelledSamples, Surroundings
 from lipservo_lab.learning.recognition.noise import read_found_sounds
-from lipservo_lab.learning.recognition.retimed_labels import retimed, spoken_score
+from lipservo_lab.learning.recognition.retimed_labels import labels_if_spoken
 from lipservo_lab.learning.recognition.training_data import (
     MASKED_BANDS,
     NO_TARGET,
@@ -80,7 +80,8 @@ TEACHER = replace(
     PLAN, dilations=(1, 2, 4, 8, 16, 1, 2, 4, 8, 16, 32), channels=384, delays=(60,),
     head_weights=(1.0,), n_steps=8_000,
 )  # fmt: skip
-#: Windows of a step without a GPU, its seconds on one core, and the share of the rate it allows.
+#: Without a GPU: windows of a step, its seconds on one core (224 channels, 2026-11-28, measured),
+#: and the share of the rate that so few windows allow (the root of 16 / 64).
 BATCH_ON_PROCESSOR, STEP_ON_PROCESSOR_S, RATE_ON_PROCESSOR = 16, 0.5, 0.5
 PARTS = 4
 #: Processors left to what learns.
@@ -383,11 +384,8 @@ def relabelled(job: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     if not len(spoken):
         return labels
     phones = spoken[np.flatnonzero(np.diff(spoken, prepend=-1))]
-    logs = np.log(np.maximum(posteriors.astype(np.float32), 1e-6))
-    found = retimed(phones.tolist(), logs)
-    if found is None or spoken_score(found, logs) < LEAST_SCORE:
-        return np.full_like(labels, NO_TARGET)
-    return found
+    found = labels_if_spoken(phones.tolist(), posteriors.astype(np.float32))
+    return np.full_like(labels, NO_TARGET) if found is None else found
 
 
 def learn(given: Sequence[str]) -> None:

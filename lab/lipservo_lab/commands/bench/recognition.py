@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
 import typer
-from rich.table import Table
+from rich.table import Column, Table
 
 from lipservo.commands.options import Json, MeasuredEngineChoice, Model, Quiet, WeightsChoice
 from lipservo.terminal.output import (
@@ -392,8 +392,10 @@ def voices(
         settings = {"told": not heard, "weights": weights, "machine": machine_class()}
         print_json({"voices": figures, "sentences": len(texts), **settings})
         return
-    columns = ("closure_recall", "closure_precision", "boundary_ms_p50", "boundary_ms_p90")
-    table = Table("voice", *(name.replace("_", " ") for name in columns), "P B M ms", "found")
+    scores = ("viseme_speech", "per", "closure_recall", "closure_precision")
+    columns = (*scores, "boundary_ms_p50", "boundary_ms_p90")
+    heads = ("visemes", "PER", "P B M recall", "and prec.", "ms p50", "ms p90", "P B M ms", "found")
+    table = Table(Column("voice", overflow="fold"), *heads, box=None)
     for voice_name, row in figures.items():
         cells = (*(f"{row[name]:.3g}" for name in columns), f"{row['closing_onset_ms_p50']:.3g}")
         table.add_row(voice_name, *cells, f"{row['found']:.2f}")

@@ -2,7 +2,8 @@
 
 The command runs a Scheme program: the text becomes an utterance, of which wave and segments are
 saved. It takes half a second to start, so that it speaks for training and scoring. Each voice
-sings, too (festival's singing mode): a note a syllable, up and down a scale.
+sings, too (festival's singing mode): each word begins a note further up or down a scale, and its
+syllables go on from there.
 """
 
 import os
@@ -10,7 +11,6 @@ import re
 import shutil
 import subprocess
 import tempfile
-from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +31,7 @@ _LANGUAGE = "en-us"
 _TIMEOUT_S = 60.0
 _DIPHONES = "_diphone"
 _SUNG = "-sung"
-#: Notes up and down, Hz, and how long their syllables last at the default rate, s.
+#: C3 to A3 and back, Hz, and how long syllables last in turn at the default rate, s.
 _NOTES_HZ = (131, 147, 165, 175, 196, 220, 196, 175, 165, 147)
 _NOTES_S = (0.4, 0.3, 0.3, 0.6, 0.4, 0.8)
 #: No word has more syllables; notes that a word has no syllable for are not sung.
@@ -119,11 +119,12 @@ class Festival:
 
 def _song(text: str, stretch: float) -> str:
     """The text as festival's singing mode reads it: for each word more notes than syllables."""
-    notes_hz, notes_s = cycle(_NOTES_HZ), cycle(_NOTES_S)
     words = []
-    for word in re.findall(r"\w[\w']*", text):  # a full stop would begin another song
-        pitches = ",".join(str(next(notes_hz)) for _ in range(_MOST_SYLLABLES))
-        lengths = ",".join(f"{stretch * next(notes_s):.3f}" for _ in range(_MOST_SYLLABLES))
+    # A full stop would begin another song.
+    for number, word in enumerate(re.findall(r"\w[\w']*", text)):
+        notes = range(number, number + _MOST_SYLLABLES)
+        pitches = ",".join(str(_NOTES_HZ[note % len(_NOTES_HZ)]) for note in notes)
+        lengths = ",".join(f"{stretch * _NOTES_S[note % len(_NOTES_S)]:.3f}" for note in notes)
         words.append(
             f'<PITCH FREQ="{pitches}"><DURATION SECONDS="{lengths}">{word}</DURATION></PITCH>\n'
         )

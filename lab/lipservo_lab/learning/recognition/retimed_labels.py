@@ -53,9 +53,8 @@ def taught_by(
     posteriors: list[NDArray[np.float16]] = []
     for number, (recording, aligned) in enumerate(recordings, start=1):
         heard = _posteriors(teacher, recording)
-        logs = np.log(np.maximum(heard, np.float32(_SMALLEST)))
-        labels = retimed([PHONEME_INDEX[name] for name, _, _ in aligned.phones], logs)
-        if labels is not None and spoken_score(labels, logs) >= LEAST_SCORE:
+        labels = labels_if_spoken([PHONEME_INDEX[name] for name, _, _ in aligned.phones], heard)
+        if labels is not None:
             kept.append(replace(recording, labels=labels))
             posteriors.append(heard.astype(np.float16))
         progress(number)
@@ -65,6 +64,26 @@ def taught_by(
         np.concatenate([np.zeros((0, len(PHONEMES)), np.float16), *posteriors]),
     )
     return TaughtRecordings(tuple(kept), taught, len(recordings) - len(kept))
+
+
+def labels_if_spoken(phones: Sequence[int], posteriors: Array32) -> NDArray[np.int64] | None:
+    """Return labels laid anew by a teacher's posteriors; None where the phones are not there.
+
+    Parameters
+    ----------
+    phones : Sequence[int]
+        Numbers as in PHONEMES.
+    posteriors : Array32
+        (n, n_phonemes).
+
+    Returns
+    -------
+    NDArray[np.int64] | None
+        (n,); None where the phones do not fit in, or score below `LEAST_SCORE`.
+    """
+    logs = np.log(np.maximum(posteriors, np.float32(_SMALLEST)))
+    labels = retimed(phones, logs)
+    return labels if labels is not None and _score(labels, logs) >= LEAST_SCORE else None
 
 
 def retimed(phones: Sequence[int], logs: Array32) -> NDArray[np.int64] | None:
@@ -126,11 +145,7 @@ def _posteriors(teacher: NetworkWeights, recording: LabelledSamples) -> Array32:
     return recording_posteriors(teacher, recording.samples, n_frames + delay)[delay:, -1]
 
 
-def spoken_score(labels: NDArray[np.int64], logs: Array32) -> float:
-    """Return the mean log ratio of labels (n,) to the likeliest phones where either is speech.
-
-    logs: (n, n_phonemes), log posteriors.
-    """
+def _score(labels: NDArray[np.int64], logs: Array32) -> float:
     spoken = (labels != _SILENCE_INDEX) | (logs.argmax(axis=1) != _SILENCE_INDEX)
     ratio = logs[np.arange(len(logs)), labels] - logs.max(axis=1)
     return float(ratio[spoken].mean()) if spoken.any() else 0.0
