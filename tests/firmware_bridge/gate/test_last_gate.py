@@ -42,6 +42,13 @@ def test_a_cut_for_a_later_rule_that_breaks_an_earlier_one_is_followed_by_anothe
     assert sent[1] == pytest.approx(4.0)
 
 
+def test_a_rule_that_is_broken_already_holds_its_own_joints_and_no_others():
+    prevention = Prevention([PreventRule((1.0, 1.0, 0.0), 30.0, "?")], 3)
+    sent = prevention.cut(np.array([20.0, 20.0, 0.0]), np.array([21.0, 20.0, 10.0]))
+
+    np.testing.assert_array_equal(sent, [20.0, 20.0, 10.0])
+
+
 @pytest.mark.parametrize("above", [0.0, 5.0])
 def test_a_rule_is_kept_to_its_last_degree_and_by_the_joints_of_the_rule_alone(above):
     prevention = Prevention([PreventRule((1.0, 1.0, 0.0), above, "?")], 3)

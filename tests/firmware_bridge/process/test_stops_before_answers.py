@@ -185,6 +185,17 @@ def test_who_asks_for_a_stop_and_leaves_at_once_has_stopped_the_face(control, cl
     assert control.filenos() == [control.fileno()]
 
 
+def test_for_who_has_left_no_status_is_made_and_no_order_taken(control, client):
+    for word in ("status", "start"):
+        client().says(word).leaves()
+        control.poll()
+    control.attend(lambda _: "")
+    control.poll()
+    control.answer(lambda: pytest.fail("nobody is there"))
+
+    assert control.take_orders() == []
+
+
 def test_an_answer_never_reaches_whoever_took_the_place_of_who_asked(control, client):
     """The kernel gives a descriptor that was closed to the next connection."""
     control.poll()
