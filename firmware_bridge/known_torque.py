@@ -82,6 +82,11 @@ class KnownTorque:
             return True
         return None if _UNKNOWN in states else False
 
+    @property
+    def all_on(self) -> bool:
+        """Whether every servo is known to be on."""
+        return bool((self.states == _ON).all())
+
     def as_json(self) -> list[bool | None]:
         """Return for each servo True (on), False (off) or None (unknown)."""
         return [AS_JSON[each] for each in self.states.tolist()]

@@ -19,7 +19,8 @@ import numpy as np
 
 from firmware_bridge.bus import Array, Feedback, any_set
 from firmware_bridge.loop.bridge import Bridge
-from firmware_bridge.loop.report import FaceState, TickReport
+from firmware_bridge.loop.face_table import FaceState
+from firmware_bridge.loop.report import TickReport
 from firmware_bridge.loop.servo_supervision import SILENT_S
 from lipsync.face.frame import NO_EXPRESSION, Expression
 

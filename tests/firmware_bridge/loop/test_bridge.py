@@ -8,7 +8,8 @@ from firmware_bridge.errors import ServoError
 from firmware_bridge.gate.ramp import StaleLevel
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
-from firmware_bridge.loop.report import BridgeSettings, FaceState
+from firmware_bridge.loop.face_table import FaceState
+from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.simulator.bus import SimulatedBus
 from firmware_bridge.stopping import StopLevel

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.joints import Joint, JointPulse
 from firmware_bridge.loop.bridge import Bridge, face_status
-from firmware_bridge.loop.report import BridgeSettings, FaceState
+from firmware_bridge.loop.face_table import FaceState
+from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.maestro.kind import MAESTRO
 from firmware_bridge.pulse_bus import PulseBus

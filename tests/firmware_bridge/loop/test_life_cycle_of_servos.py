@@ -7,7 +7,8 @@ from dynamixel_chain import MemoryFace, mounted
 
 from firmware_bridge.errors import ServoError
 from firmware_bridge.loop.bridge import Bridge
-from firmware_bridge.loop.report import BridgeSettings, FaceState
+from firmware_bridge.loop.face_table import FaceState
+from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel
 from firmware_bridge.simulator.faults import Fault
 

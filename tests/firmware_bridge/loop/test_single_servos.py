@@ -6,7 +6,8 @@ from driven_robot import RATE_HZ, TORQUE_ON, Robot, speech_deg
 from dynamixel_chain import MemoryFace, mounted
 
 from firmware_bridge.loop.bridge import Bridge
-from firmware_bridge.loop.report import BridgeSettings, FaceState
+from firmware_bridge.loop.face_table import FaceState
+from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.loop.torque_gate import TorqueGate
 from firmware_bridge.simulator.faults import Fault
