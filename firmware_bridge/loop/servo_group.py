@@ -24,6 +24,7 @@ from firmware_bridge.bus import (
 from firmware_bridge.errors import PortError, ServoError
 from firmware_bridge.gate.limits import Limited, Limiter
 from firmware_bridge.joints import Joint, named
+from firmware_bridge.known_torque import AS_JSON
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.servo_supervision import ServoSupervision
 from firmware_bridge.loop.torque_gate import LET_GO_WITH_IT, PORT_GONE, TorqueGate, TorqueOff
@@ -386,7 +387,7 @@ class ServoGroup:
             known.hardware_errors.tolist(),
             self.supervision.n_reboots.tolist(),
             known.n_unanswered.tolist(),
-            known.torque_on.tolist(),
+            [AS_JSON[each] for each in known.torque.tolist()],
         )
 
     def _not_off(self, indices: Sequence[int]) -> list[int]:

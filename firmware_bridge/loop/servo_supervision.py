@@ -26,6 +26,7 @@ from firmware_bridge.bus import (
 )
 from firmware_bridge.gate.tracking import TrackingMonitor, TrackingRule
 from firmware_bridge.joints import Joint
+from firmware_bridge.known_torque import Torque
 from firmware_bridge.loop.torque_gate import SWITCHED_OFF
 
 #: A servo that has not answered for so long has no power or no cable: its goals are withheld.
@@ -97,6 +98,7 @@ class ServoSupervision:
         self.n_changes = 0
         self.states = np.full(n, ServoState.WAITING, dtype=np.int8)
         self._all_driven = bytes([_DRIVEN]) * n
+        self._all_on = bytes([Torque.ON]) * n
         self.n_reboots = np.zeros(n, dtype=np.int64)
         self._critical = np.array([joint.critical for joint in joints])
         self._any_critical = bool(self._critical.any())
@@ -233,7 +235,7 @@ class ServoSupervision:
         """
         return (
             self.all_driven
-            and all_set(health.torque_on)
+            and health.torque.tobytes() == self._all_on
             and not any_set(self._behind)
             and not any_set(health.hardware_errors)
             and not any_set(health.watchdog_tripped)
@@ -248,12 +250,12 @@ class ServoSupervision:
             return self._check_driven(i, health, time_s, port), False
         if time_s < self._until_s[i]:
             return False, False
-        if state == _SWITCHING_OFF or (state == ServoState.OFF and health.torque_on[i]):
+        if state == _SWITCHING_OFF or (state == ServoState.OFF and health.torque[i] == Torque.ON):
             self._let_go(i, time_s, port)
             return True, False
         if state == ServoState.OFF:
             return False, False
-        if state in (ServoState.COOLING, ServoState.FAILED) and health.torque_on[i]:
+        if state in (ServoState.COOLING, ServoState.FAILED) and health.torque[i] == Torque.ON:
             # Its torque was switched off and it has not confirmed: again, until it does.
             self._until_s[i] = time_s + _RETRY_S
             port.disable(i)
@@ -298,7 +300,7 @@ class ServoSupervision:
             return True
         if health.watchdog_tripped[i]:
             self._wait(i, time_s, "stopped by its watchdog")
-        elif not health.torque_on[i]:
+        elif health.torque[i] == Torque.OFF:
             self._wait(i, time_s, "has lost its torque")
         return False
 
