@@ -178,7 +178,7 @@ class Readings:
 
     positions_deg: angle of each joint; NaN for a servo that never answered or cannot report it.
     goals_deg: each servo's goal position, with torque off the goal it would go to; NaN: not read.
-    torque_on: whether the servo holds its goal by force.
+    torque: numbers of `Torque`, as the bus knows them after this read.
     errors: number in the last status packet, 0 = none;
         https://emanual.robotis.com/docs/en/dxl/protocol2/#error
     age_s: age of each servo's values; 0 = read just now, infinity = never.
@@ -187,7 +187,7 @@ class Readings:
     time_s: float
     positions_deg: Array
     goals_deg: Array
-    torque_on: NDArray[np.bool_]
+    torque: NDArray[np.int8]
     errors: NDArray[np.uint8]
     age_s: Array
 

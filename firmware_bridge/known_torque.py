@@ -6,12 +6,15 @@ may change it until the servo has confirmed, once the servo has been silent for 
 when the port is lost. A bus writes it; every status, sentence, count and exit status reads it.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from enum import IntEnum
-from typing import Final
+from functools import wraps
+from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from firmware_bridge.errors import PortError
 
 
 class Torque(IntEnum):
@@ -25,25 +28,29 @@ class Torque(IntEnum):
 _OFF, _ON, _UNKNOWN = (int(each) for each in Torque)
 #: As JSON says it: None where it is unknown.
 AS_JSON: Final = (False, True, None)
+#: Of a servo that has been silent for so long nobody knows whether it has restarted.
+SILENT_S: Final = 0.5
 
 
 class KnownTorque:
     """Torque of n servos: on, off or unknown, and when the evidence of it came.
 
-    states: (n,) int8, numbers of `Torque`; replaced at a change and never written into, so that it
-    may be handed out without a copy. at_s: (n,) monotonic seconds of the newest evidence; -infinity
-    before any.
+    states: (n,) int8, numbers of `Torque`; read-only and replaced at a change, so that it may be
+    handed out without a copy, also to another thread. at_s: (n,) monotonic seconds of the newest
+    evidence; -infinity before any. It is written after `states` and therefore read before it.
     """
 
     def __init__(self, n_servos: int) -> None:
         """Know nothing yet."""
-        self.states: NDArray[np.int8] = np.full(n_servos, _UNKNOWN, dtype=np.int8)
+        self._nothing = np.full(n_servos, _UNKNOWN, dtype=np.int8)
+        self._nothing.flags.writeable = False
+        self.states: NDArray[np.int8] = self._nothing
         self.at_s = np.full(n_servos, -np.inf)
 
     def note(self, index: int, at_s: float, *, on: bool) -> None:
         """Take evidence of one servo: it confirmed at monotonic `at_s` that its torque is `on`."""
-        self.at_s[index] = at_s
         self._set(index, _ON if on else _OFF)
+        self.at_s[index] = at_s
 
     def forget(self, indices: Iterable[int] | None = None) -> None:
         """Know nothing of these servos from now on; None: of all.
@@ -52,10 +59,26 @@ class KnownTorque:
         port is lost.
         """
         if indices is None:
-            self.states = np.full_like(self.states, _UNKNOWN)
+            self.states = self._nothing
             return
         for index in indices:
             self._set(index, _UNKNOWN)
+
+    def take(self, indices: NDArray[np.intp], part: "KnownTorque") -> None:
+        """Copy what `part` knows of its servos, which are those of `indices` here.
+
+        Parameters
+        ----------
+        indices : NDArray[np.intp]
+            (n of `part`,): the index here of each.
+        part : KnownTorque
+            May be written meanwhile by another thread.
+        """
+        self.at_s[indices] = part.at_s
+        states = self.states.copy()
+        states[indices] = part.states
+        states.flags.writeable = False
+        self.states = states
 
     def off_since(self, since_s: float) -> NDArray[np.bool_]:
         """Return which servos are known to be off by evidence that came at `since_s` or later.
@@ -70,7 +93,8 @@ class KnownTorque:
         NDArray[np.bool_]
             (n,).
         """
-        return (self.states == _OFF) & (self.at_s >= since_s)
+        off: NDArray[np.bool_] = (self.at_s >= since_s) & (self.states == _OFF)
+        return off
 
     @property
     def any_on(self) -> bool | None:
@@ -95,4 +119,37 @@ class KnownTorque:
         if self.states.item(index) != state:
             states = self.states.copy()
             states[index] = state
+            states.flags.writeable = False
             self.states = states
+
+
+class _KnowsTorque(Protocol):
+    @property
+    def torque(self) -> KnownTorque: ...
+
+
+_Bus = TypeVar("_Bus", bound=_KnowsTorque)
+#: The methods of a `ServoBus` that may find its port lost.
+_AT_PORT: Final = (
+    "write_positions", "read", "feedback", "look_after", "obstacle", "enable_torque",
+    "keep_torque", "disable_torque", "disable_all", "reboot", "reopen",
+)  # fmt: skip
+
+
+def unknown_when_lost(bus: type[_Bus]) -> type[_Bus]:
+    """Return the class of a bus, changed: a PortError of a method makes all torque unknown."""
+    for name in _AT_PORT:
+        setattr(bus, name, _guarded(getattr(bus, name)))
+    return bus
+
+
+def _guarded(method: Callable[..., Any]) -> Callable[..., Any]:
+    @wraps(method)
+    def guarded(bus: _KnowsTorque, *args: Any) -> Any:
+        try:
+            return method(bus, *args)
+        except PortError:
+            bus.torque.forget()
+            raise
+
+    return guarded
