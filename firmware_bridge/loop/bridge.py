@@ -9,7 +9,7 @@ import numpy as np
 
 from firmware_bridge.bus import Array, Feedback, ServoBus, ServoHealth, ServoState
 from firmware_bridge.capabilities import BusCapabilities
-from firmware_bridge.errors import BusError, PortError
+from firmware_bridge.errors import BusError, PortError, ServoError
 from firmware_bridge.gate.limits import Limited
 from firmware_bridge.gate.ramp import EASE_PEAK_SLOPE, Ramp, StaleLevel
 from firmware_bridge.joints import Joint, named
@@ -294,12 +294,14 @@ class Bridge:
         goes off here. by_person: servos that were given up are tried again.
         """
         servos = self._servos
+        if why_not := self._start_refusal(dry_run=False):
+            raise ServoError(why_not)
         if by_person:
             servos.try_all_again(self._tick_s)
-        if self._state is FaceState.FROZEN:
-            self._fire(FaceEvent.START)
-            return
+        self.failure = ""
         self._fire(FaceEvent.START)
+        if self._state is not FaceState.STARTING:
+            return  # a freeze has ended
         try:
             servos.disable_all()
             readings = servos.read()
@@ -388,7 +390,7 @@ class Bridge:
         face that is driven.
         """
         if isinstance(order, StartFace):
-            return self._start_refusal()
+            return self._start_refusal(dry_run=self._servos.gate.dry_run)
         return self._single.refusal(order, self._state, plugged=self._port.is_open)
 
     def obey(self, order: Order, time_s: float) -> str:
@@ -406,8 +408,8 @@ class Bridge:
         at_rest = self._easing is not None and self._easing.arrived
         return self._servos.torque_off.report(at_rest=at_rest, plugged=self._port.is_open)
 
-    def _start_refusal(self) -> str:
-        if self._servos.gate.dry_run:
+    def _start_refusal(self, *, dry_run: bool) -> str:
+        if dry_run:
             return self._servos.gate.forbidden
         if self._state in (FaceState.DRIVEN, FaceState.SILENT):
             return "the face is driven already"
@@ -497,7 +499,8 @@ class Bridge:
         supervision = self._servos.supervision
         lost = supervision.lost_critical
         if lost is not None:
-            self.failure = f"critical {named(self._joints[lost])} {supervision.reasons[lost]}"
+            why = f"{named(self._joints[lost])} {supervision.reasons[lost]}"
+            self.failure = f"critical {why}; the face was stopped"
             self.stop(StopLevel.LIMP)
         return wanted_deg, limited
 

@@ -346,7 +346,7 @@ class ServoSupervision:
                 self.n_reboots[i] += 1
                 port.reboot(i)
             case ServoAction.GIVE_UP:
-                self._set_reason(i, f"{self.reasons[i]}, again and again: it stays limp")
+                self._set_reason(i, f"{self.reasons[i]}, again and again: given up until a start")
                 port.give_up(i, self.reasons[i])
 
     def _set_reason(self, i: int, why: str) -> None:

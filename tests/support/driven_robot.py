@@ -32,8 +32,8 @@ class ScriptedControl:
             return StopRequest(StopLevel(self.stops.pop(0)[1]), "a test")
         return self.commands.take_stop()
 
-    def answer(self, status):
-        self.status = status()
+    def answer(self, status, of_stop):
+        self.status, self.of_stop = status(), of_stop()
 
     def report_end(self, report):
         self.end = report

@@ -198,7 +198,8 @@ def test_waiting_for_the_first_target_holds_the_place_then_eases_and_is_not_call
 def test_targets_from_before_arming_do_not_move_the_face(face):
     face.bridge.start()
     face.ticks(10, [20.0, 20.0])
-    face.bridge.stop(StopLevel.LIMP)
+    face.end(StopLevel.LIMP)
+    face.bridge.await_start()
     face.clock.advance(60.0)
     face.bridge.start()
     present_deg = face.bus.read().positions_deg
@@ -273,6 +274,7 @@ def test_a_stop_holds_whatever_speech_goes_on_to_say(face, level):
     assert not face.bus.read().torque.any()
     assert face.bridge.state is FaceState.ENDED
 
+    face.bridge.await_start()
     face.bridge.start()
 
     assert face.tick([20.0, 20.0]).torque_on

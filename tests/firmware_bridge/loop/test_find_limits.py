@@ -172,7 +172,7 @@ def test_a_stop_beyond_the_limits_is_a_stop(face, level):
     way_us = jaw_us(face, before)
     if level is StopLevel.FREEZE:
         assert set(way_us) == {1620.0}
-        face.bridge.resume()
+        face.bridge.start()
         drive(face, 4.0)
         assert jaw_us(face)[-1] == pytest.approx(1500.0)
         return

@@ -141,7 +141,7 @@ def test_a_critical_servo_that_fails_stops_the_face_and_says_why():
         robot.face.chain.motors.jammed[1] = True
         robot.face.chain.motors.position[1] += 400.0
 
-    with pytest.raises(ServoError, match=r"critical servo 'joint_2' .* all is limp"):
+    with pytest.raises(ServoError, match=r"critical servo 'joint_2' .* the face was stopped"):
         robot.live(120.0, {2.0: jam})
 
     assert robot.stiff == []

@@ -87,7 +87,7 @@ def test_a_freeze_holds_the_goal_sent_last_and_a_start_goes_on_from_there(face):
         face.bridge.stop(StopLevel.FREEZE)
         drive(face, 50, (0.0, 0.0))
         np.testing.assert_allclose(face.bus.history[-1].goals_deg, [12.0, -6.0], atol=0.1)
-        face.bridge.resume()
+        face.bridge.start()
         before = len(face.bus.history)
         drive(face, 100)
         goals_deg = np.stack([each.goals_deg for each in face.bus.history[before:]])

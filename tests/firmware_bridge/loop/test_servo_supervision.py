@@ -150,7 +150,7 @@ def test_a_servo_that_does_not_follow_is_let_go_tried_again_and_given_up():
     assert [act for act, _ in servos.done].count("enable") == 3
     assert servos.supervision.reasons[0] == ""
     assert "does not follow, 30 deg off for 0.5 s" in servos.supervision.reasons[1]
-    assert "it stays limp" in servos.supervision.reasons[1]
+    assert "given up until a start" in servos.supervision.reasons[1]
 
 
 def test_a_servo_given_up_and_switched_on_by_a_person_has_all_its_tries_again():
