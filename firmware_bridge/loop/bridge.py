@@ -5,13 +5,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Final
 
-import numpy as np
-
 from firmware_bridge.bus import Array, Feedback, ServoBus, ServoHealth, ServoState
 from firmware_bridge.capabilities import BusCapabilities
 from firmware_bridge.errors import BusError, PortError, ServoError
 from firmware_bridge.gate.limits import Limited
-from firmware_bridge.gate.ramp import EASE_PEAK_SLOPE, Ramp, StaleLevel
+from firmware_bridge.gate.ramp import EaseToNeutral, StaleLevel
 from firmware_bridge.joints import Joint, named
 from firmware_bridge.known_torque import KnownTorque, Torque
 from firmware_bridge.loop.face_table import (
@@ -58,59 +56,6 @@ class PortRetry:
     def note_open(self) -> None:
         """Note that the port is open again: no further try is due."""
         self.is_open = True
-
-
-#: Time to neutral when the joints can make it: a person waits for it.
-_EASE_S = 0.5
-#: The joints go limp after this long wherever they are: whoever pressed Ctrl-C is waiting.
-_LONGEST_S = 2.0
-
-
-class EaseToNeutral:
-    """A move from the joints' positions, (n_joints,) degrees, to neutral; at rest at both ends."""
-
-    def __init__(self, joints: Sequence[Joint], start_deg: Array, start_s: float) -> None:
-        speeds_deg_s = np.array([joint.max_speed_deg_s for joint in joints])
-        needed_s = float((EASE_PEAK_SLOPE * np.abs(start_deg) / speeds_deg_s).max(initial=0.0))
-        neutral_deg = np.zeros_like(start_deg)
-        self._ramp = Ramp(start_deg, neutral_deg, start_s, max(_EASE_S, needed_s), eased=True)
-        #: Whether every joint was told to be at neutral, which is where it goes limp.
-        self.arrived = False
-
-    def at(self, time_s: float) -> Array:
-        """Return the pose of the move at a time.
-
-        Parameters
-        ----------
-        time_s : float
-            Monotonic seconds.
-
-        Returns
-        -------
-        Array
-            (n_joints,) degrees.
-        """
-        return self._ramp.at(time_s)
-
-    def over(self, sent_deg: Array, time_s: float) -> bool:
-        """Return whether the move is over: the joints were sent to neutral, or 2 s have passed.
-
-        Stores in `arrived` whether they were sent to neutral.
-
-        Parameters
-        ----------
-        sent_deg : Array
-            (n_joints,) degrees: goals sent last.
-        time_s : float
-            Monotonic seconds.
-
-        Returns
-        -------
-        bool
-            False while the move goes on.
-        """
-        self.arrived = self._ramp.is_over(time_s) and not sent_deg.any()
-        return self.arrived or time_s - self._ramp.start_s >= _LONGEST_S
 
 
 #: Looking a member up in its enumeration costs as much as comparing ten; a tick does it often.
