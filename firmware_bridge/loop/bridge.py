@@ -495,9 +495,10 @@ def face_status(bridge: Bridge) -> dict[str, object]:
     """Return the face's status as one object for JSON; too slow for every tick.
 
     state: a `FaceState`; plugged: whether the port is open; torque_on: as of
-    `KnownTorque.any_on`; servos: as from `Bridge.servo_words`; troubles: a line for each servo that is not driven; jogged: joints that a
-    person jogs, by name; health: a `ServoHealth` for each servo that was polled, None for what was
-    never read; capabilities: what the bus can do; pulses: as from `Bridge.pulses`; *_total: how
+    `KnownTorque.any_on`; servos: as from `Bridge.servo_words`; troubles: a line for each servo that
+    is not driven; jogged: joints that a person jogs, by name; health: a `ServoHealth` for each
+    servo that was polled, None for what was never read; capabilities: what the bus can do; pulses:
+    as from `Bridge.pulses`; *_total: how
     often the gate changed a goal, over all joints; the counts are those of `BridgeStatus`.
     """
     status = bridge.status

@@ -1,4 +1,4 @@
-"""What is logged of a face while it is ticked: changes of port, speech and servos, remarks, health."""
+"""What is logged of a face while it is ticked: port, speech, servos, remarks, health."""
 
 import logging
 from collections.abc import Callable

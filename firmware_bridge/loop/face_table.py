@@ -89,8 +89,6 @@ FACE_TABLE: Final = StateTable[FaceState, FaceEvent, FaceGuard, FaceAction](
         Row((*_LIMP_OR_DRIVEN, _S.LETTING_GO, _S.ENDED), _E.PORT_LOST, None, (_A.LEAVE_PORT,)),
         Row((_S.FROZEN,), _E.PORT_BACK, None, (_A.KEEP_HOLDING,)),
         Row((_S.DRIVEN,), _E.PORT_BACK, None, (_A.LET_GO, _A.COUNT_START)),
-        Row(
-            (_S.STOPPED, _S.SILENT, _S.LETTING_GO, _S.ENDED), _E.PORT_BACK, None, (_A.LET_GO,)
-        ),
+        Row((_S.STOPPED, _S.SILENT, _S.LETTING_GO, _S.ENDED), _E.PORT_BACK, None, (_A.LET_GO,)),
     )
 )

@@ -93,26 +93,20 @@ class Heartbeat(Protocol):
         """Report that a person switched servo number `index` off, or `on` again."""
 
 
-def _no_record(_stop: StopRequest | None) -> None:
-    """Do nothing: a face that ends with its stop needs no record of the stop."""
-
-
 @dataclass(frozen=True, slots=True)
 class LifeCycleLinks:
     """Optional connections of a `LifeCycle` to the outside; None: there is none.
 
     control: a person's stops and orders. lifeline: reports to a supervisor. status: makes what the
-    control socket answers. on_health: called every 10 s with all servos' condition. on_stopped:
-    called with a person's stop, for what must outlive this process, or with None once a person has
-    started the face again. Both must return at once. not_kept: why a stop cannot be kept beyond
-    this process, one line; empty: it can.
+    control socket answers. on_health: called every 10 s with all servos' condition; must
+    return at once. not_kept: why a stop cannot be kept beyond this process, one line; empty: it
+    can.
     """
 
     control: Control | None = None
     lifeline: Heartbeat | None = None
     status: Callable[[], Mapping[str, object]] = dict
     on_health: Callable[[tuple[ServoHealth, ...]], None] | None = None
-    on_stopped: Callable[[StopRequest | None], None] = _no_record
     not_kept: Callable[[], str] = str
 
 
@@ -245,7 +239,7 @@ class LifeCycle:
             self.report = self._bridge.stop_report()
             # With a servo unconfirmed, whoever asked is told by the supervisor, which goes on.
             if control is not None and (self.report.complete or lifeline is None):
-                control.report_end({"waits": self._is_kept, **self.report.as_dict()})
+                control.report_end(self._end_of_stop(self.report, waits=self._is_kept))
             _LOG.log(self.report.log_level, "%s", self.report.text())
             restore_handlers(self._previous_handlers)
         if error is not None and not self.report.complete:
@@ -385,7 +379,6 @@ class LifeCycle:
             self._request = replace(request, ends=ends)
         else:
             self._level = level_before
-        self._links.on_stopped(self._request)
         _LOG.info("stop requested: %s, by %s", level.value, request.requested_by)
 
     @property
@@ -400,7 +393,7 @@ class LifeCycle:
         report = self._stop_report = self._bridge.stop_report()
         self._at_s = round(time.time(), 3)
         if self._links.control is not None:
-            self._links.control.report_end({"waits": True, **report.as_dict()})
+            self._links.control.report_end(self._end_of_stop(report, waits=True))
         waits = "it waits: `lipservo start` starts it again"
         _LOG.log(report.log_level, "%s; %s", report.text(), waits)
         self._bridge.await_start()
@@ -418,8 +411,15 @@ class LifeCycle:
 
     def _of_stop(self) -> dict[str, object]:
         """Return what the answer to a stop says: which servos hold, and whether it is kept."""
+        return {**self._bridge.torque_by_name(), **self._kept()}
+
+    def _end_of_stop(self, report: StopReport, *, waits: bool) -> dict[str, object]:
+        """Return what clients that requested a stop are told of its end."""
+        return {"waits": waits, **report.as_dict(), **self._kept()}
+
+    def _kept(self) -> dict[str, object]:
         not_kept = self._links.not_kept()
-        return {**self._bridge.torque_by_name(), **({"not_kept": not_kept} if not_kept else {})}
+        return {"not_kept": not_kept} if not_kept else {}
 
     def _refusal(self, order: Order) -> str:
         """Return why an order is refused now; empty: it is accepted."""
@@ -441,7 +441,6 @@ class LifeCycle:
         if self._request is not None:
             return f"stopped meanwhile by {self._request.requested_by}"
         self._stop_report = None
-        self._links.on_stopped(None)
         if self._links.lifeline is not None:
             self._links.lifeline.started()
         return ""

@@ -45,9 +45,9 @@ class TickReport:
     """The record of one tick: goals wanted and sent, limits hit. Every array is (n_servos,).
 
     wanted_deg are the goals before the last gate; sent_deg those after it. Only servos that are
-    driven get them. torque_on: as of `KnownTorque.any_on`. target_age_s counts from the newest target
-    due, or from the start of the face when that is later. late is how many ticks were missed before
-    this tick.
+    driven get them. torque_on: as of `KnownTorque.any_on`. target_age_s counts from the newest
+    target due, or from the start of the face when that is later. late is how many ticks were missed
+    before this tick.
     """
 
     time_s: float

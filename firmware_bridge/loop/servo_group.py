@@ -118,9 +118,7 @@ class ServoGroup:
         self._any_blind = not bool(self._has_place.all())
         self.limiter = Limiter(self._joints, settings.period_s, settings.prevent)
         given_up, off = settings.given_up, settings.switched_off
-        self.gate = TorqueGate(
-            bus, joints, dry_run=settings.dry_run, given_up=given_up, switched_off=off
-        )
+        self.gate = TorqueGate(bus, dry_run=settings.dry_run, given_up=given_up, switched_off=off)
         self.supervision = ServoSupervision(self._joints, settings.tracking, given_up, off)
         is_known = any(each.load or each.heat for each in can)
         self._heat = HeatDerating([each.load for each in can]) if is_known else None

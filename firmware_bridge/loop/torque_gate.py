@@ -33,7 +33,6 @@ class TorqueGate:
     def __init__(
         self,
         bus: ServoBus,
-        joints: Sequence[Joint],
         *,
         dry_run: bool = False,
         given_up: Mapping[int, str] | None = None,

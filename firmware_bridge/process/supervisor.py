@@ -64,6 +64,8 @@ _RECOVERY_S: Final = 60.0
 _LONGEST_WAIT_S: Final = 0.25
 _REQUESTS_AT_ONCE: Final = 16
 _CHILD_END_S: Final = 2.0
+#: The answer to a stop, which has acted, waits so long for the disk: it says whether it is kept.
+_RECORD_S: Final = 0.1
 #: A stopped face with servos that have not confirmed is let go again this often.
 _RELEASE_AGAIN_S: Final = 5.0
 
@@ -101,6 +103,7 @@ class Supervisor:
         *,
         notice: ServiceNotice,
         record: StopRecord | None = None,
+        tell_kept: Callable[[str], None] = lambda _why_not: None,
     ) -> None:
         """Take control socket and record; `run` or `step` starts the processes.
 
@@ -110,6 +113,8 @@ class Supervisor:
         control : the face's control socket, served here while no bridge serves it.
         notice : to systemd.
         record : keeps stops beyond this process, and may hold one from before it.
+        tell_kept : called with the reason whenever it changes why a stop cannot be kept, for the
+            process that answers clients; empty: it is kept.
 
         """
         self._bridge, self._speech = RestartedChild(bridge), RestartedChild(speech)
@@ -118,6 +123,7 @@ class Supervisor:
         self._servo_names = tuple(servos.can)
         self._notice = notice
         self._record = StopRecord() if record is None else record
+        self._tell_kept, self._told_problem = tell_kept, ""
         self._phase = Phase.WAITING
         self._request: StopRequest | None = self._record.stopped
         self._n_ready = 0
@@ -168,10 +174,13 @@ class Supervisor:
         bridge_status, speech_status = self._bridge.child.ended(), self._speech.child.ended()
         self._read_messages()
         self._handle_signals(n_signals, signal_name, now_s)
-        self._serve_control(now_s)
+        self._serve_control()
         self._watch_speech(speech_status, now_s)
         self._watch_bridge(bridge_status, now_s)
         self._tell_service(now_s)
+        if self._record.problem != self._told_problem:
+            self._told_problem = self._record.problem
+            self._tell_kept(self._told_problem)
         return self.report
 
     def due_s(self, now_s: float) -> float:
@@ -204,9 +213,11 @@ class Supervisor:
         """Return what the answer to a stop says: which servos are limp, and whether it is kept."""
         limp = [] if self._stop_report is None else list(self._stop_report.confirmed)
         unknown = [name for name in self._servo_names if name not in limp]
-        not_kept = self._record.problem
-        about = {"holds": [], "limp": limp, "unknown": unknown}
-        return {**about, **({"not_kept": not_kept} if not_kept else {})}
+        return {"holds": [], "limp": limp, "unknown": unknown, **self._kept()}
+
+    def _kept(self) -> dict[str, object]:
+        not_kept = self._record.problem_after(_RECORD_S)
+        return {"not_kept": not_kept} if not_kept else {}
 
     def _fire(self, event: SupervisorEvent) -> bool:
         """Go where the table says, and do what it says; return whether the event means anything."""
@@ -332,7 +343,7 @@ class Supervisor:
         self._bridge.child.send(signal.SIGTERM)
         self._fire(SupervisorEvent.SIGNAL)
 
-    def _serve_control(self, now_s: float) -> None:
+    def _serve_control(self) -> None:
         if self._bridge.serves:
             self._control.send_away()  # a client let in here would wait for ever for an answer
             return
@@ -485,7 +496,7 @@ class Supervisor:
         self._bridge_status = 0
         self.exit_status = ExitStatus.ENDED_WELL if report.complete else ExitStatus.UNCONFIRMED
         self._release_again_s = float("inf") if report.complete else self._now_s + _RELEASE_AGAIN_S
-        self._control.report_end({"waits": True, **report.as_dict()})
+        self._control.report_end({"waits": True, **report.as_dict(), **self._kept()})
         waits = "the face waits: `lipservo start` starts it again"
         _LOG.log(report.log_level, "%s; %s", report.text(), waits)
         self._notice.ready()  # a service that came up stopped is up

@@ -90,7 +90,9 @@ def run_bridge_process(
         how = DriveOptions(
             rate_hz=face.rate_hz,
             control=face.control(face.commands(shared.add_settings), shared.describe, live),
-            supervised=Supervised(handed.lifeline, control, stopped, given_up, switched_off),
+            supervised=Supervised(
+                handed.lifeline, control, stopped, given_up, switched_off, shared.not_kept
+            ),
         )
         channel = SocketTargetChannel(end)
         driven: DrivenFace | None = None
@@ -299,6 +301,7 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
             ),
             notice=ServiceNotice(),
             record=record,
+            tell_kept=board.write_not_kept,
         )
         supervisor.run(signals)
         _tell_end(request, supervisor, whole_status({**about, "state": "ended"}, board.speech()))

@@ -257,7 +257,7 @@ class ServoBoard:
             encoder_deg=self._never if feedback is None else _answered_deg(feedback),
             effort=self._never if feedback is None else feedback.effort,
             state=self._numbers[self._bridge.state],
-            torque_on=report.torque_on,
+            torque_on=report.torque_on is not False,  # what is not known may hold
             n_ticks=n_ticks,
             n_late=n_late,
             n_stale=n_stale,

@@ -10,8 +10,8 @@ from hobby_bus import PULSES, WORDS
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge, face_status
-from firmware_bridge.loop.life_cycle import LifeCycle
 from firmware_bridge.loop.face_table import FaceState
+from firmware_bridge.loop.life_cycle import LifeCycle
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.simulator.bus import SimulatedBus

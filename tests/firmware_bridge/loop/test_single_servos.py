@@ -218,7 +218,7 @@ def test_after_a_stop_by_a_person_nothing_switches_torque_on(level):
 
 def test_the_gate_itself_gives_no_torque_to_whom_a_person_switched_off():
     face = MemoryFace(2)
-    gate = TorqueGate(face.bus, face.joints, switched_off=[0])
+    gate = TorqueGate(face.bus, switched_off=[0])
     gate.give_up(1, "jammed")
     with face.bus:
         assert gate.enable(0) == gate.obstacle(0) == "switched off by a person"
