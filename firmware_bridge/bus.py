@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_bridge.capabilities import BusCapabilities
+from firmware_bridge.known_torque import KnownTorque
 
 #: float64 of any shape; docstrings say which.
 Array = NDArray[np.float64]
@@ -106,7 +107,8 @@ class Feedback:
 class Health:
     """The last readings of all servos' condition, polled one at a time; arrays are (n_servos,).
 
-    silent_s: seconds since its last answer. torque_on: content of its torque register.
+    silent_s: seconds since its last answer. torque: numbers of `Torque`, as the bus knows them
+    (`ServoBus.torque`).
     watchdog_tripped: it stopped by itself because it received no packet in time. hardware_errors:
     bits of `HardwareError`. temperature_degc, voltage_v: NaN = never read, or not measured.
     room_degc: how far its temperature is below its own limit; 45 before the first reading, infinite
@@ -115,7 +117,7 @@ class Health:
     """
 
     silent_s: Array
-    torque_on: NDArray[np.bool_]
+    torque: NDArray[np.int8]
     watchdog_tripped: NDArray[np.bool_]
     hardware_errors: NDArray[np.uint8]
     temperature_degc: Array
@@ -153,7 +155,8 @@ class ServoHealth:
 
     state: `ServoState` in words. load: share of the stall torque, 0..1. current_ma: None: never
     read, or not measured by this servo model. hardware_errors: bits of `HardwareError`. n_reboots,
-    n_unanswered: restarts, and requests left unanswered, since the bridge was made.
+    n_unanswered: restarts, and requests left unanswered, since the bridge was made. torque_on:
+    None where it is unknown (`firmware_bridge.known_torque`).
     """
 
     name: str
@@ -166,7 +169,7 @@ class ServoHealth:
     hardware_errors: int
     n_reboots: int
     n_unanswered: int
-    torque_on: bool
+    torque_on: bool | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +178,7 @@ class Readings:
 
     positions_deg: angle of each joint; NaN for a servo that never answered or cannot report it.
     goals_deg: each servo's goal position, with torque off the goal it would go to; NaN: not read.
-    torque_on: whether the servo holds its goal by force.
+    torque: numbers of `Torque`, as the bus knows them after this read.
     errors: number in the last status packet, 0 = none;
         https://emanual.robotis.com/docs/en/dxl/protocol2/#error
     age_s: age of each servo's values; 0 = read just now, infinity = never.
@@ -184,7 +187,7 @@ class Readings:
     time_s: float
     positions_deg: Array
     goals_deg: Array
-    torque_on: NDArray[np.bool_]
+    torque: NDArray[np.int8]
     errors: NDArray[np.uint8]
     age_s: Array
 
@@ -228,6 +231,10 @@ class ServoBus(Protocol):
     @property
     def capabilities(self) -> BusCapabilities:
         """The capabilities of the servos; known before the port is open, and never changed."""
+
+    @property
+    def torque(self) -> KnownTorque:
+        """What is known of every servo's torque, by evidence; reading it sends nothing."""
 
     def write_positions(self, positions_deg: Array) -> None:
         """Send every servo its next goal position; return before the servos have arrived.

@@ -30,6 +30,7 @@ from firmware_bridge.bus import (
 from firmware_bridge.capabilities import BusCapabilities
 from firmware_bridge.clock import Clock
 from firmware_bridge.errors import PortError
+from firmware_bridge.known_torque import SILENT_S, KnownTorque, Torque, unknown_when_lost
 from firmware_bridge.pulse_servos import PulseScale, PulseServo
 
 #: What no hobby servo can say.
@@ -42,6 +43,8 @@ _LOOK_EVERY_S: Final = 0.2
 _SILENT_S: Final = 0.45
 #: What it sends is what it was told, or so near: it may be on its way.
 _NEAR_US: Final = 100.0
+#: A Maestro's channel that is an input tells its voltage as less; such a pulse moves no servo.
+_NO_PULSE_US: Final = 256.0
 #: One pulse may be lost on the way; a channel that is wrong stays so.
 _FAILURES: Final = 2
 #: Pulses are written to the file no more often.
@@ -160,8 +163,14 @@ class KeptPulses:
             self._thread = None
 
 
+@unknown_when_lost
 class PulseBus:
-    """All hobby servos of one face behind one controller, as a `ServoBus`."""
+    """All hobby servos of one face behind one controller, as a `ServoBus`.
+
+    `torque`: a servo is on once a pulse was sent to it and accepted, or where the controller says
+    that it sends one; off where the controller says that it sends none. While it waits for its turn
+    to start it is unknown.
+    """
 
     def __init__(
         self,
@@ -186,7 +195,9 @@ class PulseBus:
         self._kept = kept or KeptPulses(None)
         self._low_us, self._high_us = scale.min_us, scale.max_us
         self._slow_us_s = np.minimum(CATCH_UP_DEG_S * np.abs(scale.us_per_deg), scale.max_us_s)
+        self.torque = KnownTorque(n)
         self._held = np.zeros(n, dtype=np.bool_)
+        self._pulsed = np.zeros(n, dtype=np.bool_)  # by the last write that was accepted
         self._slow = np.zeros(n, dtype=np.bool_)
         self._fresh = np.zeros(n, dtype=np.bool_)  # on, and not seen to be so yet
         self._on_s = np.full(n, np.inf)
@@ -197,7 +208,7 @@ class PulseBus:
         self._nothing, self._unknown = np.zeros(n), np.full(n, np.nan)
         self._health = Health(
             silent_s=self._nothing,
-            torque_on=self._held,
+            torque=self.torque.states,
             watchdog_tripped=np.zeros(n, dtype=np.bool_),
             hardware_errors=self._no_errors,
             temperature_degc=self._unknown,
@@ -260,7 +271,7 @@ class PulseBus:
             time_s=self._clock.now(),
             positions_deg=self._unknown,
             goals_deg=self._scale.joints_deg(self._goal_us),
-            torque_on=self._held.copy(),
+            torque=self.torque.states,
             errors=self._errors,
             age_s=self._nothing,
         )
@@ -292,6 +303,10 @@ class PulseBus:
             self._look_s = now_s + _LOOK_EVERY_S
             self._look(now_s)
         silent_s = now_s - self._heard_s
+        if silent_s >= SILENT_S:
+            self.torque.forget()
+        if self._health.torque is not self.torque.states:
+            self._health = replace(self._health, torque=self.torque.states)
         return (
             self._health
             if silent_s < _SILENT_S
@@ -332,13 +347,14 @@ class PulseBus:
         self._held[index] = self._slow[index] = self._fresh[index] = True
         self._kept.follow(self._channels, self._last_us)
         self._sent_s = now_s
+        self.torque.forget((index,))
         self._send()
         return ""
 
     def keep_torque(self, index: int) -> bool:
         """Continue a servo's pulses if the controller still sends them; return whether it does."""
         self._check_open()
-        sending_us = self._controller.sending(index)
+        sending_us = self._ask(index)
         if not sending_us > 0.0:
             return False
         self._last_us[index] = sending_us
@@ -352,7 +368,7 @@ class PulseBus:
         """
         self._check_open()
         self._release(np.arange(len(self._held)) == index)
-        return self._controller.sending(index) == 0.0
+        return self._ask(index) == 0.0
 
     def disable_all(self) -> NDArray[np.bool_]:
         """Stop the pulses of all servos; stop reading back once the controller does not answer.
@@ -366,7 +382,7 @@ class PulseBus:
         self._release(np.ones_like(self._held))
         off = np.zeros_like(self._held)
         for index in range(len(off)):
-            sending_us = self._controller.sending(index)
+            sending_us = self._ask(index)
             if np.isnan(sending_us):
                 break
             off[index] = sending_us == 0.0
@@ -387,10 +403,12 @@ class PulseBus:
         self._wrong = [""] * len(self._wrong)
         self._n_failed[:] = 0
         self._heard_s = self._clock.now()
+        self.torque.forget()
         for index in range(len(self._channels)):
-            sending_us = self._controller.sending(index)
+            sending_us = self._ask(index)
             if sending_us > 0.0:
                 self._last_us[index] = sending_us
+        self._pulsed = self.torque.states == Torque.ON
         known = ~np.isnan(self._last_us)
         self._goal_us = np.where(known, self._last_us, self._goal_us)
 
@@ -419,6 +437,7 @@ class PulseBus:
         self._held &= ~which
         self._slow &= ~which
         self._on_s[which] = np.inf
+        self.torque.forget(np.flatnonzero(which).tolist())
         self._send()
 
     def _send(self) -> None:
@@ -443,9 +462,15 @@ class PulseBus:
         else:
             sent_us = self._goal_us
         self._sent_s, self._has_sent = now_s, True
+        changed = np.flatnonzero(on != self._pulsed).tolist()
+        self.torque.forget(changed)
         if not self._controller.send(np.where(on, sent_us, 0.0)):
             self._lose_all()
             return
+        for index in changed:
+            if on[index]:
+                self.torque.note(index, now_s, on=True)
+        self._pulsed = on
         np.copyto(self._last_us, sent_us, where=on)
         self._is_steady = all_set(on) and not any_set(self._slow)
 
@@ -453,6 +478,10 @@ class PulseBus:
         """Mark all servos off: the controller lost its state. Goals are the last pulses again."""
         self._held[:] = self._slow[:] = self._fresh[:] = self._is_steady = False
         self._on_s[:] = np.inf
+        self._pulsed = np.zeros_like(self._held)
+        self.torque.forget()
+        for index in range(len(self._held)):
+            self._ask(index)
         self._goal_us = np.where(np.isnan(self._last_us), self._goal_us, self._last_us)
 
     def _look(self, now_s: float) -> None:
@@ -461,13 +490,13 @@ class PulseBus:
         fresh = np.flatnonzero(self._fresh & on)
         self._next = int(fresh[0]) if len(fresh) else (self._next + 1) % len(on)
         index = self._next
-        sending_us = self._controller.sending(index)
+        sending_us = self._ask(index)
         if np.isnan(sending_us):
             return
-        self._heard_s = now_s
         if not on[index]:
             if sending_us > 0.0 and not self._held[index] and self._has_sent:
                 self._send()  # it was told to stop, and did not hear
+                self._ask(index)
             return
         is_fresh, self._fresh[index] = bool(self._fresh[index]), False
         is_near = abs(sending_us - self._last_us[index]) <= _NEAR_US
@@ -475,6 +504,8 @@ class PulseBus:
             self._n_failed[index] = 0
             return
         self._held[index] = self._is_steady = False
+        self._send()
+        self._ask(index)
         self._n_failed[index] += is_fresh
         if self._n_failed[index] >= _FAILURES:
             self._wrong[index] = (
@@ -482,6 +513,18 @@ class PulseBus:
                 f"{sending_us:.0f}: its channel is set for something else or for a narrower range, "
                 "or is none of this model"
             )
+
+    def _ask(self, index: int) -> float:
+        """Return the pulse in us that the controller sends to a servo; NaN: no answer.
+
+        It is evidence of the servo's torque, except while the servo waits for its turn.
+        """
+        sending_us, now_s = self._controller.sending(index), self._clock.now()
+        if not np.isnan(sending_us):
+            self._heard_s = now_s
+            if not self._held[index] or self._on_s[index] <= now_s:
+                self.torque.note(index, now_s, on=sending_us >= _NO_PULSE_US)
+        return sending_us
 
     def _check_open(self) -> None:
         if not self._is_open:

@@ -21,6 +21,7 @@ from firmware_bridge.bus import Array, Feedback, Health, Readings, ServoBus
 from firmware_bridge.capabilities import mixed_capabilities
 from firmware_bridge.clock import Clock
 from firmware_bridge.errors import BusError, PortError, PortGone
+from firmware_bridge.known_torque import SILENT_S, KnownTorque, Torque
 
 #: Of a tick, that it may wait for a bus; a few milliseconds where ticks are short.
 _SHARE: Final = 0.5
@@ -128,9 +129,15 @@ class BusThread:
         return None
 
     @property
+    def stuck_s(self) -> float:
+        """For how many seconds the present job has been running; 0: there is none."""
+        with self._changed:
+            return 0.0 if self._running is None else self._clock.now() - self._since_s
+
+    @property
     def has_hung(self) -> bool:
         """Whether the present job has taken more than 5 s, so that it may never end."""
-        return self._running is not None and self._clock.now() - self._since_s > _HUNG_S
+        return self.stuck_s > _HUNG_S
 
     def take(self, key: _Key) -> Any:
         """Return and remove the answer to the finished job of `key`; None: there is no answer.
@@ -255,6 +262,20 @@ class SeveralBuses:
         self._threads: dict[str, BusThread] = {}
         self._remarks: list[str] = []
 
+    @property
+    def torque(self) -> KnownTorque:
+        """What is known of every servo's torque now; nothing on a bus that is lost or mute.
+
+        Mute: its present job has taken for half a second. A copy, made anew at every reading; any
+        thread may read it.
+        """
+        known = KnownTorque(self._n_servos)
+        for name, at in self._at.items():
+            one = self._threads.get(name)
+            if one is None or not (one.lost or one.stuck_s >= SILENT_S):
+                known.take(at, self._buses[name].torque)
+        return known
+
     def write_positions(self, positions_deg: Array) -> None:
         """Hand every bus its goals; they replace earlier goals that a bus has not sent yet.
 
@@ -295,7 +316,7 @@ class SeveralBuses:
             time_s=self._clock.now(),
             positions_deg=np.full(n, np.nan),
             goals_deg=np.full(n, np.nan),
-            torque_on=np.zeros(n, dtype=np.bool_),
+            torque=np.full(n, Torque.UNKNOWN, dtype=np.int8),
             errors=np.zeros(n, dtype=np.uint8),
             age_s=np.full(n, np.inf),
         )
@@ -341,7 +362,7 @@ class SeveralBuses:
         n = self._n_servos
         found = Health(
             silent_s=np.full(n, np.inf),
-            torque_on=np.zeros(n, dtype=np.bool_),
+            torque=np.full(n, Torque.UNKNOWN, dtype=np.int8),
             watchdog_tripped=np.zeros(n, dtype=np.bool_),
             hardware_errors=np.zeros(n, dtype=np.uint8),
             temperature_degc=np.full(n, np.nan),

@@ -17,6 +17,7 @@ from firmware_bridge.dynamixel.wire.codec import GoalWrite, Status, StatusError
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.span_group import SpanGroup
 from firmware_bridge.errors import PortError
+from firmware_bridge.known_torque import KnownTorque, unknown_when_lost
 from firmware_bridge.serial_servos.half_duplex import BITS_PER_BYTE
 from firmware_bridge.serial_servos.mounting import Mounting
 from firmware_bridge.transport import Transport
@@ -100,6 +101,7 @@ _NO_FAST: Final = (
 )
 
 
+@unknown_when_lost
 class DynamixelBus:
     """Servos on one line, found by their ids, addressed in joint degrees.
 
@@ -150,6 +152,11 @@ class DynamixelBus:
         )
         self._turn = 0
         self._line: Line | None = None
+
+    @property
+    def torque(self) -> KnownTorque:
+        """What is known of every servo's torque, from reads of its register alone."""
+        return self._cache.torque
 
     @property
     def at_full_strength(self) -> bool:
@@ -218,9 +225,9 @@ class DynamixelBus:
             goal, place = struct.unpack_from("<i12xi", status.data)
             self._cache.goals[n], self._cache.pulses[n] = goal, place
         held = self._holding.ask(line)
-        for status in held:
-            self._cache.set_one("torque", self._index[status.servo_id], status.data != b"\0")
         now_s = line.transport.clock.now()
+        for status in held:
+            self._torque.note(self._index[status.servo_id], status.data, now_s)
         ages_s = self._cache.ages([status.servo_id for status in found], now_s)
         # A goal counts as read only when it was: whoever arms relies on it.
         goals = np.where(ages_s > 0.0, np.nan, self._cache.goals)
@@ -228,7 +235,7 @@ class DynamixelBus:
             time_s=now_s,
             positions_deg=self._mounting.joint_deg(self._cache.pulses),
             goals_deg=self._mounting.joint_deg(goals),
-            torque_on=self._cache.torque,
+            torque=self._cache.torque.states,
             errors=self._cache.errors,
             age_s=ages_s,
         )
@@ -260,7 +267,7 @@ class DynamixelBus:
         if kind == 0:
             status = line.read(servo_id, _TORQUE, _HEALTH_SIZE)
             if status is not None and len(status.data) == _HEALTH_SIZE:
-                cache.set_one("torque", turn, status.data[0] == 1)
+                self._torque.note(turn, status.data, line.transport.clock.now())
                 cache.set_one("hardware", turn, status.data[_ERROR_AT])
                 cache.set_one("tripped", turn, status.data[-1] == 0xFF)
                 self._torque.renew_watchdog(line, turn, status.data[-1])
@@ -312,6 +319,7 @@ class DynamixelBus:
         """
         line = self.line
         self._soft_start.cancel()
+        self._cache.torque.forget()
         request = codec.sync_write(_TORQUE, 1, [(each, b"\0") for each in self._ids])
         for _ in range(_LIMP_REPEATS):
             line.tell(request)
@@ -321,7 +329,7 @@ class DynamixelBus:
             for status in self._note(self._holding.ask(line)):
                 n = self._index[status.servo_id]
                 confirmed[n] = status.data == b"\0"
-                self._cache.set_one("torque", n, not confirmed[n])
+                self._torque.note(n, status.data, line.transport.clock.now())
             if confirmed.all():
                 break
             line.tell(request)
@@ -338,6 +346,7 @@ class DynamixelBus:
 
     def reboot(self, index: int) -> None:
         """Restart one servo; forget the hardware error and watchdog trip read from it."""
+        self._cache.torque.forget((index,))
         self.line.reboot(self._ids[index])
         self._cache.set_one("hardware", index, 0)
         self._cache.set_one("tripped", index, False)
@@ -377,9 +386,11 @@ class DynamixelBus:
     def _begin(self, line: Line) -> None:
         """Use `line` from now on, with the answer deadline that the slowest servo needs.
 
-        All servos are set to answer every instruction, and counts of unanswered reads start anew.
+        Nothing is known of torque then. All servos are set to answer every instruction, and counts
+        of unanswered reads start anew.
         """
         self._line = line
+        self._cache.torque.forget()
         line.return_delay_s = float(self._cache.return_delay_s.max())
         line.tell(codec.sync_write(_LEVEL, 1, [(each, b"\2") for each in self._ids]))
         for group in self._groups:

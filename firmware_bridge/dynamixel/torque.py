@@ -210,10 +210,9 @@ class TorqueSwitch:
         if not self._soft_start.apply_soft_limits(line, index):
             return "does not take its slow start"
         cache.enabled[index] = True
-        if not write_verified(line, servo_id, _TORQUE, b"\1"):
+        if not self._switch(line, index, b"\1"):
             self.disable(line, index)
             return "does not switch its torque on"
-        cache.set_one("torque", index, True)
         now_s = line.transport.clock.now()
         self._soft_start.note_torque_on(index, now_s)
         self._watchdogs.spoke(now_s)
@@ -227,10 +226,12 @@ class TorqueSwitch:
         """
         cache, servo_id = self._cache, self._servos[index].joint.servo_id
         torque = line.read(servo_id, _TORQUE, 1)
-        if torque is None or torque.data != b"\1":
+        if torque is None or not torque.data:
+            return False
+        self.note(index, torque.data, line.transport.clock.now())
+        if torque.data != b"\1":
             return False
         cache.enabled[index] = True
-        cache.set_one("torque", index, True)
         place = self._place(line, servo_id)
         if place is None or not self._watchdogs.start(line, servo_id):
             return False
@@ -240,11 +241,22 @@ class TorqueSwitch:
 
     def disable(self, line: Line, index: int) -> bool:
         """Switch torque off; return whether the servo confirmed it."""
-        limp = write_verified(line, self._servos[index].joint.servo_id, _TORQUE, b"\0")
+        limp = self._switch(line, index, b"\0")
         if limp:
             self._cache.enabled[index] = False
-            self._cache.set_one("torque", index, False)
         return limp
+
+    def note(self, index: int, read: bytes, now_s: float) -> None:
+        """Take what was read at `now_s` of a servo, from register `torque_enable` on."""
+        self._cache.torque.note(index, now_s, on=read[0] != 0)
+
+    def _switch(self, line: Line, index: int, wanted: bytes) -> bool:
+        """Write register `torque_enable`; return whether a read shows it. Unknown until then."""
+        self._cache.torque.forget((index,))
+        switched = write_verified(line, self._servos[index].joint.servo_id, _TORQUE, wanted)
+        if switched:
+            self.note(index, wanted, line.transport.clock.now())
+        return switched
 
     def renew_watchdog(self, line: Line, index: int, found: int) -> None:
         """Restart a servo's watchdog if it is off although torque is on, so that it protects again.

@@ -31,6 +31,7 @@ from firmware_bridge.feetech.mounting import MountedServo, identify_all
 from firmware_bridge.feetech.present_state import PresentState
 from firmware_bridge.feetech.torque import TorqueSwitch
 from firmware_bridge.joints import named
+from firmware_bridge.known_torque import KnownTorque, Torque, unknown_when_lost
 from firmware_bridge.serial_servos.half_duplex import BITS_PER_BYTE
 from firmware_bridge.serial_servos.mounting import Mounting
 from firmware_bridge.transport import Transport
@@ -74,6 +75,7 @@ def budget(servos: Sequence[MountedServo], baud_rate: int, rate_hz: float) -> st
     )
 
 
+@unknown_when_lost
 class FeetechBus:
     """Servos of one dialect on one line, found by their ids, addressed in joint degrees.
 
@@ -127,6 +129,11 @@ class FeetechBus:
 
     def _group(self, address: int, size: int) -> Group:
         return Group(self._ids, address, size, sync=self._dialect.sync_read)
+
+    @property
+    def torque(self) -> KnownTorque:
+        """What is known of every servo's torque, from reads of its register alone."""
+        return self._cache.torque
 
     @property
     def at_full_strength(self) -> bool:
@@ -216,7 +223,7 @@ class FeetechBus:
         for status in statuses:
             n = self._index[status.servo_id]
             held = status.data[0] != 0
-            cache.set_one("torque", n, held)
+            cache.torque.note(n, now_s, on=held)
             if held or np.isnan(cache.goals[n]):
                 cache.goals[n] = self._dialect.decode("goal_position", status.data, CONTROL)
             goals[n] = cache.goals[n]
@@ -227,7 +234,7 @@ class FeetechBus:
             time_s=now_s,
             positions_deg=self._mounting.joint_deg(cache.pulses),
             goals_deg=self._mounting.joint_deg(goals),
-            torque_on=cache.torque,
+            torque=cache.torque.states,
             errors=cache.errors,
             age_s=ages_s,
         )
@@ -304,6 +311,7 @@ class FeetechBus:
         """
         line, cache = self.line, self._cache
         self._torque.disable_all()
+        cache.torque.forget()
         request = codec.torque(self._ids, on=False)
         for _ in range(_LIMP_REPEATS):
             line.tell(request)
@@ -314,7 +322,7 @@ class FeetechBus:
             for status in statuses_in(found) if isinstance(found, bytes) else found:
                 n = self._index[status.servo_id]
                 confirmed[n] = status.data == b"\0"
-                cache.set_one("torque", n, not confirmed[n])
+                cache.torque.note(n, line.transport.clock.now(), on=not confirmed[n])
             if confirmed.all():
                 break
             line.tell(request)
@@ -350,7 +358,7 @@ class FeetechBus:
             self._begin(line)
             self._remarks = tuple(
                 f"{named(self._servos[n].joint)} holds already: its torque was on before the start"
-                for n in np.flatnonzero(self.read().torque_on).tolist()
+                for n in np.flatnonzero(self.read().torque == Torque.ON).tolist()
             )
         except BaseException:
             self._line = None
@@ -368,8 +376,12 @@ class FeetechBus:
             self._close()
 
     def _begin(self, line: Line) -> None:
-        """Use `line` from now on, with the answer deadline that the slowest servo needs."""
+        """Use `line` from now on, with the answer deadline that the slowest servo needs.
+
+        Nothing is known of torque then.
+        """
         self._line = line
+        self._cache.torque.forget()
         line.return_delay_s = float(self._cache.return_delay_s.max())
         for group in (self._state, self._whole, self._holding):
             group.reset()

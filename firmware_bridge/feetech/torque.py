@@ -94,21 +94,21 @@ class TorqueSwitch:
 
     def enable(self, line: Line, index: int) -> str:
         """Switch a servo's torque on at its present position; return why not, "" if confirmed."""
-        cache, servo_id = self._cache, self._servos[index].joint.servo_id
+        cache = self._cache
         obstacle, place = self._place_to_hold(line, index)
         if obstacle:
             return obstacle
         if not self._bound(line, index, soft=True):
             return "does not take its slow start"
         cache.enabled[index] = True
+        cache.torque.forget((index,))  # a goal may switch it on
         if not self._take_goal(line, index, place):
-            torque_verified(line, servo_id, on=False)
+            self._switch(line, index, on=False)
             return "does not take the place where it stands as its goal"
-        if not torque_verified(line, servo_id, on=True):
+        if not self._switch(line, index, on=True):
             self.disable(line, index)
             return "does not switch its torque on"
         self.driven[index] = True
-        cache.set_one("torque", index, True)
         now_s = line.transport.clock.now()
         self._full_at_s[index] = now_s + SOFT_START_S
         line.transport.clock.sleep_until(now_s + _STAGGER_S)
@@ -121,10 +121,12 @@ class TorqueSwitch:
         """
         cache, servo_id = self._cache, self._servos[index].joint.servo_id
         torque = line.read(servo_id, TORQUE_ENABLE, 1)
-        if torque is None or torque.data != b"\1" or self._identities[index] is None:
+        if torque is None:
+            return False
+        cache.torque.note(index, line.transport.clock.now(), on=torque.data != b"\0")
+        if torque.data != b"\1" or self._identities[index] is None:
             return False
         cache.enabled[index] = True
-        cache.set_one("torque", index, True)
         obstacle, place = self._place_to_hold(line, index)
         if obstacle or not self._bound(line, index, soft=False):
             return False
@@ -135,10 +137,9 @@ class TorqueSwitch:
         """Switch torque off; return whether the servo confirmed it."""
         self.driven[index] = self.doubted[index] = False
         self._full_at_s[index] = np.inf
-        limp = torque_verified(line, self._servos[index].joint.servo_id, on=False)
+        limp = self._switch(line, index, on=False)
         if limp:
             self._cache.enabled[index] = False
-            self._cache.set_one("torque", index, False)
         return limp
 
     def disable_all(self) -> None:
@@ -164,7 +165,7 @@ class TorqueSwitch:
         control: its registers from `CONTROL` on, read just now. After a brown-out a servo may come
         back with torque on.
         """
-        self._cache.set_one("torque", index, control[0] != 0)
+        self._cache.torque.note(index, line.transport.clock.now(), on=control[0] != 0)
         if self.doubted[index] and not control[0]:
             self.doubted[index] = False  # it is brought up anew
         if not (self.driven[index] or self.doubted[index]) or not control[0]:
@@ -176,6 +177,14 @@ class TorqueSwitch:
         is_due = self._full_at_s[index] <= line.transport.clock.now()
         if is_due and self._bound(line, index, soft=False):
             self._full_at_s[index] = np.inf
+
+    def _switch(self, line: Line, index: int, *, on: bool) -> bool:
+        """Switch torque; return whether a read shows it. Unknown until then."""
+        self._cache.torque.forget((index,))
+        switched = torque_verified(line, self._servos[index].joint.servo_id, on=on)
+        if switched:
+            self._cache.torque.note(index, line.transport.clock.now(), on=on)
+        return switched
 
     def _bound(self, line: Line, index: int, *, soft: bool) -> bool:
         """Limit a servo's speed and, if possible, its torque; return whether it keeps the limits.

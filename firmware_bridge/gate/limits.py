@@ -13,6 +13,12 @@ from firmware_bridge.bus import CATCH_UP_DEG_S, Array, all_set, any_set
 from firmware_bridge.joints import Joint
 
 
+def _clip(values: Array, low: Array, high: Array) -> Array:
+    """Return np.clip(values, low, high), in a quarter of its time for a face's few joints."""
+    clipped = np.maximum(values, low)
+    return np.minimum(clipped, high, out=clipped)
+
+
 def braking_speed(distance_deg: Array, deceleration_deg_s2: Array, step_s: float) -> Array:
     """Return the highest speed of the next step from which a joint stops within a distance.
 
@@ -90,17 +96,17 @@ class AccelerationLimit:
             return wanted
         a, change = self._acceleration, self._acceleration * step_s
         left = wanted - sent
-        moving = np.clip((wanted - self._wanted) / step_s, -self._top, self._top)
+        moving = _clip((wanted - self._wanted) / step_s, -self._top, self._top)
         with_it = np.where(moving * left > 0.0, np.abs(moving), 0.0)
         reach = np.abs(left) / step_s
         speed = np.minimum(
             reach, braking_speed(np.abs(left), a, step_s) + np.minimum(with_it, reach)
         )
-        velocity = np.clip(np.sign(left) * speed, self._velocity - change, self._velocity + change)
-        velocity = np.clip(velocity, -self._top, self._top)
+        velocity = _clip(np.sign(left) * speed, self._velocity - change, self._velocity + change)
+        velocity = _clip(velocity, -self._top, self._top)
         inside = (low <= sent) & (sent <= high)
         up, down = (braking_speed(room, a, step_s) for room in (high - sent, sent - low))
-        velocity = np.where(inside, np.clip(velocity, -down, up), velocity)
+        velocity = np.where(inside, _clip(velocity, -down, up), velocity)
         self._wanted = wanted
         return np.asarray(np.where(self._limited, sent + velocity * step_s, wanted))
 
@@ -366,8 +372,9 @@ class Limiter:
         Not finite: the joint stays at its last goal; a wrong shape makes every joint stay. Then the
         range; then the step from the last goal: at most top speed times the time since, a period at
         most, and no faster change of speed than the joint may make; then the rules between joints,
-        for which a step is cut short, whatever that does to its acceleration. Never raises: on the
-        live path a held mouth is better than a stopped loop.
+        for which a step is cut short, whatever that does to its acceleration. Whatever these do, a
+        goal is in its range, or no farther out than the last. Never raises: on the live path a held
+        mouth is better than a stopped loop.
 
         Parameters
         ----------
@@ -400,8 +407,14 @@ class Limiter:
         reached_deg = self._acceleration.step(
             before_deg, in_range_deg, self._low_deg, self._high_deg, elapsed_s
         )
-        reached_deg = _clip(reached_deg, before_deg - step_deg, before_deg + step_deg)
+        least_deg = np.minimum(self._low_deg, before_deg)
+        most_deg = np.maximum(self._high_deg, before_deg)
+        low_deg = np.maximum(least_deg, before_deg - step_deg)
+        high_deg = np.minimum(most_deg, before_deg + step_deg)
+        reached_deg = _clip(reached_deg, low_deg, high_deg)
         sent_deg = self._prevention.cut(before_deg, reached_deg)
+        if sent_deg is not reached_deg:
+            sent_deg = _clip(sent_deg, least_deg, most_deg)
         self._acceleration.sent(before_deg, sent_deg, elapsed_s)
         if self._any_late:
             self._catches_up &= np.abs(sent_deg - in_range_deg) > _SAME_DEG
@@ -438,9 +451,3 @@ class Limiter:
         hits = np.abs(limited_deg - wanted_deg) > _SAME_DEG
         total += hits
         return np.asarray(hits)
-
-
-def _clip(values: Array, low: Array, high: Array) -> Array:
-    """Return np.clip(values, low, high), in a quarter of its time for a face's few joints."""
-    clipped = np.maximum(values, low)
-    return np.minimum(clipped, high, out=clipped)

@@ -4,11 +4,15 @@ Every slow move of a face is a `Ramp`; a `StaleRule` decides what replaces missi
 time comes in as an argument. The poses of a ramp still pass the limits of the gate.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from firmware_bridge.joints import Joint
 
 #: Steepest slope of `ease`, at its middle.
 EASE_PEAK_SLOPE = 1.5
@@ -88,6 +92,64 @@ class Ramp:
         if self.is_over(time_s):
             return 1.0
         return max(0.0, (time_s - self.start_s) / self.duration_s)
+
+
+#: Time to neutral when the joints can make it: a person waits for it.
+_EASE_S: Final = 0.5
+#: The joints go limp after this long wherever they are: whoever pressed Ctrl-C is waiting.
+_LONGEST_S: Final = 2.0
+#: What the limits of the gate may leave of the way by rounding; no servo resolves it.
+_SAME_DEG: Final = 1e-6
+
+
+class EaseToNeutral:
+    """A move from the joints' positions, (n_joints,) degrees, to neutral; at rest at both ends."""
+
+    def __init__(
+        self, joints: Sequence[Joint], start_deg: NDArray[np.float64], start_s: float
+    ) -> None:
+        speeds_deg_s = np.array([joint.max_speed_deg_s for joint in joints])
+        needed_s = float((EASE_PEAK_SLOPE * np.abs(start_deg) / speeds_deg_s).max(initial=0.0))
+        neutral_deg = np.zeros_like(start_deg)
+        self._ramp = Ramp(start_deg, neutral_deg, start_s, max(_EASE_S, needed_s), eased=True)
+        #: Whether every joint was told to be at neutral, which is where it goes limp.
+        self.arrived = False
+
+    def at(self, time_s: float) -> NDArray[np.float64]:
+        """Return the pose of the move at a time.
+
+        Parameters
+        ----------
+        time_s : float
+            Monotonic seconds.
+
+        Returns
+        -------
+        NDArray[np.float64]
+            (n_joints,) degrees.
+        """
+        return self._ramp.at(time_s)
+
+    def over(self, sent_deg: NDArray[np.float64], time_s: float) -> bool:
+        """Return whether the move is over: the joints were sent to neutral, or 2 s have passed.
+
+        Stores in `arrived` whether they were sent to neutral.
+
+        Parameters
+        ----------
+        sent_deg : NDArray[np.float64]
+            (n_joints,) degrees: goals sent last.
+        time_s : float
+            Monotonic seconds.
+
+        Returns
+        -------
+        bool
+            False while the move goes on.
+        """
+        is_there = float(np.abs(sent_deg).max(initial=0.0)) <= _SAME_DEG
+        self.arrived = is_there and self._ramp.is_over(time_s)
+        return self.arrived or time_s - self._ramp.start_s >= _LONGEST_S
 
 
 class StaleLevel(IntEnum):

@@ -5,15 +5,21 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Final
 
-import numpy as np
-
 from firmware_bridge.bus import Array, Feedback, ServoBus, ServoHealth, ServoState
 from firmware_bridge.capabilities import BusCapabilities
-from firmware_bridge.errors import BusError, PortError
+from firmware_bridge.errors import BusError, PortError, ServoError
 from firmware_bridge.gate.limits import Limited
-from firmware_bridge.gate.ramp import EASE_PEAK_SLOPE, Ramp, StaleLevel
+from firmware_bridge.gate.ramp import EaseToNeutral, StaleLevel
 from firmware_bridge.joints import Joint, named
-from firmware_bridge.loop.report import BridgeSettings, BridgeStatus, FaceState, TickReport
+from firmware_bridge.known_torque import KnownTorque, Torque
+from firmware_bridge.loop.face_table import (
+    FACE_TABLE,
+    FaceAction,
+    FaceEvent,
+    FaceGuard,
+    FaceState,
+)
+from firmware_bridge.loop.report import BridgeSettings, BridgeStatus, TickReport
 from firmware_bridge.loop.servo_group import ServoGroup
 from firmware_bridge.loop.single_servos import Jog, SingleServos
 from firmware_bridge.loop.targets import FollowedTargets, TargetChannel
@@ -52,61 +58,15 @@ class PortRetry:
         self.is_open = True
 
 
-#: Time to neutral when the joints can make it: a person waits for it.
-_EASE_S = 0.5
-#: The joints go limp after this long wherever they are: whoever pressed Ctrl-C is waiting.
-_LONGEST_S = 2.0
-
-
-class EaseToNeutral:
-    """A move from the joints' positions, (n_joints,) degrees, to neutral; at rest at both ends."""
-
-    def __init__(self, joints: Sequence[Joint], start_deg: Array, start_s: float) -> None:
-        speeds_deg_s = np.array([joint.max_speed_deg_s for joint in joints])
-        needed_s = float((EASE_PEAK_SLOPE * np.abs(start_deg) / speeds_deg_s).max(initial=0.0))
-        neutral_deg = np.zeros_like(start_deg)
-        self._ramp = Ramp(start_deg, neutral_deg, start_s, max(_EASE_S, needed_s), eased=True)
-        #: Whether every joint was told to be at neutral, which is where it goes limp.
-        self.arrived = False
-
-    def at(self, time_s: float) -> Array:
-        """Return the pose of the move at a time.
-
-        Parameters
-        ----------
-        time_s : float
-            Monotonic seconds.
-
-        Returns
-        -------
-        Array
-            (n_joints,) degrees.
-        """
-        return self._ramp.at(time_s)
-
-    def over(self, sent_deg: Array, time_s: float) -> bool:
-        """Return whether the move is over: the joints were sent to neutral, or 2 s have passed.
-
-        Stores in `arrived` whether they were sent to neutral.
-
-        Parameters
-        ----------
-        sent_deg : Array
-            (n_joints,) degrees: goals sent last.
-        time_s : float
-            Monotonic seconds.
-
-        Returns
-        -------
-        bool
-            False while the move goes on.
-        """
-        self.arrived = self._ramp.is_over(time_s) and not sent_deg.any()
-        return self.arrived or time_s - self._ramp.start_s >= _LONGEST_S
-
-
 #: Looking a member up in its enumeration costs as much as comparing ten; a tick does it often.
 _DRIVEN, _SILENT, _FRESH = FaceState.DRIVEN, FaceState.SILENT, StaleLevel.FRESH
+_STOPS: Final = {
+    StopLevel.SOFT: FaceEvent.SOFT,
+    StopLevel.FREEZE: FaceEvent.FREEZE,
+    StopLevel.LIMP: FaceEvent.LIMP,
+}
+#: In which key of an answer a servo is named, by what is known of its torque.
+_TORQUE_KEYS: Final = {Torque.ON: "holds", Torque.OFF: "limp", Torque.UNKNOWN: "unknown"}
 
 
 class Bridge:
@@ -115,7 +75,8 @@ class Bridge:
     Limp until `start`. A servo in trouble is left out and supervised while the others go on; a lost
     port is opened again; torque comes on through the `TorqueGate` alone. `stop` is a person's
     order: it lasts whatever happens to port, servos and speech, until `start`. `tick` never raises
-    for port or servos; it is to be called after a stop, too, until the state is ENDED.
+    for port or servos; it is to be called after a stop, too, until the state is ENDED. What an
+    event does in each state is `FACE_TABLE`.
     """
 
     def __init__(
@@ -136,6 +97,7 @@ class Bridge:
         self._jog = Jog(self._joints, settings.period_s)
         self._single = SingleServos(self._joints, self._servos, self._jog)
         self._state, self._port = FaceState.STOPPED, PortRetry()
+        self._level = StopLevel.LIMP  # of the last stop
         self._tick_s = 0.0
         self._easing: EaseToNeutral | None = None
         self._n_ticks = self._n_late = self._n_stale = self._n_armed = 0
@@ -232,6 +194,13 @@ class Bridge:
             if joint.pulse is not None
         }
 
+    def servo_words(self) -> dict[str, str]:
+        """Return each servo's `ServoState` in words, by joint name.
+
+        `starting` where a servo is to be driven, but is not known to have torque yet.
+        """
+        return dict(zip(self.names, self._servos.words(), strict=True))
+
     def servo_health(self) -> tuple[ServoHealth, ...]:
         """Return the last reading of every servo's condition; too slow for every tick."""
         return self._servos.health()
@@ -240,52 +209,72 @@ class Bridge:
         """Return `servo_health` as objects for JSON: None for what was never read."""
         return self._servos.health_records()
 
-    def start(self, may_continue: Callable[[], bool] = lambda: True) -> None:
-        """Start the face: switch all torque off, then on at the present positions; nothing moves.
+    @property
+    def torque(self) -> KnownTorque:
+        """What is known of the servos' torque."""
+        return self._servos.torque
 
-        If `tolerant` in the settings, the ticks bring up one servo after another, and only critical
+    def torque_by_name(self) -> dict[str, list[str]]:
+        """Return the names of the servos that hold, that are limp, and of which neither is known.
+
+        Keys: holds, limp, unknown.
+        """
+        known: dict[str, list[str]] = {key: [] for key in _TORQUE_KEYS.values()}
+        for name, state in zip(self.names, self.torque.states.tolist(), strict=True):
+            known[_TORQUE_KEYS[Torque(state)]].append(name)
+        return known
+
+    def start(
+        self, may_continue: Callable[[], bool] = lambda: True, *, by_person: bool = False
+    ) -> None:
+        """Start the face, or end a freeze; nothing moves.
+
+        Of a limp face all torque is switched off, then on at the present positions. If `tolerant`
+        in the settings, or by_person, the ticks bring up one servo after another, and only critical
         servos must be able to hold now. Otherwise all hold when this returns, or none: raises
-        ServoError that names those that cannot. may_continue: called in between; False, a stop: all
-        torque goes off, and this returns. Raises PortError when the port fails.
-        """
-        self._servos.gate.open()
-        self._servos.disable_all()
-        readings = self._servos.read()
-        if not self._servos.gate.dry_run:
-            indices = range(len(self._joints))
-            critical = [i for i in indices if self._joints[i].critical]
-            self._servos.check(critical if self._settings.tolerant else indices, may_continue)
-            if not self._settings.tolerant:
-                self._servos.enable(indices, readings.time_s, may_continue)
-                readings = self._servos.read()
-        if self._state is not FaceState.STOPPED:
-            return  # a stop came in between, and holds
-        self._begin(readings.start_deg(self.capabilities), readings.time_s)
-        self._state = FaceState.DRIVEN
-        self._n_armed += 1
+        ServoError that names those that cannot. Of a frozen face servos with torque keep it; the
+        ticks bring up the others. Raises PortError when the port fails.
 
-    def resume(self) -> None:
-        """End a freeze: drive the face again from its servos' present positions.
-
-        Servos with torque keep it; those that lost it meanwhile are brought up one by one, as after
-        a replug. Raises PortError when the port fails.
+        may_continue: called in between; False: a stop, which has acted already, or else all torque
+        goes off here. by_person: servos that were given up are tried again.
         """
-        self._begin(self._servos.read().start_deg(self.capabilities), self._tick_s)
-        self._servos.gate.open()
-        self._state = FaceState.DRIVEN
-        self._n_armed += 1
+        servos = self._servos
+        if why_not := self._start_refusal(dry_run=False):
+            raise ServoError(why_not)
+        if by_person:
+            servos.try_all_again(self._tick_s)
+        self.failure = ""
+        self._fire(FaceEvent.START)
+        if self._state is not FaceState.STARTING:
+            return  # a freeze has ended
+        try:
+            servos.disable_all()
+            readings = servos.read()
+            self._tick_s = readings.time_s
+            self._begin(readings.start_deg(self.capabilities), readings.time_s)
+            if not servos.gate.dry_run:
+                indices = range(len(self._joints))
+                critical = [i for i in indices if self._joints[i].critical]
+                strict = not (self._settings.tolerant or by_person)
+                servos.check(indices if strict else critical, may_continue)
+                if strict:
+                    servos.enable(indices, readings.time_s, may_continue)
+        except BusError:
+            self._fire(FaceEvent.NOT_STARTED)
+            raise
+        # Where a stop came in between, the face is in another state, and this means nothing.
+        self._fire(FaceEvent.STARTED if may_continue() else FaceEvent.NOT_STARTED)
 
     def await_start(self) -> None:
         """Set the state to STOPPED once a stop is over: all is limp until `start`; ticks go on."""
-        self._state = FaceState.STOPPED
+        self._fire(FaceEvent.WAIT)
 
     def start_frozen(self) -> None:
         """Start as a face that a person froze: hold servos whose torque is on; switch none on."""
         readings = self._servos.read()
+        self._level, self._tick_s = StopLevel.FREEZE, readings.time_s
         self._begin(readings.start_deg(self.capabilities), readings.time_s)
-        self._servos.gate.close(_by_a_person(StopLevel.FREEZE))
-        self._state = FaceState.FROZEN
-        self._servos.keep_holding(readings.time_s)
+        self._fire(FaceEvent.KEEP)
 
     def tick(self, time_s: float, late: int = 0) -> TickReport:
         """Run one tick: send the goals for `time_s`, and return what was wanted, sent and measured.
@@ -300,8 +289,7 @@ class Bridge:
             self._try_port(time_s)
         if targets.take(time_s):
             if self._state is _SILENT:  # limp in a silence that is over
-                self._state = _DRIVEN
-                self._n_armed += 1
+                self._fire(FaceEvent.TARGET)
             if self._state is _DRIVEN:
                 targets.follow()
         silence_s = targets.silence_s(time_s)
@@ -323,7 +311,7 @@ class Bridge:
             sent_deg=limited.positions_deg,
             target_age_s=silence_s,
             stale=level,
-            torque_on=servos.supervision.any_driven,
+            torque_on=servos.torque.any_on,
             range_hits=limited.range_hits,
             rate_hits=limited.rate_hits,
             rejected=limited.rejected,
@@ -332,20 +320,13 @@ class Bridge:
     def stop(self, level: StopLevel) -> None:
         """Stop the face for a person: SOFT to neutral, then limp; LIMP; or FREEZE, held as it is.
 
-        LIMP and FREEZE act at once, SOFT from the next tick on. A stop that goes further may
-        follow: SOFT, then LIMP; FREEZE, then either. Never raises.
+        LIMP and FREEZE act at once, in every state but those on the way to limp; SOFT from the next
+        tick on. A stop that goes further may follow: SOFT, then LIMP; FREEZE, then either. Of a
+        limp face FREEZE holds nothing, and of one that is being started what is armed. Never
+        raises.
         """
-        if self._state in (FaceState.LETTING_GO, FaceState.ENDED):
-            return
-        self._jog.clear()
-        self._servos.gate.close(_by_a_person(level))
-        self._act_now(self._servos.drop_waiting)
-        if level is StopLevel.FREEZE:
-            self._freeze()
-        elif level is StopLevel.LIMP or not self._can_ease():
-            self._disable_all()
-        else:
-            self._state = FaceState.EASING
+        self._level = level
+        self._fire(_STOPS[level])
 
     def refusal(self, order: Order) -> str:
         """Return why a person's order to servos or face is refused now; empty: it is accepted.
@@ -354,7 +335,7 @@ class Bridge:
         face that is driven.
         """
         if isinstance(order, StartFace):
-            return self._start_refusal()
+            return self._start_refusal(dry_run=self._servos.gate.dry_run)
         return self._single.refusal(order, self._state, plugged=self._port.is_open)
 
     def obey(self, order: Order, time_s: float) -> str:
@@ -372,8 +353,8 @@ class Bridge:
         at_rest = self._easing is not None and self._easing.arrived
         return self._servos.torque_off.report(at_rest=at_rest, plugged=self._port.is_open)
 
-    def _start_refusal(self) -> str:
-        if self._servos.gate.dry_run:
+    def _start_refusal(self, *, dry_run: bool) -> str:
+        if dry_run:
             return self._servos.gate.forbidden
         if self._state in (FaceState.DRIVEN, FaceState.SILENT):
             return "the face is driven already"
@@ -381,9 +362,44 @@ class Bridge:
             return START_WHILE_STOPPING
         return "" if self._port.is_open else "the port of the servos is gone: plug it in first"
 
-    def _can_ease(self) -> bool:
-        on_its_way = self._state in (FaceState.DRIVEN, FaceState.EASING)
-        return on_its_way and self._port.is_open and self._servos.supervision.any_driven
+    def _fire(self, event: FaceEvent) -> None:
+        """Go where the table says, and do what it says."""
+        row = FACE_TABLE.find(self._state, event, self._holds)
+        if row is not None:
+            self._state = row.then or self._state
+            for action in row.do:
+                self._do(action)
+
+    def _holds(self, guard: FaceGuard) -> bool:
+        match guard:
+            case FaceGuard.CAN_EASE:
+                return self._port.is_open and self._servos.supervision.any_driven
+
+    def _do(self, action: FaceAction) -> None:
+        servos = self._servos
+        match action:
+            case FaceAction.ALLOW_TORQUE:
+                servos.gate.open()
+            case FaceAction.FORBID_TORQUE:
+                self._jog.clear()
+                servos.gate.close(f"stopped by a person ({self._level.value})")
+                self._act_now(servos.drop_waiting)
+            case FaceAction.BEGIN:
+                readings = servos.read()
+                self._begin(readings.start_deg(self.capabilities), readings.time_s)
+            case FaceAction.HOLD:
+                self._act_now(servos.hold_position)
+            case FaceAction.KEEP_HOLDING:
+                self._act_now(servos.keep_holding)
+            case FaceAction.LET_GO if self._port.is_open:
+                self._jog.clear()
+                self._act_now(servos.disable_all)
+            case FaceAction.LET_GO | FaceAction.LEAVE_PORT:
+                servos.lose_port(self._tick_s, lets_go=True)
+            case FaceAction.LEAVE_PORT_HELD:
+                servos.lose_port(self._tick_s, lets_go=False)
+            case FaceAction.COUNT_START:
+                self._n_armed += 1
 
     def _begin(self, present_deg: Array, time_s: float) -> None:
         self._servos.limiter.start_from(present_deg, time_s)
@@ -402,8 +418,8 @@ class Bridge:
         if self._state in (FaceState.SILENT, FaceState.LETTING_GO, FaceState.STOPPED):
             off = self._servos.torque_off
             off.go_on(time_s)
-            if self._state is FaceState.LETTING_GO and off.over(time_s):
-                self._state = FaceState.ENDED
+            if off.over(time_s):
+                self._fire(FaceEvent.ALL_OFF)
             self._servos.rest(time_s)
         return self._targets.held_deg, self._servos.limiter.unchanged()
 
@@ -414,9 +430,7 @@ class Bridge:
         """
         limiter, scale = self._servos.limiter, self._servos.scale
         if level is StaleLevel.LIMP:
-            self._jog.clear()
-            self._servos.disable_all(time_s)
-            self._state = FaceState.SILENT
+            self._fire(FaceEvent.STALE)
             return wanted_deg, limiter.unchanged()
         self._n_stale += self._targets.was_spoken_to and level is not _FRESH
         scaled_deg = wanted_deg * scale
@@ -431,7 +445,7 @@ class Bridge:
         lost = supervision.lost_critical
         if lost is not None:
             why = f"{named(self._joints[lost])} {supervision.reasons[lost]}"
-            self.failure = f"critical {why}; all is {self.capabilities.released_words}"
+            self.failure = f"critical {why}; the face was stopped"
             self.stop(StopLevel.LIMP)
         return wanted_deg, limited
 
@@ -449,23 +463,8 @@ class Bridge:
         limited = limiter.apply(wanted_deg, time_s)
         self._servos.send(limited, time_s)
         if self._easing.over(limited.positions_deg, time_s):
-            self._disable_all()
+            self._fire(FaceEvent.ARRIVED)
         return wanted_deg, limited
-
-    def _disable_all(self) -> None:
-        """Switch torque off now, and in every tick until all servos have confirmed."""
-        self._state = FaceState.LETTING_GO
-        if self._port.is_open:
-            self._act_now(self._servos.disable_all)
-        else:
-            self._servos.lose_port(self._tick_s, lets_go=True)
-
-    def _freeze(self) -> None:
-        """Hold every servo at its present position; those that are limp stay limp."""
-        if self._state is FaceState.FROZEN:
-            return
-        self._state = FaceState.FROZEN
-        self._act_now(self._servos.hold_position)
 
     def _act_now(self, act: Callable[[float], None]) -> None:
         """Call `act` with the last tick's time if the port is open; note a port that fails."""
@@ -479,36 +478,27 @@ class Bridge:
         """Note that a port is lost; switch all torque off, unless a person froze the face."""
         self._port.note_lost(time_s)
         self._jog.clear()
-        self._servos.lose_port(time_s, lets_go=self._state is not FaceState.FROZEN)
-        if self._state is FaceState.EASING:
-            self._state = FaceState.LETTING_GO
+        self._fire(FaceEvent.PORT_LOST)
 
     def _try_port(self, time_s: float) -> None:
         """Open the port again, if possible, with all torque off; a frozen face keeps its torque."""
         try:
             self._servos.reopen()
-            if self._state is FaceState.FROZEN:
-                self._servos.keep_holding(time_s)
-            else:
-                self._servos.disable_all(time_s)
         except BusError:
             self._port.note_failed(time_s)
             return
         self._port.note_open()
-        self._n_armed += self._state is FaceState.DRIVEN
-
-
-def _by_a_person(level: StopLevel) -> str:
-    return f"stopped by a person ({level.value})"
+        self._fire(FaceEvent.PORT_BACK)
 
 
 def face_status(bridge: Bridge) -> dict[str, object]:
     """Return the face's status as one object for JSON; too slow for every tick.
 
-    state: a `FaceState`; plugged: whether the port is open; servos: the `ServoState` in words of
-    each joint, by name; troubles: a line for each servo that is not driven; jogged: joints that a
-    person jogs, by name; health: a `ServoHealth` for each servo that was polled, None for what was
-    never read; capabilities: what the bus can do; pulses: as from `Bridge.pulses`; *_total: how
+    state: a `FaceState`; plugged: whether the port is open; torque_on: as of
+    `KnownTorque.any_on`; servos: as from `Bridge.servo_words`; troubles: a line for each servo that
+    is not driven; jogged: joints that a person jogs, by name; health: a `ServoHealth` for each
+    servo that was polled, None for what was never read; capabilities: what the bus can do; pulses:
+    as from `Bridge.pulses`; *_total: how
     often the gate changed a goal, over all joints; the counts are those of `BridgeStatus`.
     """
     status = bridge.status
@@ -519,10 +509,8 @@ def face_status(bridge: Bridge) -> dict[str, object]:
     return {
         "state": status.state.value,
         "plugged": bridge.plugged,
-        "torque_on": ServoState.DRIVEN in status.servo_states,
-        "servos": {
-            name: state.word for name, state in zip(bridge.names, status.servo_states, strict=True)
-        },
+        "torque_on": bridge.torque.any_on,
+        "servos": bridge.servo_words(),
         "troubles": list(bridge.troubles),
         "jogged": list(bridge.jogged),
         "health": bridge.health_records(),

@@ -6,7 +6,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import FrameType
 from typing import Final, Protocol, Self
 
@@ -14,7 +14,18 @@ from firmware_bridge.bus import ServoHealth
 from firmware_bridge.clock import Clock, ticks
 from firmware_bridge.errors import BusError, ServoError
 from firmware_bridge.loop.bridge import Bridge
-from firmware_bridge.loop.report import FaceState
+from firmware_bridge.loop.change_log import ChangeLog
+from firmware_bridge.loop.face_table import FaceState
+from firmware_bridge.loop.life_table import (
+    HURRIED,
+    LIFE_TABLE,
+    NOT_STOPPED,
+    LifeAction,
+    LifeEvent,
+    LifeGuard,
+    LifeState,
+)
+from firmware_bridge.process.lifeline import Message, Started, Stopped, Switched
 from firmware_bridge.stop_signals import PreviousHandlers, install_handler, restore_handlers
 from firmware_bridge.stopping import (
     PORT_WAIT_S,
@@ -37,10 +48,15 @@ class Control(Protocol):
         Sends no client an answer: `answer` does.
         """
 
-    def answer(self, status: Callable[[], Mapping[str, object]]) -> None:
+    def answer(
+        self,
+        status: Callable[[], Mapping[str, object]],
+        of_stop: Callable[[], Mapping[str, object]],
+    ) -> None:
         """Answer the requests received, once a stop was acted on; never waits.
 
-        status: makes the status, for clients that request it.
+        status: makes the status, for clients that request it. of_stop: makes what the answer to a
+        stop says of the servos.
         """
 
     def attend(self, refusal: Callable[[Order], str]) -> None:
@@ -62,24 +78,8 @@ class Heartbeat(Protocol):
     def beat(self) -> None:
         """Report that the loop is alive."""
 
-    def stopped(self, level: StopLevel, *, ends: bool = False, requested_by: str = "") -> None:
-        """Report that a person stopped the face; ends: the operating-system process ends with it.
-
-        requested_by: a description of the client that requested the stop.
-        """
-
-    def started(self) -> None:
-        """Report that a person started the face again."""
-
-    def failed(self, index: int, reason: str) -> None:
-        """Report to the supervisor that servo number `index` was given up for good, and why."""
-
-    def switched(self, index: int, *, on: bool) -> None:
-        """Report that a person switched servo number `index` off, or `on` again."""
-
-
-def _no_record(_stop: StopRequest | None) -> None:
-    """Do nothing: a face that ends with its stop needs no record of the stop."""
+    def tell(self, message: Message) -> None:
+        """Report what must outlive this process: a stop, a start, a switched or failed servo."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,25 +87,21 @@ class LifeCycleLinks:
     """Optional connections of a `LifeCycle` to the outside; None: there is none.
 
     control: a person's stops and orders. lifeline: reports to a supervisor. status: makes what the
-    control socket answers. on_health: called every 10 s with all servos' condition. on_stopped:
-    called with a person's stop, for what must outlive this process, or with None once a person has
-    started the face again. Both must return at once.
+    control socket answers. on_health: called every 10 s with all servos' condition; must
+    return at once. not_kept: why a stop cannot be kept beyond this process, one line; empty: it
+    can.
     """
 
     control: Control | None = None
     lifeline: Heartbeat | None = None
     status: Callable[[], Mapping[str, object]] = dict
     on_health: Callable[[tuple[ServoHealth, ...]], None] | None = None
-    on_stopped: Callable[[StopRequest | None], None] = _no_record
+    not_kept: Callable[[], str] = str
 
 
 _LOG: Final = logging.getLogger(__name__)
 #: The end after a second signal or an error: whoever has not confirmed by then is reported.
 _LAST_TRIES_S: Final = 0.5
-#: A trouble is told when it has lasted so long; a servo that misses one answer is none.
-_TROUBLE_LASTS_S: Final = 1.0
-_HEALTH_EVERY_S: Final = 10.0
-_REMARKS_EVERY_S: Final = 1.0
 #: What a supervisor must know of, as the next bridge has to.
 _KEPT: Final = (ServoSwitch.OFF, ServoSwitch.ON)
 
@@ -150,92 +146,89 @@ class LifeCycle:
         waits : whether a soft or limp stop by the control socket leaves a face that waits, limp,
             for a start; otherwise every stop but FREEZE ends the ticks.
         """
-        links = links or LifeCycleLinks()
         self._bridge = bridge
         self._clock = clock
         self._grid = ticks(clock, bridge.rate_hz)
-        self._control = links.control
-        self._lifeline = links.lifeline
-        self._status = links.status
-        self._on_health = links.on_health
-        self._on_stopped = links.on_stopped
-        self._stopped = stopped
+        self._links = links or LifeCycleLinks()
+        self._log = ChangeLog(bridge, clock.now(), self._links.lifeline, self._links.on_health)
         self.waits = waits
-        self._ends = False
+        self._state = LifeState.NOT_STARTED
+        self._request = stopped
+        self._level = StopLevel.SOFT if stopped is None else stopped.level
         self._n_signals = 0
-        self._is_disabling = False
-        self._requested_level: StopLevel | None = None
-        self._by_signal = self._bounded = False
-        self._give_up_s: float | None = None
+        self._give_up_s = float("inf")
         self._previous_handlers: PreviousHandlers = {}
-        self._n_changes_sent = bridge.n_trouble_changes
-        self._trouble_since_s: float | None = None
-        self._has_sent_trouble = False
-        self._was_plugged, self._was_silent = True, False
-        self._n_given_up = len(bridge.given_up)
-        self._health_due_s = clock.now() + _HEALTH_EVERY_S
-        self._n_remarks = 0
-        self._remarks_due_s = clock.now() + _REMARKS_EVERY_S
         self._stop_report: StopReport | None = None
         self._at_s = 0.0  # when the servos said so, seconds since 1970
         #: The first signal that came, if any.
         self.signal_number: int | None = None
-        #: Whether a person asked for the end, by a signal or through the control socket.
-        self.stopped_by_person = False
         #: What is known of the servos; after the block.
         self.report: StopReport | None = None
 
     @property
+    def state(self) -> LifeState:
+        """Where the face is between its first torque and its last."""
+        return self._state
+
+    @property
     def stopping(self) -> bool:
         """Whether a stop was requested, with no start since."""
-        return self._requested_level is not None
+        return self._state not in NOT_STOPPED
+
+    @property
+    def stopped_by_person(self) -> bool:
+        """Whether a person asked for the end, by a signal or through the control socket."""
+        return bool(self._n_signals) or self._request is not None
 
     def start(self) -> None:
         """Start the face, or keep it as an earlier process stopped it. Raises as `Bridge.start`."""
-        if self._stopped is None:
-            self._bridge.start(self._may_continue)
-            _LOG.debug("torque is on")
-        elif self._stopped.level is StopLevel.FREEZE:
-            self._bridge.start_frozen()
+        if self._request is None:
+            self._fire(LifeEvent.START)
+        elif self._request.level is StopLevel.FREEZE:
+            self._fire(LifeEvent.KEEP)
         else:
-            self._stop(self._stopped.level)
+            self._fire(LifeEvent.STOP)
 
     def stop(self, level: StopLevel = StopLevel.SOFT) -> None:
         """Stop the face at the end of the program; `ticks` goes on until the face is at rest."""
-        self._bounded = True
-        self._stop(level)
+        if self._state in NOT_STOPPED:
+            self._level = level
+        self._fire(LifeEvent.PROGRAM_END)
 
     def ticks(self) -> Iterator[tuple[float, int]]:
         """Yield (time, ticks missed before it) on the grid, until the face is limp after a stop."""
         for time_s, late in self._grid:
             self._do_tick_duties(time_s)
-            if self._bridge.state is FaceState.ENDED and self._may_wait:
-                self._await_start()
-            if self._bridge.state is FaceState.ENDED or self._port_is_lost(time_s):
+            if self._bridge.state is FaceState.ENDED:
+                self._fire(LifeEvent.LIMP)
+            elif time_s >= self._port_due_s(time_s):
+                self._fire(LifeEvent.GIVE_UP)
+            if self._state is LifeState.OVER:
                 return
             yield time_s, late
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
             self._previous_handlers = install_handler(self._on_signal, leave_ignored=True)
-        if self._control is not None:
-            self._control.attend(self._bridge.refusal)
+        if self._links.control is not None:
+            self._links.control.attend(self._refusal)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, _: object
     ) -> bool:
+        control, lifeline = self._links.control, self._links.lifeline
         try:
             with contextlib.suppress(ImmediateStop):
                 self._end(kind)
             if self._bridge.state is not FaceState.ENDED:
                 self._disable_all()
         finally:
-            self._is_disabling = True  # from here on a signal has nothing left to hurry
+            self._fire(LifeEvent.LEFT)
             self.report = self._bridge.stop_report()
             # With a servo unconfirmed, whoever asked is told by the supervisor, which goes on.
-            if self._control is not None and (self.report.complete or self._lifeline is None):
-                self._control.report_end({"waits": self._is_kept, **self.report.as_dict()})
+            if control is not None and (self.report.complete or lifeline is None):
+                control.report_end(self._end_of_stop(self.report, waits=self._is_kept))
             _LOG.log(self.report.log_level, "%s", self.report.text())
             restore_handlers(self._previous_handlers)
         if error is not None and not self.report.complete:
@@ -253,18 +246,16 @@ class LifeCycle:
         if kind is not None and issubclass(kind, (ImmediateStop, BusError)):
             return
         if self._bridge.state is FaceState.STOPPED:
-            return  # never started: nothing was switched on
-        if self._bridge.state is FaceState.FROZEN:
-            _LOG.info("frozen: held until the next stop")  # a program's end undoes no person's stop
-        elif self._requested_level is None:
-            self.stop()
-        self._bounded = True
+            return  # limp: never started, or waiting for a start
+        self.stop()
+        if self._state is LifeState.FROZEN_LAST:
+            _LOG.info("frozen: held until the next stop")
         for time_s, late in self.ticks():
             self._bridge.tick(time_s, late)
 
     def _disable_all(self) -> None:
         """Switch torque off now, with ticks for half a second for servos that do not confirm."""
-        self._is_disabling = True
+        self._fire(LifeEvent.DISABLE)
         self._bridge.stop(StopLevel.LIMP)
         until_s, n_signals = self._clock.now() + _LAST_TRIES_S, self._n_signals
         if n_signals > 1 and not self._bridge.plugged:
@@ -287,121 +278,158 @@ class LifeCycle:
         Raises ImmediateStop at the second signal.
         """
         self._n_signals += 1
-        self.stopped_by_person = True
         if self.signal_number is None:
             self.signal_number = number
-        if self._n_signals > 1 and not self._is_disabling:
-            self._is_disabling = True
+        if self._n_signals > 1 and self._state not in HURRIED:
+            self._fire(LifeEvent.DISABLE)
             raise ImmediateStop
 
+    def _fire(self, event: LifeEvent) -> bool:
+        """Go where the table says, and do what it says; return whether the event means anything."""
+        row = LIFE_TABLE.find(self._state, event, self._holds)
+        if row is None:
+            return False
+        self._state = row.then or self._state
+        for action in row.do:
+            self._do(action)
+        return True
+
+    def _holds(self, guard: LifeGuard) -> bool:
+        match guard:
+            case LifeGuard.WAITS:
+                return self.waits
+            case LifeGuard.CAN_FREEZE:
+                return self._bridge.state is FaceState.EASING
+
+    def _do(self, action: LifeAction) -> None:
+        match action:
+            case LifeAction.ARM | LifeAction.ARM_AGAIN:
+                by_person = action is LifeAction.ARM_AGAIN
+                self._bridge.start(self._may_continue, by_person=by_person)
+                self._fire(LifeEvent.STARTED)
+            case LifeAction.KEEP:
+                self._bridge.start_frozen()
+            case LifeAction.STOP:
+                self._bridge.stop(self._level)
+            case LifeAction.STOP_SOFTLY:
+                self._bridge.stop(StopLevel.SOFT)
+            case LifeAction.LET_GO:
+                self._bridge.stop(StopLevel.LIMP)
+            case LifeAction.TELL_WAITING:
+                self._tell_waiting()
+
     def _may_continue(self) -> bool:
-        """Return whether a start may go on to the next servo: False once a stop was requested."""
-        if self._lifeline is not None:
-            self._lifeline.beat()
-        if self._requested_level is None:
-            self._poll_control()
-        return self._requested_level is None and not self._n_signals
+        """Act on stops while the face is started; return whether the start may go on."""
+        if self._links.lifeline is not None:
+            self._links.lifeline.beat()
+        self._obey_signal()
+        self._poll_control()
+        return self._state is LifeState.STARTING
 
     def _do_tick_duties(self, time_s: float) -> None:
         """Send a heartbeat, carry out stops and orders, and log changes, before each tick."""
-        if self._lifeline is not None:
-            self._lifeline.beat()
-        if self._n_signals and not self._by_signal:
-            self._by_signal = True
-            _LOG.info("stopping: %s", signal.Signals(self.signal_number or 0).name)
-            self.stop()
+        if self._links.lifeline is not None:
+            self._links.lifeline.beat()
+        self._obey_signal()
         is_stopped_now = self._poll_control()
         self._obey_orders(time_s, is_stopped_now=is_stopped_now)
-        self._log_changes(time_s)
-        if self._on_health is not None and time_s >= self._health_due_s:
-            self._health_due_s = time_s + _HEALTH_EVERY_S
-            self._on_health(self._bridge.servo_health())
-        if time_s >= self._remarks_due_s:
-            self._remarks_due_s = time_s + _REMARKS_EVERY_S
-            for remark in self._bridge.remarks()[self._n_remarks :]:
-                self._n_remarks += 1
-                _LOG.warning("%s", remark)
+        self._log.look(time_s)
+
+    def _obey_signal(self) -> None:
+        if self._n_signals and self._fire(LifeEvent.SIGNAL):
+            _LOG.info("stopping: %s", signal.Signals(self.signal_number or 0).name)
 
     def _poll_control(self) -> bool:
         """Act on a requested stop, and only then answer clients; return whether one came."""
-        if self._control is None:
+        control = self._links.control
+        if control is None:
             return False
-        request = self._control.poll()
+        request = control.poll()
         if request is not None:
             self._obey_stop(request)
-        self._control.answer(self._described)
+        control.answer(self._described, self._of_stop)
         return request is not None
 
     def _obey_stop(self, request: StopRequest) -> None:
         """Carry out a stop: report it to the supervisor process, which keeps it; then stop servos.
 
-        The report lets the stop outlive this process. A face that is limp and waits has nothing to
-        freeze: that is reported, but changes nothing.
+        The report lets the stop outlive this process. A freeze of a face that is limp, or being let
+        go, changes nothing.
         """
-        if self._lifeline is not None:
-            self._lifeline.stopped(
-                request.level, ends=request.ends, requested_by=request.requested_by
-            )
-        self.stopped_by_person = True
-        self._ends = self._ends or request.ends
-        if request.level is not StopLevel.FREEZE or self._bridge.state is not FaceState.STOPPED:
-            self._stopped = request
-            self._stop(request.level)
-        self._on_stopped(self._stopped)
-        _LOG.info("stop requested: %s, by %s", request.level.value, request.requested_by)
-
-    @property
-    def _may_wait(self) -> bool:
-        """Whether the limp face waits for a start after this stop; otherwise the ticks end."""
-        by_person = self._stopped is not None and not (self._n_signals or self._bounded)
-        return self.waits and by_person and not (self._ends or self._bridge.failure)
+        level, before = request.level, self._request
+        if self._links.lifeline is not None:
+            self._links.lifeline.tell(Stopped(level, request.ends, request.requested_by))
+        event = LifeEvent.STOP_AND_END if request.ends else LifeEvent.STOP
+        self._level, level_before = level, self._level
+        if self._fire(LifeEvent.FREEZE if level is StopLevel.FREEZE else event):
+            ends = request.ends or (before is not None and before.ends)
+            self._request = replace(request, ends=ends)
+        else:
+            self._level = level_before
+        _LOG.info("stop requested: %s, by %s", level.value, request.requested_by)
 
     @property
     def _is_kept(self) -> bool:
         """Whether a supervisor keeps the stopped face, limp, for a start."""
-        has_end = self._ends or self._n_signals or self._bridge.failure
-        return self._lifeline is not None and self._stopped is not None and not has_end
+        request = self._request
+        has_end = request is None or request.ends or self._n_signals or self._bridge.failure
+        return self._links.lifeline is not None and not has_end
 
-    def _await_start(self) -> None:
+    def _tell_waiting(self) -> None:
         """Report the end of the stop, and let the limp face wait until a person starts it."""
-        self._stop_report, self._at_s = self._bridge.stop_report(), round(time.time(), 3)
-        if self._control is not None:
-            self._control.report_end({"waits": True, **self._stop_report.as_dict()})
+        report = self._stop_report = self._bridge.stop_report()
+        self._at_s = round(time.time(), 3)
+        if self._links.control is not None:
+            self._links.control.report_end(self._end_of_stop(report, waits=True))
         waits = "it waits: `lipservo start` starts it again"
-        _LOG.log(self._stop_report.log_level, "%s; %s", self._stop_report.text(), waits)
+        _LOG.log(report.log_level, "%s; %s", report.text(), waits)
         self._bridge.await_start()
 
     def _described(self) -> dict[str, object]:
         """Return the face's status for clients, with the last stop and the report of its end."""
-        stopped, report = self._stopped, self._stop_report
+        stopped, report = self._request, self._stop_report
         return {
-            **self._status(),
+            **self._links.status(),
             "stopped": None if stopped is None else stopped.level.value,
             "stopped_by": None if stopped is None else stopped.requested_by,
             "stop_report": None if report is None else {**report.as_dict(), "at_s": self._at_s},
-            "can_start": not self._bridge.refusal(StartFace()),
+            "can_start": not self._refusal(StartFace()),
         }
 
+    def _of_stop(self) -> dict[str, object]:
+        """Return what the answer to a stop says: which servos hold, and whether it is kept."""
+        return {**self._bridge.torque_by_name(), **self._kept()}
+
+    def _end_of_stop(self, report: StopReport, *, waits: bool) -> dict[str, object]:
+        """Return what clients that requested a stop are told of its end."""
+        return {"waits": waits, **report.as_dict(), **self._kept()}
+
+    def _kept(self) -> dict[str, object]:
+        not_kept = self._links.not_kept()
+        return {"not_kept": not_kept} if not_kept else {}
+
+    def _refusal(self, order: Order) -> str:
+        """Return why an order is refused now; empty: it is accepted."""
+        if isinstance(order, StartFace) and self._state is LifeState.FROZEN_LAST:
+            return "the program is over: the next stop ends it"
+        return self._bridge.refusal(order)
+
     def _obey_start(self) -> str:
-        """Drive the face again for a person; return why not, "" if it is driven or starting."""
-        if why_not := self._bridge.refusal(StartFace()):
+        """Drive the face again for a person; return why not, "" if it is started."""
+        if why_not := self._refusal(StartFace()):
             return why_not
-        was_stopped, self._stopped = self._stopped, None
-        self._requested_level = None
+        before, self._request = self._request, None
         try:
-            if self._bridge.state is FaceState.FROZEN:
-                self._bridge.resume()
-            else:
-                self._bridge.start(self._may_continue)
+            self._fire(LifeEvent.START)
         except BusError as error:
-            self._stopped = was_stopped
-            self._stop(StopLevel.LIMP)
+            self._request = self._request or before
+            self._fire(LifeEvent.NOT_STARTED)
             return str(error)
-        if self._stopped is None:  # nobody has stopped it in between
-            self.stopped_by_person, self._stop_report = False, None
-            self._on_stopped(None)
-            if self._lifeline is not None:
-                self._lifeline.started()
+        if self._request is not None:
+            return f"stopped meanwhile by {self._request.requested_by}"
+        self._stop_report = None
+        if self._links.lifeline is not None:
+            self._links.lifeline.tell(Started())
         return ""
 
     def _obey_orders(self, time_s: float, *, is_stopped_now: bool) -> None:
@@ -409,77 +437,32 @@ class LifeCycle:
 
         is_stopped_now: a stop came in this tick; it comes before a start, and voids it.
         """
-        for order in () if self._control is None else self._control.take_orders():
+        control, lifeline = self._links.control, self._links.lifeline
+        for order in () if control is None else control.take_orders():
             if isinstance(order, StartFace):
                 why_not = "a stop came with it" if is_stopped_now else self._obey_start()
-                then = why_not or "driven again"
+                then = why_not or f"the face is {self._bridge.state.value}"
                 _LOG.info("start requested by %s: %s", order.requested_by, then)
                 continue
             why_not = self._bridge.obey(order, time_s)
             if isinstance(order, ServoOrder):
                 _LOG.info("%s: %s", order, why_not or f"asked by {order.requested_by}")
-                if not why_not and self._lifeline is not None and order.switch in _KEPT:
+                if not why_not and lifeline is not None and order.switch in _KEPT:
                     index = self._bridge.names.index(order.name)
-                    self._lifeline.switched(index, on=order.switch is ServoSwitch.ON)
+                    lifeline.tell(Switched(index, on=order.switch is ServoSwitch.ON))
 
-    def _stop(self, level: StopLevel) -> None:
-        self._requested_level = level
-        self._bridge.stop(level)
-
-    def _port_is_lost(self, time_s: float) -> bool:
-        """Return whether a stop has waited long enough for a lost port, so that the ticks end.
+    def _port_due_s(self, time_s: float) -> float:
+        """Return when a stop has waited long enough for a lost port; infinity: no end to that.
 
         A stop that a person requested through the control socket waits without limit.
         """
-        if self._bridge.plugged or not self._bounded:
-            self._give_up_s = None
-            return False
-        if self._bridge.state is not FaceState.LETTING_GO:
-            return False
-        if self._give_up_s is None:
+        is_lost = not self._bridge.plugged and self._bridge.state is FaceState.LETTING_GO
+        if not is_lost or self._state is not LifeState.LEAVING:
+            self._give_up_s = float("inf")
+        elif self._give_up_s == float("inf"):
             self._give_up_s = time_s + PORT_WAIT_S
             _LOG.warning(
                 "the port is gone: once it is back, the servos are let go; "
                 "two more signals leave them as they are"
             )
-        return time_s >= self._give_up_s
-
-    def _log_changes(self, time_s: float) -> None:
-        """Log changes of port, servos and missing targets; report given-up servos to the parent.
-
-        Texts are made only when something changed. The parent process: the supervisor.
-        """
-        bridge = self._bridge
-        if bridge.plugged is not self._was_plugged:
-            self._was_plugged = bridge.plugged
-            if bridge.plugged:
-                _LOG.info("the port is back")
-            else:
-                _LOG.warning("the port of the servos is gone")
-        if bridge.state is FaceState.SILENT and not self._was_silent:
-            self._was_silent = True
-            _LOG.warning(
-                "no motion comes from speech (the computer is too busy, or it hangs): "
-                "the servos are let go until it comes"
-            )
-        elif bridge.state is FaceState.DRIVEN and self._was_silent:
-            self._was_silent = False
-            _LOG.info("motion comes again")
-        if len(bridge.given_up) != self._n_given_up:
-            for index, why in list(bridge.given_up.items())[self._n_given_up :]:
-                if self._lifeline is not None:
-                    self._lifeline.failed(index, why)
-            self._n_given_up = len(bridge.given_up)
-        if bridge.n_trouble_changes != self._n_changes_sent:
-            self._n_changes_sent = bridge.n_trouble_changes
-            self._trouble_since_s = time_s
-        since_s = self._trouble_since_s
-        if since_s is None or time_s - since_s < _TROUBLE_LASTS_S or not bridge.plugged:
-            return
-        self._trouble_since_s = None
-        troubles = bridge.troubles
-        if troubles:
-            _LOG.warning("%s", "; ".join(troubles))
-        elif self._has_sent_trouble:
-            _LOG.info("every servo is driven again")
-        self._has_sent_trouble = bool(troubles)
+        return self._give_up_s

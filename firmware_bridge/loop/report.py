@@ -2,7 +2,6 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from firmware_bridge.bus import Array, ServoState
 from firmware_bridge.gate.limits import GateCounts, PreventRule
 from firmware_bridge.gate.ramp import StaleLevel, StaleRule
 from firmware_bridge.gate.tracking import TrackingRule
+from firmware_bridge.loop.face_table import FaceState
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,26 +40,14 @@ class BridgeSettings:
         return 1.0 / self.rate_hz
 
 
-class FaceState(StrEnum):
-    """The state of a face: whether it is driven, on its way to limp, limp or frozen."""
-
-    STOPPED = "stopped"  # limp until it is started
-    DRIVEN = "driven"  # follows its targets, as many servos as are well
-    SILENT = "silent"  # limp since speech fell silent; driven again at the next fresh target
-    EASING = "easing"  # stopped by a person, on its way to rest
-    FROZEN = "frozen"  # stopped by a person, held where it is
-    LETTING_GO = "letting go"  # torque goes off, again and again until every servo confirms
-    ENDED = "ended"  # limp, as far as the servos said so
-
-
 @dataclass(frozen=True, slots=True)
 class TickReport:
     """The record of one tick: goals wanted and sent, limits hit. Every array is (n_servos,).
 
     wanted_deg are the goals before the last gate; sent_deg those after it. Only servos that are
-    driven get them: while `torque_on` is False none is. target_age_s counts from the newest target
-    due, or from the start of the face when that is later. late is how many ticks were missed before
-    this tick.
+    driven get them. torque_on: as of `KnownTorque.any_on`. target_age_s counts from the newest
+    target due, or from the start of the face when that is later. late is how many ticks were missed
+    before this tick.
     """
 
     time_s: float
@@ -68,7 +56,7 @@ class TickReport:
     sent_deg: Array
     target_age_s: float
     stale: StaleLevel
-    torque_on: bool
+    torque_on: bool | None
     range_hits: NDArray[np.bool_]
     rate_hits: NDArray[np.bool_]
     rejected: NDArray[np.bool_]

@@ -24,6 +24,7 @@ from firmware_bridge.bus import (
 from firmware_bridge.errors import PortError, ServoError
 from firmware_bridge.gate.limits import Limited, Limiter
 from firmware_bridge.joints import Joint, named
+from firmware_bridge.known_torque import KnownTorque, Torque
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.servo_supervision import ServoSupervision
 from firmware_bridge.loop.torque_gate import LET_GO_WITH_IT, PORT_GONE, TorqueGate, TorqueOff
@@ -89,6 +90,10 @@ _READS = 5
 _REQUESTED = 60
 #: A shaft at top speed is so far behind its goal, in time, and stops there without turning back.
 _BRAKES_S = 0.02
+#: Of a servo that is to be driven, and is not known to have torque yet.
+STARTING_WORD: Final = "starting"
+_DRIVEN: Final = int(ServoState.DRIVEN)
+_ON: Final = int(Torque.ON)
 _HEALTH = tuple(each.name for each in fields(ServoHealth))
 
 
@@ -113,9 +118,7 @@ class ServoGroup:
         self._any_blind = not bool(self._has_place.all())
         self.limiter = Limiter(self._joints, settings.period_s, settings.prevent)
         given_up, off = settings.given_up, settings.switched_off
-        self.gate = TorqueGate(
-            bus, joints, dry_run=settings.dry_run, given_up=given_up, switched_off=off
-        )
+        self.gate = TorqueGate(bus, dry_run=settings.dry_run, given_up=given_up, switched_off=off)
         self.supervision = ServoSupervision(self._joints, settings.tracking, given_up, off)
         is_known = any(each.load or each.heat for each in can)
         self._heat = HeatDerating([each.load for each in can]) if is_known else None
@@ -133,10 +136,28 @@ class ServoGroup:
         self.feedback: Feedback | None = None
 
     @property
+    def torque(self) -> KnownTorque:
+        """What is known of the servos' torque."""
+        return self.gate.torque
+
+    @property
     def troubles(self) -> tuple[str, ...]:
         """A line for each servo that is not driven, with the reason."""
         reasons = zip(self._joints, self.supervision.reasons, strict=True)
         return tuple(f"{named(joint)} {why}" for joint, why in reasons if why)
+
+    def words(self) -> list[str]:
+        """Return each servo's `ServoState` in words; `starting`: driven, but not known to hold."""
+        pairs = zip(self.supervision.states.tolist(), self.torque.states.tolist(), strict=True)
+        return [
+            STARTING_WORD if state == _DRIVEN and torque != _ON else STATE_WORDS[state]
+            for state, torque in pairs
+        ]
+
+    def try_all_again(self, time_s: float) -> None:
+        """Allow torque again to servos that were given up, since a person starts the face."""
+        for index in list(self.gate.given_up):
+            self.switch_on(index, time_s)
 
     def reopen(self) -> None:
         """Open the port again. Raises PortError."""
@@ -153,13 +174,12 @@ class ServoGroup:
 
         lets_go: also switch torque off, on those buses of the face whose port remains.
         """
-        self.torque_off.forget()
         self.supervision.mark_all_waiting(time_s, PORT_GONE)
         if not lets_go:
             return
         with contextlib.suppress(PortError):
             self.torque_off.begin()
-            for index in self.torque_off.let_go:
+            for index in np.flatnonzero(self.torque_off.off).tolist():
                 if self.supervision.states[index] == ServoState.WAITING:
                     self.supervision.note_attempt(index, LET_GO_WITH_IT, time_s)
 
@@ -185,15 +205,14 @@ class ServoGroup:
     def enable(
         self, indices: Sequence[int], time_s: float, may_continue: Callable[[], bool]
     ) -> None:
-        """Switch torque of servos `indices` on at their positions; all off on an error or a stop.
+        """Switch torque of servos `indices` on at their positions; all off on an error.
 
         Servos that a person switched off stay off. Raises ServoError naming the servos that refuse.
-        may_continue: called before each servo; False: a stop.
+        may_continue: called before each servo; False, a stop: no further servo is armed.
         """
         found = []
         for index in self._not_off(indices):
             if not may_continue():
-                self.disable_all(time_s)
                 return
             why_not = _stop_is_repeated(self.gate.enable, index)
             self.supervision.note_attempt(index, why_not, time_s)
@@ -378,7 +397,7 @@ class ServoGroup:
         return (
             [joint.name for joint in self._joints],
             [joint.servo_id for joint in self._joints],
-            [STATE_WORDS[state] for state in self.supervision.states.tolist()],
+            self.words(),
             known.temperature_degc.tolist(),
             known.effort.tolist(),
             known.voltage_v.tolist(),
@@ -386,7 +405,7 @@ class ServoGroup:
             known.hardware_errors.tolist(),
             self.supervision.n_reboots.tolist(),
             known.n_unanswered.tolist(),
-            known.torque_on.tolist(),
+            self.torque.as_json(),
         )
 
     def _not_off(self, indices: Sequence[int]) -> list[int]:

@@ -1,11 +1,4 @@
-"""Supervision of single servos, so that one in trouble does not stop the face.
-
-DRIVEN ──silent, torque lost──▶ WAITING ──answers, enabled──▶ DRIVEN
-   ├──hardware error, too hot──▶ COOLING ──▶ REBOOTING ──▶ WAITING
-   └──does not follow──────────▶ COOLING ──▶ WAITING
-                                    └──fourth time in ten minutes─▶ FAILED, limp for good
-any ──a person──▶ SWITCHING_OFF ──torque is read off──▶ OFF ──a person──▶ WAITING; so from FAILED
-"""
+"""Supervision of single servos, so that one in trouble does not stop the face: `SERVO_TABLE`."""
 
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
@@ -26,6 +19,8 @@ from firmware_bridge.bus import (
 )
 from firmware_bridge.gate.tracking import TrackingMonitor, TrackingRule
 from firmware_bridge.joints import Joint
+from firmware_bridge.known_torque import Torque
+from firmware_bridge.loop.servo_table import SERVO_TABLE, ServoAction, ServoEvent, ServoGuard
 from firmware_bridge.loop.torque_gate import SWITCHED_OFF
 
 #: A servo that has not answered for so long has no power or no cable: its goals are withheld.
@@ -44,11 +39,32 @@ _REBOOT_WINDOW_S: Final = 600.0
 _CATCH_UP_S: Final = 2.0
 
 
-#: Those that a person switched off: torque has been read off, or not yet.
-_SWITCHED_OFF: Final = (ServoState.SWITCHING_OFF, ServoState.OFF)
 #: An array is compared with an int five times as quickly as with a member of an enumeration.
 _DRIVEN: Final = int(ServoState.DRIVEN)
 _SWITCHING_OFF: Final = int(ServoState.SWITCHING_OFF)
+_TORQUE_OFF, _TORQUE_ON = int(Torque.OFF), int(Torque.ON)
+#: When a servo in this state is next looked at, after it came there, seconds.
+_REST_S: Final = {
+    ServoState.COOLING: _COOL_DOWN_S,
+    ServoState.REBOOTING: _REBOOT_S,
+}
+#: States in which torque that is read on is switched off again.
+_MUST_BE_OFF: Final = (ServoState.COOLING, ServoState.FAILED, ServoState.OFF)
+#: Why a servo is not driven that a person switched off.
+_OFF_WORDS: Final = {
+    ServoState.SWITCHING_OFF: f"{SWITCHED_OFF}, has not confirmed yet",
+    ServoState.OFF: SWITCHED_OFF,
+}
+#: Events that take a tick, since packets are sent; a tick has time for one.
+_SENDS: Final = (
+    ServoEvent.ERROR,
+    ServoEvent.HOT,
+    ServoEvent.BEHIND,
+    ServoEvent.STILL_ON,
+    ServoEvent.STILL_FAULTY,
+    ServoEvent.READY,
+    ServoEvent.DUE,
+)
 
 
 class TorquePort(Protocol):
@@ -97,11 +113,12 @@ class ServoSupervision:
         self.n_changes = 0
         self.states = np.full(n, ServoState.WAITING, dtype=np.int8)
         self._all_driven = bytes([_DRIVEN]) * n
+        self._all_on = bytes([_TORQUE_ON]) * n
         self.n_reboots = np.zeros(n, dtype=np.int64)
         self._critical = np.array([joint.critical for joint in joints])
         self._any_critical = bool(self._critical.any())
         self._until_s = np.zeros(n)
-        self._reboots: list[deque[float]] = [deque(maxlen=_REBOOTS) for _ in joints]
+        self._failures: list[deque[float]] = [deque(maxlen=_REBOOTS) for _ in joints]
         self._next = 0
         for index, why in (given_up or {}).items():
             self.states[index] = ServoState.FAILED
@@ -145,11 +162,11 @@ class ServoSupervision:
 
     def note_attempt(self, index: int, why_not: str, time_s: float) -> None:
         """Store the result of enabling a servo: driven if `why_not` is empty, else waiting."""
-        self.states[index] = ServoState.WAITING if why_not else ServoState.DRIVEN
+        event = ServoEvent.REFUSED if why_not else ServoEvent.ENABLED
+        self._fire(index, event, time_s, why_not)
         self._until_s[index] = time_s + _RETRY_S
         self._behind[index] = False
         self._tracking.suspend_until(index, time_s + _CATCH_UP_S)
-        self._set_reason(index, why_not)
 
     def mark_all_waiting(self, time_s: float, why: str = "") -> None:
         """Mark all as not driven, when the port is lost or all torque was switched off.
@@ -157,26 +174,17 @@ class ServoSupervision:
         why: the reason, for people. Servos that a person switched off have to confirm again; failed
         servos stay failed.
         """
-        for index in np.flatnonzero(self.states != ServoState.FAILED).tolist():
-            if self.states[index] in _SWITCHED_OFF:
-                self.switch_off(index, time_s)  # what it confirmed before may not be so any more
-            else:
-                self._wait(index, time_s, why)
+        for index in range(len(self.states)):
+            self._fire(index, ServoEvent.ALL_OFF, time_s, why)
 
     def switch_off(self, index: int, time_s: float) -> None:
         """Mark a servo as switched off by a person: no goals, and `act` disables it first."""
-        self.states[index] = ServoState.SWITCHING_OFF
-        self._until_s[index] = time_s
+        self._fire(index, ServoEvent.SWITCH_OFF, time_s)
         self._next = index
-        self._set_reason(index, f"{SWITCHED_OFF}, has not confirmed yet")
 
     def switch_on(self, index: int, time_s: float) -> bool:
         """Let `act` enable a servo as if it had never failed; False: it was not off or failed."""
-        if self.states[index] not in (*_SWITCHED_OFF, ServoState.FAILED):
-            return False
-        self._reboots[index].clear()
-        self._wait(index, time_s, "")
-        return True
+        return self._fire(index, ServoEvent.SWITCH_ON, time_s)
 
     def reboot(self, index: int, time_s: float, port: TorquePort) -> None:
         """Restart a servo that is not driven, at a person's order.
@@ -184,19 +192,14 @@ class ServoSupervision:
         Afterwards a servo that was switched off is switched off again, one that failed stays limp,
         and any other is enabled again by `act`.
         """
-        port.reboot(index)
-        self.n_reboots[index] += 1
-        if self.states[index] in _SWITCHED_OFF:
-            self.switch_off(index, time_s)
-        elif self.states[index] != ServoState.FAILED:
-            self.states[index] = ServoState.REBOOTING
+        self._fire(index, ServoEvent.REBOOT, time_s, self.reasons[index], port)
         self._until_s[index] = time_s + _REBOOT_S
 
     def keep_off(self, time_s: float, port: TorquePort) -> None:
         """Disable switched-off servos until they confirm, in ticks of a limp face (no `act`)."""
         for index in np.flatnonzero(self.states == _SWITCHING_OFF).tolist():
             if time_s >= self._until_s[index]:
-                self._let_go(index, time_s, port)
+                self._fire(index, ServoEvent.DUE, time_s, port=port)
 
     def check_tracking(self, sent_deg: Array, feedback: Feedback) -> None:
         """Compare the goals sent last with the servos' positions; `act` uses the result.
@@ -220,10 +223,16 @@ class ServoSupervision:
         n = len(self.states)
         for k in range(n):
             index = (self._next + k) % n
-            acted, enabled = self._act_on(index, health, time_s, port)
-            if acted:
+            event, why = self._seen(index, health, time_s, port)
+            if event is None:
+                if why:
+                    self._set_reason(index, why)
+                continue
+            self._fire(index, event, time_s, why, port)
+            if event in _SENDS:
                 self._next = index + 1
-                return index if enabled else None
+                is_driven = self.states[index] == _DRIVEN
+                return index if event is ServoEvent.READY and is_driven else None
         return None
 
     def _all_normal(self, health: Health) -> bool:
@@ -233,7 +242,7 @@ class ServoSupervision:
         """
         return (
             self.all_driven
-            and all_set(health.torque_on)
+            and health.torque.tobytes() == self._all_on
             and not any_set(self._behind)
             and not any_set(health.hardware_errors)
             and not any_set(health.watchdog_tripped)
@@ -241,112 +250,106 @@ class ServoSupervision:
             and all_set(health.room_degc > 0.0)
         )
 
-    def _act_on(self, i: int, health: Health, time_s: float, port: TorquePort) -> tuple[bool, bool]:
-        """Enable, disable, restart or give up servo `i` if due; return (anything done, enabled)."""
-        state = self.states[i]
-        if state == ServoState.DRIVEN:
-            return self._check_driven(i, health, time_s, port), False
+    def _seen(
+        self, i: int, health: Health, time_s: float, port: TorquePort
+    ) -> tuple[ServoEvent | None, str]:
+        """Return what happens to servo `i` by its readings, and the reason in words."""
+        state, torque = self.states[i], health.torque[i]
+        is_silent, errors = health.silent_s[i] >= SILENT_S, int(health.hardware_errors[i])
+        if state == _DRIVEN:
+            return self._seen_driven(i, health)
         if time_s < self._until_s[i]:
-            return False, False
-        if state == _SWITCHING_OFF or (state == ServoState.OFF and health.torque_on[i]):
-            self._let_go(i, time_s, port)
-            return True, False
-        if state == ServoState.OFF:
-            return False, False
-        if state in (ServoState.COOLING, ServoState.FAILED) and health.torque_on[i]:
-            # Its torque was switched off and it has not confirmed: again, until it does.
-            self._until_s[i] = time_s + _RETRY_S
-            port.disable(i)
-            return True, False
-        if state == ServoState.FAILED:
-            return False, False
-        if port.refusal(i):
-            if health.hardware_errors[i]:  # told although nothing is done about it now
-                self._set_reason(i, describe_errors(int(health.hardware_errors[i])))
-            return False, False
+            return None, ""
+        if state == _SWITCHING_OFF:
+            return ServoEvent.DUE, ""
+        if torque == _TORQUE_ON and state in _MUST_BE_OFF:
+            return ServoEvent.STILL_ON, self.reasons[i]
+        if state in (ServoState.OFF, ServoState.FAILED):
+            return None, ""
+        if port.refusal(i):  # an error is told although nothing is done about it now
+            return None, describe_errors(errors) if errors else ""
         if state == ServoState.COOLING:
-            return self._recover(i, health, time_s, port), False
-        if state == ServoState.REBOOTING:
-            self.states[i] = ServoState.WAITING
-        if health.silent_s[i] >= SILENT_S:
-            self._set_reason(i, self.reasons[i] or "does not answer; check its power and cable")
-            return False, False
-        if health.hardware_errors[i]:
-            self._begin_cool_down(i, time_s)
-            return True, False
-        why_not = port.enable(i)
-        self.note_attempt(i, why_not, time_s)
-        return True, not why_not
+            if health.room_degc[i] < _ROOM_TO_WORK_DEGC:
+                return None, ""
+            if not errors:
+                return ServoEvent.COOLED, self.reasons[i]
+            is_unpowered = errors & HardwareError.INPUT_VOLTAGE and is_silent
+            return None if is_unpowered else ServoEvent.STILL_FAULTY, self.reasons[i]
+        if is_silent:
+            why = self.reasons[i] or "does not answer; check its power and cable"
+            return ServoEvent.SILENT, why
+        if errors:
+            return ServoEvent.ERROR, describe_errors(errors)
+        return ServoEvent.READY, self.reasons[i]
 
-    def _let_go(self, i: int, time_s: float, port: TorquePort) -> None:
-        self.switch_off(i, time_s + _RETRY_S)
-        if port.disable(i):
-            self.states[i] = ServoState.OFF
-            self._set_reason(i, SWITCHED_OFF)
-
-    def _check_driven(self, i: int, health: Health, time_s: float, port: TorquePort) -> bool:
+    def _seen_driven(self, i: int, health: Health) -> tuple[ServoEvent | None, str]:
+        """Return the same for a driven servo."""
+        errors = int(health.hardware_errors[i])
         if health.silent_s[i] >= SILENT_S:
-            self._wait(i, time_s, "does not answer")
-            return False
-        if health.hardware_errors[i] or health.room_degc[i] <= 0.0:
-            error = int(health.hardware_errors[i])
-            self._disable(i, time_s, port, describe_errors(error) if error else "too hot")
-            return True
+            return ServoEvent.SILENT, "does not answer"
+        if errors:
+            return ServoEvent.ERROR, describe_errors(errors)
+        if health.room_degc[i] <= 0.0:
+            return ServoEvent.HOT, "too hot"
         if self._behind[i]:
-            self._disable(i, time_s, port, self._tracking.reason(i))
-            self._count_failure(i, time_s, port)
-            return True
+            return ServoEvent.BEHIND, self._tracking.reason(i)
         if health.watchdog_tripped[i]:
-            self._wait(i, time_s, "stopped by its watchdog")
-        elif not health.torque_on[i]:
-            self._wait(i, time_s, "has lost its torque")
-        return False
+            return ServoEvent.TRIPPED, "stopped by its watchdog"
+        if health.torque[i] == _TORQUE_OFF:
+            return ServoEvent.TORQUE_LOST, "has lost its torque"
+        return None, ""
 
-    def _wait(self, i: int, time_s: float, why: str) -> None:
-        self.states[i] = ServoState.WAITING
-        self._until_s[i] = time_s
-        self._set_reason(i, why)
+    def _fire(
+        self,
+        i: int,
+        event: ServoEvent,
+        time_s: float,
+        why: str = "",
+        port: TorquePort | None = None,
+    ) -> bool:
+        """Go where the table says, and do what it says; return whether the event means anything.
+
+        why: the reason in words, of a servo that is not driven. port: for rows whose actions send.
+        """
+
+        def holds(_guard: ServoGuard) -> bool:
+            past = self._failures[i]
+            return len(past) == _REBOOTS and time_s - past[0] < _REBOOT_WINDOW_S
+
+        row = SERVO_TABLE.find(ServoState(int(self.states[i])), event, holds)
+        if row is None:
+            return False
+        if row.then is not None:
+            self.states[i] = row.then
+            self._until_s[i] = time_s + _REST_S.get(row.then, 0.0)
+            off_words = _OFF_WORDS.get(row.then)
+            self._set_reason(i, why if off_words is None else off_words)
+        for action in row.do:
+            self._do(action, i, time_s, port)
+        return True
+
+    def _do(self, action: ServoAction, i: int, time_s: float, port: TorquePort | None) -> None:
+        match action:
+            case ServoAction.COUNT:
+                self._failures[i].append(time_s)
+            case ServoAction.FORGET_FAILURES:
+                self._failures[i].clear()
+            case _ if port is None:
+                raise ValueError(f"{action}: needs a port")
+            case ServoAction.DISABLE:
+                self._until_s[i] = max(self._until_s[i], time_s + _RETRY_S)
+                if port.disable(i):
+                    self._fire(i, ServoEvent.CONFIRMED, time_s)
+            case ServoAction.ENABLE:
+                self.note_attempt(i, port.enable(i), time_s)
+            case ServoAction.REBOOT:
+                self.n_reboots[i] += 1
+                port.reboot(i)
+            case ServoAction.GIVE_UP:
+                self._set_reason(i, f"{self.reasons[i]}, again and again: given up until a start")
+                port.give_up(i, self.reasons[i])
 
     def _set_reason(self, i: int, why: str) -> None:
         if self.reasons[i] != why:
             self.reasons[i] = why
             self.n_changes += 1
-
-    def _disable(self, i: int, time_s: float, port: TorquePort, why: str) -> None:
-        port.disable(i)
-        self._set_reason(i, why)
-        self._begin_cool_down(i, time_s)
-
-    def _begin_cool_down(self, i: int, time_s: float) -> None:
-        self.states[i] = ServoState.COOLING
-        self._until_s[i] = time_s + _COOL_DOWN_S
-
-    def _count_failure(self, i: int, time_s: float, port: TorquePort) -> None:
-        """Count a failure of servo `i`; at the fourth in ten minutes it fails, limp for good."""
-        past = self._reboots[i]
-        if len(past) == _REBOOTS and time_s - past[0] < _REBOOT_WINDOW_S:
-            self.states[i] = ServoState.FAILED
-            self._set_reason(i, f"{self.reasons[i]}, again and again: it stays limp")
-            port.give_up(i, self.reasons[i])
-            return
-        past.append(time_s)
-
-    def _recover(self, i: int, health: Health, time_s: float, port: TorquePort) -> bool:
-        if health.room_degc[i] < _ROOM_TO_WORK_DEGC:
-            return False
-        if not health.hardware_errors[i]:
-            self.states[i] = ServoState.WAITING
-            return False
-        if (
-            health.hardware_errors[i] & HardwareError.INPUT_VOLTAGE
-            and health.silent_s[i] > SILENT_S
-        ):
-            return False
-        self._count_failure(i, time_s, port)
-        if self.states[i] == ServoState.FAILED:
-            return False
-        self.n_reboots[i] += 1
-        port.reboot(i)
-        self.states[i] = ServoState.REBOOTING
-        self._until_s[i] = time_s + _REBOOT_S
-        return True

@@ -8,7 +8,7 @@ import numpy as np
 
 from firmware_bridge.bus import Array, ServoState
 from firmware_bridge.joints import Joint, named
-from firmware_bridge.loop.report import FaceState
+from firmware_bridge.loop.face_table import FaceState
 from firmware_bridge.loop.servo_group import ServoGroup
 from firmware_bridge.stopping import (
     ArmJog,
@@ -223,10 +223,11 @@ class SingleServos:
             if joint.critical:
                 return f"{named(joint)} is critical: the face cannot go on without it; stop it"
             return ""
+        if switch is ServoSwitch.ON:
+            return ""  # of a stopped face: it is done at the start
         if gate.forbidden or state in (FaceState.LETTING_GO, FaceState.ENDED):
             return f"the face is {gate.forbidden or state.value}: start it again"
-        is_driven = self._servos.supervision.states[index] == ServoState.DRIVEN
-        if switch is ServoSwitch.REBOOT and is_driven:
+        if self._servos.supervision.states[index] == ServoState.DRIVEN:
             return f"{named(joint)} is driven; switch it off first"
         return ""
 

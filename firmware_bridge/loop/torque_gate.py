@@ -7,9 +7,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.bus import ServoBus
+from firmware_bridge.bus import ServoBus, all_set
 from firmware_bridge.capabilities import BusCapabilities
 from firmware_bridge.joints import Joint
+from firmware_bridge.known_torque import KnownTorque, Torque
 from firmware_bridge.stopping import StopReport, let_go_report
 
 #: Why a servo holds no torque that a person switched off.
@@ -32,7 +33,6 @@ class TorqueGate:
     def __init__(
         self,
         bus: ServoBus,
-        joints: Sequence[Joint],
         *,
         dry_run: bool = False,
         given_up: Mapping[int, str] | None = None,
@@ -45,11 +45,15 @@ class TorqueGate:
         why no servo may hold; empty: the gate is open.
         """
         self._bus = bus
-        self._n_servos = len(joints)
         self._given_up = dict(given_up or {})
         self._switched_off = set(switched_off)
         self.closed_because = ""
         self.dry_run = dry_run
+
+    @property
+    def torque(self) -> KnownTorque:
+        """What is known of the servos' torque."""
+        return self._bus.torque
 
     @property
     def given_up(self) -> Mapping[int, str]:
@@ -106,15 +110,10 @@ class TorqueGate:
         """
         return self._bus.disable_torque(index)
 
-    def disable_all(self) -> NDArray[np.bool_]:
-        """Switch the torque of all servos off; in a dry run write nothing.
-
-        Returns
-        -------
-        NDArray[np.bool_]
-            (n_servos,): True for servos that confirmed or cannot; all False in a dry run.
-        """
-        return np.zeros(self._n_servos, dtype=np.bool_) if self.dry_run else self._bus.disable_all()
+    def disable_all(self) -> None:
+        """Switch the torque of all servos off; in a dry run write nothing."""
+        if not self.dry_run:
+            self._bus.disable_all()
 
     def reboot(self, index: int) -> None:
         """Restart one servo, which leaves its torque off; do nothing while `forbidden`."""
@@ -146,63 +145,63 @@ class TorqueGate:
 #: One servo that has not confirmed is asked again in every tick; a servo that is there confirms in
 #: a fraction of this even where half of all packets are lost.
 _LONGEST_S: Final = 2.0
+_OFF: Final = int(Torque.OFF)
 
 
 class TorqueOff:
-    """The switching off of all servos' torque, repeated until those that can have confirmed it.
+    """The switching off of all servos' torque, repeated until every servo is known to be off.
 
-    Methods that send packets may raise PortError.
+    A bus forgets what it knew before it sends torque off, so that what is known afterwards was
+    confirmed since. Methods that send packets may raise PortError.
     """
 
     def __init__(self, joints: Sequence[Joint], gate: TorqueGate) -> None:
         self._joints = tuple(joints)
         self._gate = gate
-        self._confirmed = np.zeros(len(joints), dtype=np.bool_)
         self._since_s: float | None = None
         self._next = 0
 
     @property
-    def let_go(self) -> list[int]:
-        """The indices of the servos that confirmed torque off, or cannot confirm."""
-        return [int(index) for index in np.flatnonzero(self._confirmed)]
+    def off(self) -> NDArray[np.bool_]:
+        """Which servos are known to be off.
 
-    def forget(self) -> None:
-        """Count no servo as confirmed any more: the port is lost, or torque may have come on."""
-        self._confirmed[:] = False
-        self._since_s = None
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n_servos,).
+        """
+        return np.asarray(self._gate.torque.states == _OFF)
 
     def begin(self) -> None:
-        """Send torque off to all servos now, and store which confirmed."""
-        self.forget()
-        self._confirmed = self._gate.disable_all()
+        """Send torque off to all servos now."""
+        self._since_s = None
+        self._gate.disable_all()
 
     def go_on(self, time_s: float) -> None:
-        """Send torque off to one servo that has not confirmed; to be called in every tick."""
+        """Send torque off to one servo that is not known to be off; call it in every tick."""
         if self._since_s is None:
             self._since_s = time_s
-        if self._confirmed.all() or self._gate.dry_run:
-            return
-        missing = np.flatnonzero(~self._confirmed)
-        index = int(missing[self._next % len(missing)])
-        self._next += 1
-        self._confirmed[index] = self._gate.disable(index)
+        missing = np.flatnonzero(~self.off)
+        if len(missing) and not self._gate.dry_run:
+            self._next += 1
+            self._gate.disable(int(missing[self._next % len(missing)]))
 
     def over(self, time_s: float) -> bool:
-        """Return whether all servos have confirmed, or two seconds of trying are over."""
-        if self._confirmed.all() or self._gate.dry_run:
+        """Return whether all servos are known to be off, or two seconds of trying are over."""
+        if self._gate.dry_run or all_set(self.off):
             return True
         return self._since_s is not None and time_s - self._since_s > _LONGEST_S
 
     def report(self, *, at_rest: bool, plugged: bool) -> StopReport:
-        """Return the report of the servos that confirmed torque off, and of those that did not.
+        """Return the report of the servos that are known to be off, and of those that are not.
 
         at_rest: whether the face had come to neutral before. plugged: whether the port is open.
         """
         names = [joint.name for joint in self._joints]
+        off, dry_run = self.off, self._gate.dry_run
         why = "does not answer" if plugged else PORT_GONE
         can = {name: self._gate.capabilities.of(n) for n, name in enumerate(names)}
-        let_go = {name: can[name] for name in compress(names, self._confirmed)}
-        dry_run = self._gate.dry_run
-        left = {} if dry_run else dict.fromkeys(compress(names, ~self._confirmed), why)
+        let_go = {name: can[name] for name in compress(names, off)}
+        left = {} if dry_run else dict.fromkeys(compress(names, ~off), why)
         confirms = any(each.confirmed_limp for each in can.values())
         return let_go_report(let_go, left, at_rest=at_rest, dry_run=dry_run, confirms=confirms)

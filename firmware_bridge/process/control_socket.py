@@ -178,17 +178,26 @@ class ControlSocket:
                 self._receive(client)
         return self._commands.take_stop()
 
-    def answer(self, status: Callable[[], Mapping[str, object]]) -> None:
+    def answer(
+        self,
+        status: Callable[[], Mapping[str, object]],
+        of_stop: Callable[[], Mapping[str, object]] = dict,
+    ) -> None:
         """Answer the requests that `poll` received, stops first.
 
-        status: returns the face's status; called only if a client requests it.
+        status: returns the face's status; called only if a client requests it. of_stop: returns
+        what the answer to a stop says of the servos, after the stop was acted on.
         """
         if not self._unanswered:
             return
         waiting, self._unanswered = self._unanswered, []
         for client, word in sorted(waiting, key=lambda each: each[1] not in _STOPS):
             if self._clients.get(client.end.fileno()) is client:
-                self._answer(client, word, status)
+                if word in _STOPS:
+                    level, _ = _STOPS[word]
+                    client.send({"accepted": level.value, **of_stop(), **self._about})
+                else:
+                    self._answer(client, word, status)
 
     def attend(self, refusal: Callable[[Order], str]) -> None:
         """Accept orders from now on.
@@ -262,9 +271,7 @@ class ControlSocket:
     def _answer(
         self, client: _Client, word: str, status: Callable[[], Mapping[str, object]]
     ) -> None:
-        if word in _STOPS:
-            client.send({"accepted": _STOPS[word][0].value, **self._about})
-        elif not word:
+        if not word:
             client.send({"error": f"longer than {LONGEST_WORD} bytes"})
         elif word == STATUS_WORD:
             client.send(self._status(status))

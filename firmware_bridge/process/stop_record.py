@@ -1,11 +1,16 @@
 """The file in which a stop by a person is kept for the face's next process.
 
-Nothing waits for the disk: a thread writes the newest state, and until it has, the supervisor's
-memory holds the stop. Only a power cut in between could lose it; so after a run that a power cut
-ended, which its record shows by another boot of the computer, the face starts limp as well.
+A thread writes the newest state, and until it has, the supervisor's memory holds the stop. Only a
+power cut in between could lose it; so after a run that a power cut ended, which its record shows by
+another boot of the computer, the face starts limp as well.
+
+A record has one length and is rewritten in place: a full disk has room for what is there already.
+Only a power cut can end such a write in its middle, and its record is then the old one, the new
+one, or cannot be read; with the last of these the face starts limp as well.
 """
 
 import contextlib
+import errno
 import json
 import logging
 import os
@@ -23,16 +28,22 @@ _CUT_OFF: Final = (
     "the power was cut in the run before this one, and a stop may have been lost; "
     "`start_after_power_cut: true` in the face's YAML drives it all the same"
 )
-_LONGEST_BYTES: Final = 4096
+#: A block of most disks.
+_RECORD_BYTES: Final = 4096
+#: Whatever its characters, a name of so many fits into a record.
+_LONGEST_NAME: Final = 200
+#: A record that could not be written is tried again so often: the disk may have room again.
+_RETRY_S: Final = 5.0
 #: The last write of a process may take so long; the servos are limp by then.
 _LAST_WRITE_S: Final = 5.0
 
 
 class StopRecord:
-    """The file that records a person's stop of one face; all methods but `close` return at once.
+    """The file that records a person's stop of one face; only `problem_after` and `close` wait.
 
     stopped: the stop of an earlier process that is still in force; None: the face may be driven.
-    why: the reason of that stop in one line, for a log.
+    why: the reason of that stop in one line, for a log. problem: why the disk has not kept the
+    state that was written last, in one line; empty: it has.
     """
 
     def __init__(
@@ -61,12 +72,16 @@ class StopRecord:
         before = {} if path is None else _read(path)
         if not started_by_person:
             self.stopped, self.why = self._left_by(before, drives_after_power_cut)
+        self.problem = ""
         self._is_due = threading.Condition()
         self._state: dict[str, Any] = {}
-        self._is_written = True
+        self._tried = self._state
         if path is not None:
-            threading.Thread(target=self._write_all, name="stop record", daemon=True).start()
-        self._keep(is_running=True)
+            self._keep(is_running=True)
+            writer = threading.Thread(
+                target=self._write_all, args=(path,), name="stop record", daemon=True
+            )
+            writer.start()
 
     def stop(self, request: StopRequest | None) -> None:
         """Record that a person stopped the face; None: a person started it again."""
@@ -74,13 +89,20 @@ class StopRecord:
         self._keep(is_running=True)
         self._on_change(request)
 
+    def problem_after(self, timeout_s: float) -> str:
+        """Wait until the newest state has been written; return why it is not kept, empty: it is.
+
+        Waits `timeout_s` at most; a disk that has not finished by then is a reason as well.
+        """
+        with self._is_due:
+            if self._is_due.wait_for(lambda: self._tried is self._state, timeout_s):
+                return self.problem
+        return _not_kept(self._path, f"the disk has not written it within {timeout_s:g} s")
+
     def close(self) -> None:
         """Record that this process ended in order, and wait for the write, 5 s at most."""
         self._keep(is_running=False)
-        give_up_s = time.monotonic() + _LAST_WRITE_S
-        with self._is_due:
-            while not self._is_written and (left_s := give_up_s - time.monotonic()) > 0.0:
-                self._is_due.wait(left_s)
+        self.problem_after(_LAST_WRITE_S)
 
     def _left_by(
         self, before: dict[str, Any], drives_after_power_cut: bool
@@ -107,29 +129,25 @@ class StopRecord:
                 "is_running": is_running,
                 "boot": self._boot,
                 "stopped": None if stop is None else stop.level.value,
-                "stopped_by": None if stop is None else stop.requested_by,
+                "stopped_by": None if stop is None else stop.requested_by[:_LONGEST_NAME],
                 "at": time.strftime("%Y-%m-%d %H:%M:%S"),
             }
-            self._is_written = False
             self._is_due.notify_all()
 
-    def _write_all(self) -> None:
-        assert self._path is not None
+    def _write_all(self, path: Path) -> None:
         while True:
             with self._is_due:
-                while self._is_written:
-                    if not self._state.get("is_running", True):
-                        return
-                    self._is_due.wait()
+                if self._tried is self._state:
+                    self._is_due.wait(_RETRY_S if self.problem else None)
                 state = self._state
-            try:
-                _write(self._path, json.dumps(state))
-            except OSError as error:
-                why = error.strerror or error
-                _LOG.warning("%s: a stop cannot be kept for a restart: %s", self._path, why)
+            problem = _problem_of_writing(path, json.dumps(state).encode())
+            if problem and problem != self.problem:
+                _LOG.warning("%s", problem)
             with self._is_due:
-                self._is_written = state is self._state
+                self.problem, self._tried = problem, state
                 self._is_due.notify_all()
+            if not state["is_running"]:
+                return
 
 
 def _boot_id() -> str:
@@ -143,7 +161,7 @@ def _read(path: Path) -> dict[str, Any]:
     """Return the record's content; {}: no file; {"error": line}: it is unreadable or no record."""
     try:
         with path.open("rb") as file:
-            state = json.loads(file.read(_LONGEST_BYTES))
+            state = json.loads(file.read(_RECORD_BYTES))
         if isinstance(state, dict):
             return state
     except FileNotFoundError:
@@ -153,17 +171,46 @@ def _read(path: Path) -> dict[str, Any]:
     return {"error": f"{path}: is no record of a stop; remove it"}
 
 
-def _write(path: Path, text: str) -> None:
-    """Write `text` to the file `path`, completely or not at all. Raises OSError."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    coming = path.with_name(f".{path.name}.{os.getpid()}")
+def _not_kept(path: Path | None, why: object) -> str:
+    return f"{path}: a stop or start cannot be kept for a restart: {why}"
+
+
+def _problem_of_writing(path: Path, record: bytes) -> str:
+    """Write `record` to the file `path`: in place, or else to a new file; return why it failed."""
     try:
-        with coming.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        coming.replace(path)
-    except OSError:
         with contextlib.suppress(OSError):
-            coming.unlink()
-        raise
+            _write(path, record, os.O_WRONLY)
+            return ""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        coming = path.with_name(f".{path.name}.{os.getpid()}")
+        try:
+            _write(coming, record, os.O_WRONLY | os.O_CREAT)
+            coming.replace(path)
+            _wait_for_disk(path.parent)
+        finally:
+            coming.unlink(missing_ok=True)
+    except OSError as error:
+        return _not_kept(path, error.strerror or error)
+    return ""
+
+
+def _wait_for_disk(folder: Path) -> None:
+    fd = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)
+
+
+def _write(path: Path, record: bytes, flags: int) -> None:
+    """Write `record`, filled up with spaces, to the beginning of a file, and wait for the disk.
+
+    Raises OSError.
+    """
+    fd = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
+    try:
+        if os.pwrite(fd, record.ljust(_RECORD_BYTES), 0) < len(record):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        os.fdatasync(fd)
+    finally:
+        os.close(fd)

@@ -4,11 +4,7 @@ The processes are the bridge, which drives the servos, and speech.
 
 One loop, one thread, no sleep: it waits for whatever comes first, a heartbeat, an end, a
 request, a signal, a deadline. A stop by a person is kept here, so that it outlives every process.
-
-    RUNNING ──dead, or hung and killed──▶ RELEASING ──torque is off──▶ WAITING ──▶ RUNNING
-       └──ended as requested──▶ STOPPED ◀──────┘ a person has stopped it      ▲
-                                   └──a person starts it──────────────────────┘
-    A signal, or a stop that ends the process: over, in place of STOPPED.
+What follows what is `SUPERVISOR_TABLE`.
 """
 
 import logging
@@ -16,8 +12,7 @@ import select
 import signal
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from enum import Enum
+from dataclasses import dataclass, replace
 from typing import Final
 
 from firmware_bridge.capabilities import BusCapabilities
@@ -34,6 +29,13 @@ from firmware_bridge.process.lifeline import (
 )
 from firmware_bridge.process.operating_system import ServiceNotice
 from firmware_bridge.process.stop_record import StopRecord
+from firmware_bridge.process.supervisor_table import (
+    SUPERVISOR_TABLE,
+    Asked,
+    Phase,
+    SupervisorAction,
+    SupervisorEvent,
+)
 from firmware_bridge.process.torque_release import FaceRelease
 from firmware_bridge.stop_signals import SignalCounter
 from firmware_bridge.stopping import (
@@ -62,17 +64,16 @@ _RECOVERY_S: Final = 60.0
 _LONGEST_WAIT_S: Final = 0.25
 _REQUESTS_AT_ONCE: Final = 16
 _CHILD_END_S: Final = 2.0
+#: The answer to a stop, which has acted, waits so long for the disk: it says whether it is kept.
+_RECORD_S: Final = 0.1
 #: A stopped face with servos that have not confirmed is let go again this often.
 _RELEASE_AGAIN_S: Final = 5.0
 
 
-class _Phase(Enum):
-    """The state of the bridge process; clients get its value as text while no bridge can answer."""
-
-    RUNNING = "the bridge starts"
-    RELEASING = "the bridge is down, torque is being switched off"
-    WAITING = "the bridge is down and starts again"
-    STOPPED = "stopped"  # limp, until a person starts the face
+#: A bridge that ends with one of these is not started again.
+_HOPELESS: Final = (ExitStatus.CRITICAL_SERVO_FAILED, ExitStatus.UNCONFIRMED)
+#: One of these was asked for: all servos are to be limp.
+_LIMP_LEVELS: Final = (StopLevel.SOFT, StopLevel.LIMP)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +103,7 @@ class Supervisor:
         *,
         notice: ServiceNotice,
         record: StopRecord | None = None,
+        tell_kept: Callable[[str], None] = lambda _why_not: None,
     ) -> None:
         """Take control socket and record; `run` or `step` starts the processes.
 
@@ -111,6 +113,8 @@ class Supervisor:
         control : the face's control socket, served here while no bridge serves it.
         notice : to systemd.
         record : keeps stops beyond this process, and may hold one from before it.
+        tell_kept : called with the reason whenever it changes why a stop cannot be kept, for the
+            process that answers clients; empty: it is kept.
 
         """
         self._bridge, self._speech = RestartedChild(bridge), RestartedChild(speech)
@@ -118,27 +122,26 @@ class Supervisor:
         self._servos = servos
         self._servo_names = tuple(servos.can)
         self._notice = notice
-        self._phase = _Phase.WAITING
-        self._ran_well = False
-        self._last_status = 0
+        self._record = StopRecord() if record is None else record
+        self._tell_kept, self._told_problem = tell_kept, ""
+        self._phase = Phase.WAITING
+        self._request: StopRequest | None = self._record.stopped
+        self._n_ready = 0
+        self._bridge_status = 0  # of the bridge that ended last
         self._release: FaceRelease | None = None
         self._release_s = 0.0
-        self._port_error = ""
-        self._record = StopRecord() if record is None else record
-        self._stop: StopRequest | None = self._record.stopped
-        self._ends = False
-        self._comes_back = False  # a person has started it again, and it is not driven yet
-        self._start_error = ""
+        self._release_again_s = float("inf")
+        self._port_error = self._start_error = ""
         self._now_s = 0.0
-        self._signal_s: float | None = None
+        self._signal_s = float("inf")
         self._n_signals = 0
         self._failed: dict[int, str] = {}
         self._switched_off: set[int] = set()
         self._zero_s: float | None = None
         self._well_s = float("-inf")
-        self._stop_report: StopReport | None = None
+        self._stop_report: StopReport | None = None  # of a stop that is over
+        self._end_report = StopReport()  # of torque off, whatever it was for
         self._at_s = 0.0  # when the servos said so, seconds since 1970
-        self._release_again_s = float("inf")
         control.attend(self._refusal)
         self.report: StopReport | None = None
         #: With what the process should end; once there is a report.
@@ -171,49 +174,107 @@ class Supervisor:
         bridge_status, speech_status = self._bridge.child.ended(), self._speech.child.ended()
         self._read_messages()
         self._handle_signals(n_signals, signal_name, now_s)
-        self._serve_control(now_s)
+        self._serve_control()
         self._watch_speech(speech_status, now_s)
         self._watch_bridge(bridge_status, now_s)
         self._tell_service(now_s)
+        if self._record.problem != self._told_problem:
+            self._told_problem = self._record.problem
+            self._tell_kept(self._told_problem)
         return self.report
 
     def due_s(self, now_s: float) -> float:
         """Return the next time at which `step` must run even without a message."""
-        due = [self._bridge.next_s(now_s)] if self._phase is not _Phase.RELEASING else []
-        if not (self._ends and self._speech.child.pid is None):
+        due = []
+        if not (self._holds(Asked.END) and self._speech.child.pid is None):
             due.append(self._speech.next_s(now_s))
         if self._release is not None:
             due.append(self._release.next_s)
-        if self._phase is _Phase.STOPPED:
-            due = [*due[1:], self._release_again_s]
-        return min(due, default=now_s + _LONGEST_WAIT_S)
+        elif self._phase is Phase.STOPPED:
+            due.append(self._release_again_s)
+        else:
+            due.append(self._bridge.next_s(now_s))
+        return min(due)
 
     def status(self) -> dict[str, object]:
         """Return the answer to a status request while no bridge can give one: plain values."""
-        stop, report = self._stop, self._stop_report
+        stop, report = self._request, self._stop_report
         return {
-            "state": _Phase.STOPPED.value if report is not None else self._phase.value,
+            "state": Phase.STOPPED.value if report is not None else self._phase.value,
             "stopped": None if stop is None else stop.level.value,
             "stopped_by": None if stop is None else stop.requested_by,
             "stop_report": None if report is None else {**report.as_dict(), "at_s": self._at_s},
-            "can_start": self._is_kept,
+            "can_start": self._holds(Asked.KEPT),
             "torque_on": False if report and report.complete and not report.released else None,
             "troubles": [each for each in (self._port_error, self._start_error) if each],
         }
 
-    @property
-    def _is_kept(self) -> bool:
-        """Whether the face is stopped and can be started, also while torque off is sent again."""
-        return self._stop_report is not None and not self._ends
+    def _of_stop(self) -> dict[str, object]:
+        """Return what the answer to a stop says: which servos are limp, and whether it is kept."""
+        limp = [] if self._stop_report is None else list(self._stop_report.confirmed)
+        unknown = [name for name in self._servo_names if name not in limp]
+        return {"holds": [], "limp": limp, "unknown": unknown, **self._kept()}
 
-    @property
-    def _level(self) -> StopLevel | None:
-        return None if self._stop is None else self._stop.level
+    def _kept(self) -> dict[str, object]:
+        not_kept = self._record.problem_after(_RECORD_S)
+        return {"not_kept": not_kept} if not_kept else {}
 
-    @property
-    def _is_ending(self) -> bool:
-        """Whether all servos are to be limp: a stop other than a freeze was requested."""
-        return self._level in (StopLevel.SOFT, StopLevel.LIMP)
+    def _fire(self, event: SupervisorEvent) -> bool:
+        """Go where the table says, and do what it says; return whether the event means anything."""
+        row = SUPERVISOR_TABLE.find(self._phase, event, self._holds)
+        if row is None:
+            return False
+        self._phase = row.then or self._phase
+        for action in row.do:
+            self._do(action)
+        return True
+
+    def _holds(self, asked: Asked) -> bool:
+        """Return whether this was asked for last, and holds."""
+        request = self._request
+        match asked:
+            case Asked.END:
+                return request is not None and request.ends
+            case Asked.STOP:
+                return request is not None and request.level in _LIMP_LEVELS
+            case Asked.FREEZE:
+                return request is not None and request.level is StopLevel.FREEZE
+            case Asked.FIRST:
+                return self._n_ready == 0
+            case Asked.KEPT:
+                return self._stop_report is not None and not self._holds(Asked.END)
+
+    def _do(self, action: SupervisorAction) -> None:
+        match action:
+            case SupervisorAction.START_BRIDGE:
+                self._start_bridge()
+            case SupervisorAction.START_ANEW:
+                self._request = self._stop_report = None
+                self._start_error = ""
+                self._failed.clear()
+                self._record.stop(None)
+                self._start_bridge()
+            case SupervisorAction.KILL_BRIDGE:
+                self._bridge.child.send(signal.SIGKILL)
+            case SupervisorAction.LET_GO:
+                timeout_s = _SERVO_TIMEOUT_S if self._holds(Asked.STOP) else 0.0
+                self._release = self._servos.make_release(timeout_s)
+                self._release_s = self._now_s
+            case SupervisorAction.DROP_RELEASE:
+                self._drop_release()
+            case SupervisorAction.STOP_SINCE_FAILED:
+                status = self._bridge_status
+                self._start_error = self._start_error or f"could not be started (status {status})"
+                self._request = StopRequest(StopLevel.LIMP, "a start that failed")
+            case SupervisorAction.TELL_READY:
+                self._n_ready += 1
+                self._start_error = ""
+                self._notice.ready()
+            case SupervisorAction.TELL_STOPPED:
+                self._tell_stopped()
+            case SupervisorAction.TELL_END:
+                self._drop_release()
+                self.report = self._end_report
 
     def _filenos(self) -> list[int]:
         control = [] if self._bridge.serves else self._control.filenos()
@@ -225,21 +286,17 @@ class Supervisor:
                 case Stopped(level, ends, requested_by):
                     self._hold_stop(StopRequest(level, requested_by, ends))
                 case Started():
-                    self._stop = None
+                    self._request = self._stop_report = None
+                    self._failed.clear()
                     self._record.stop(None)
-                case NotStarted(reason):
-                    self._start_error = (
-                        f"could not be started: {reason}" if self._comes_back else ""
-                    )
+                case NotStarted(reason) if self._phase is Phase.RETURNING:
+                    self._start_error = f"could not be started: {reason}"
                 case Failed(index, reason):
                     self._failed[index] = reason
                 case Switched(index, on):
                     self._hold_switched(index, on=on)
                 case Ready():
-                    self._ran_well = True
-                    self._comes_back = False
-                    self._start_error = ""
-                    self._notice.ready()
+                    self._fire(SupervisorEvent.READY)
                 case _:
                     pass
         for message in self._speech.child.read():
@@ -248,11 +305,13 @@ class Supervisor:
 
     def _hold_stop(self, request: StopRequest) -> None:
         """Keep a stop whatever process dies: soft replaces freeze, and limp replaces any stop."""
-        self._ends = self._ends or request.ends
-        if not (self._is_ending and request.level is not StopLevel.LIMP):
-            self._stop = request
+        ends = request.ends or self._holds(Asked.END)
+        if not self._holds(Asked.STOP) or request.level is StopLevel.LIMP:
+            self._request = replace(request, ends=ends)
             self._record.stop(request)
-        if self._ends:
+        elif self._request is not None:
+            self._request = replace(self._request, ends=ends)
+        if ends:
             self._speech.child.send(signal.SIGTERM)
 
     def _hold_switched(self, index: int, *, on: bool) -> None:
@@ -272,18 +331,19 @@ class Supervisor:
         if n_signals == self._n_signals:
             return
         self._n_signals = n_signals
-        if self._signal_s is None:
-            self._signal_s = now_s
+        self._signal_s = min(self._signal_s, now_s)
         level = StopLevel.SOFT if n_signals == 1 else StopLevel.LIMP
         _LOG.info("stop requested: %s, by %s", level.value, name)
-        self._ends = True
-        if not (self._is_ending and level is StopLevel.SOFT):
+        if level is StopLevel.SOFT and self._request is not None and self._holds(Asked.STOP):
+            self._request = replace(self._request, ends=True)
+        else:
             # A service manager's end is no person's stop: nothing of it outlives this process.
-            self._stop = StopRequest(level, name, ends=True)
+            self._request = StopRequest(level, name, ends=True)
         self._speech.child.send(signal.SIGTERM)
         self._bridge.child.send(signal.SIGTERM)
+        self._fire(SupervisorEvent.SIGNAL)
 
-    def _serve_control(self, now_s: float) -> None:
+    def _serve_control(self) -> None:
         if self._bridge.serves:
             self._control.send_away()  # a client let in here would wait for ever for an answer
             return
@@ -291,68 +351,46 @@ class Supervisor:
             request = self._control.poll()
             if request is not None:
                 self._obey_stop(request)
-            self._control.answer(self.status)
+            self._control.answer(self.status, self._of_stop)
             for order in self._control.take_orders():
                 if isinstance(order, StartFace):
-                    self._obey_start(order, now_s, is_stopped_now=request is not None)
+                    self._obey_start(order, is_stopped_now=request is not None)
                 elif isinstance(order, ServoOrder):
-                    self._switched_off.add(self._index_of(order.name))
+                    is_on = order.switch is ServoSwitch.ON
+                    self._hold_switched(self._index_of(order.name), on=is_on)
             if request is None:
                 return
 
     def _obey_stop(self, request: StopRequest) -> None:
         self._hold_stop(request)
-        if self._phase is _Phase.STOPPED:
-            self._stopped_again()
-        else:
-            self._bridge.child.send(signal.SIGKILL)  # one that starts does not know of the stop
-            if self._level is StopLevel.FREEZE and self._phase is _Phase.RELEASING:
-                self._drop_release()
+        is_freeze = request.level is StopLevel.FREEZE
+        self._fire(SupervisorEvent.FREEZE if is_freeze else SupervisorEvent.STOP)
         by = request.requested_by
         _LOG.info("stop requested: %s, by %s; no bridge runs", request.level.value, by)
-
-    def _stopped_again(self) -> None:
-        """Obey a stop or signal while the face is limp: end the face, or repeat torque off."""
-        report = self._stop_report
-        assert report is not None
-        if self._ends:
-            self._finish(
-                report, ExitStatus.ENDED_WELL if report.complete else ExitStatus.UNCONFIRMED
-            )
-        else:
-            self._release_again_s = 0.0
 
     def _refusal(self, order: Order) -> str:
         """Return in a line why an order is refused while no bridge runs; empty: accepted."""
         match order:
-            case StartFace() if self._is_kept:
+            case StartFace() if self._holds(Asked.KEPT):
                 return ""
-            case StartFace() if self._is_ending:
+            case StartFace() if self._holds(Asked.STOP):
                 return START_WHILE_STOPPING
-            case StartFace() if self._level is StopLevel.FREEZE:
+            case StartFace() if self._holds(Asked.FREEZE):
                 return "the bridge of the frozen face is being replaced: start it in a moment"
             case StartFace():
                 return "the face is being started already"
-            case ServoOrder(name, ServoSwitch.OFF) if name in self._servo_names:
-                return ""  # of a stopped face: it stays off when that is started again
+            case ServoOrder(name, ServoSwitch.OFF | ServoSwitch.ON) if name in self._servo_names:
+                return ""  # it is done when the face is started
         return f"{self._phase.value}: ask again once the face is driven"
 
-    def _obey_start(self, order: StartFace, now_s: float, *, is_stopped_now: bool) -> None:
+    def _obey_start(self, order: StartFace, *, is_stopped_now: bool) -> None:
         """Start the face's bridge as the order demands, unless the face was stopped in this round.
 
         is_stopped_now: whether it was. A start of a face that is not stopped is ignored, too.
         """
-        if is_stopped_now or not self._is_kept:
-            why_not = "not obeyed, a stop came with it"
-            _LOG.info("start requested by %s: %s", order.requested_by, why_not)
-            return
-        _LOG.info("start requested by %s", order.requested_by)
-        self._stop, self._stop_report, self._start_error = None, None, ""
-        self._comes_back = True
-        self._failed.clear()
-        self._record.stop(None)
-        self._drop_release()
-        self._start_bridge(now_s)
+        is_obeyed = not is_stopped_now and self._fire(SupervisorEvent.START)
+        then = "" if is_obeyed else ": not obeyed, a stop came with it"
+        _LOG.info("start requested by %s%s", order.requested_by, then)
 
     def _index_of(self, name: str) -> int:
         return self._servo_names.index(name)
@@ -360,119 +398,86 @@ class Supervisor:
     def _watch_speech(self, ended: int | None, now_s: float) -> None:
         speech = self._speech
         if ended is not None:
-            if not self._ends:
+            if not self._holds(Asked.END):
                 speech.note_end(ended, now_s)
         elif speech.child.pid is not None:
             speech.kill_if_hung(now_s)
-        elif not self._ends and now_s >= speech.due_s:
+        elif not self._holds(Asked.END) and now_s >= speech.due_s:
             zero = [] if self._zero_s is None else ["--zero-s", repr(self._zero_s)]
             speech.start(zero, now_s)
 
     def _watch_bridge(self, ended: int | None, now_s: float) -> None:
         if ended is not None:
             self._bridge_ended(ended, now_s)
-        elif self._phase is _Phase.RUNNING:
+        elif self._release is not None:
+            self._release_on(self._release, now_s)
+        elif self._bridge.child.pid is not None:
             self._bridge.kill_if_hung(now_s)
-            if self._signal_s is not None and now_s > self._signal_s + _END_S:
+            if now_s > self._signal_s + _END_S:
                 self._bridge.kill(f"has not ended within {_END_S:g} s")
-        elif self._phase is _Phase.RELEASING:
-            self._release_on(now_s)
-        elif self._phase is _Phase.STOPPED:
-            self._watch_stopped(now_s)
-        elif self._is_ending:
-            self._begin_release(now_s)
-        elif now_s >= self._bridge.due_s:
-            self._start_bridge(now_s)
+        elif self._phase is Phase.STOPPED:
+            if now_s >= self._release_again_s:
+                self._fire(SupervisorEvent.AGAIN)
+        elif self._holds(Asked.STOP) or now_s >= self._bridge.due_s:
+            self._fire(SupervisorEvent.DUE)
 
-    def _watch_stopped(self, now_s: float) -> None:
-        """End a stopped face at a signal, or repeat torque off for servos that did not confirm."""
-        if self._ends:
-            self._stopped_again()
-        elif now_s >= self._release_again_s:
-            self._begin_release(now_s)
-
-    def _start_bridge(self, now_s: float) -> None:
+    def _start_bridge(self) -> None:
         arguments = []
-        if self._stop is not None:
-            arguments += ["--stopped", self._stop.level.value]
-            arguments += ["--stopped-by", self._stop.requested_by]
+        if self._request is not None:
+            arguments += ["--stopped", self._request.level.value]
+            arguments += ["--stopped-by", self._request.requested_by]
         for index, reason in self._failed.items():
             arguments += ["--failed", f"{index}={reason}"]
         for index in sorted(self._switched_off):
             arguments += ["--switched-off", str(index)]
-        self._bridge.start(arguments, now_s)
-        self._phase = _Phase.RUNNING
+        self._bridge.start(arguments, self._now_s)
 
     def _bridge_ended(self, status: int, now_s: float) -> None:
-        self._last_status = status
+        self._bridge_status = status
         if status == ExitStatus.ENDED_WELL:
-            self._comes_back = False
             self._conclude(let_go_report(self._servos.can, {}), status)
+            self._fire(SupervisorEvent.ENDED_WELL)
             return
         self._bridge.note_end(status, now_s)
-        if self._comes_back and status > 0 and not self._is_ending:
-            self._comes_back = False
-            self._start_error = self._start_error or f"could not be started (status {status})"
-            self._stop = StopRequest(StopLevel.LIMP, "a start that failed")
-        if self._level is StopLevel.FREEZE and status != ExitStatus.CRITICAL_SERVO_FAILED:
-            self._phase = _Phase.WAITING  # what is held stays held
+        if status in _HOPELESS:
+            self._fire(SupervisorEvent.HOPELESS)
         else:
-            self._begin_release(now_s)
-
-    def _may_restart(self) -> bool:
-        """Return whether the bridge may be restarted after its last exit status.
-
-        A bridge that failed at its first start has reported why, and stays down.
-        """
-        failed_at_start = not self._ran_well and self._last_status > 0
-        hopeless = (ExitStatus.CRITICAL_SERVO_FAILED, ExitStatus.UNCONFIRMED)
-        return self._last_status not in hopeless and not failed_at_start
-
-    def _begin_release(self, now_s: float) -> None:
-        self._phase = _Phase.RELEASING
-        self._release = self._servos.make_release(_SERVO_TIMEOUT_S if self._is_ending else 0.0)
-        self._release_s = now_s
+            self._fire(SupervisorEvent.DIED if status < 0 else SupervisorEvent.FAILED)
 
     def _drop_release(self) -> None:
         if self._release is not None:
             self._release.close()
             self._release = None
-        self._phase = _Phase.WAITING
 
-    def _release_on(self, now_s: float) -> None:
-        """Run a step of switching torque off by force; then restart the bridge or end the face."""
-        assert self._release is not None
-        if now_s >= self._release.next_s and self._release.step():
-            self._released(self._release)
-        elif self._release.port_error:
-            if self._release.port_error != self._port_error:
-                self._port_error = self._release.port_error
+    def _release_on(self, release: FaceRelease, now_s: float) -> None:
+        """Run a step of switching torque off by force; fire the event of its end."""
+        if now_s >= release.next_s and release.step():
+            self._port_error = ""
+            report = self._report_of(release)
+            _LOG.log(report.log_level, "%s", report.line())
+            unconfirmed = ExitStatus.UNCONFIRMED if report.unconfirmed else ExitStatus.ENDED_WELL
+            is_own = self._holds(Asked.STOP) or self._bridge_status == ExitStatus.UNCONFIRMED
+            self._conclude(report, unconfirmed if is_own else self._bridge_status)
+            self._fire(SupervisorEvent.RELEASED)
+        elif release.port_error:
+            if release.port_error != self._port_error:
+                self._port_error = release.port_error
                 _LOG.warning("torque cannot be switched off yet: %s", self._port_error)
             if now_s >= self._give_up_s():
-                failed = max(self._last_status, 1)
-                status = ExitStatus.UNCONFIRMED if self._is_ending else failed
-                self._conclude(self._report_of(self._release), status)
+                failed = max(self._bridge_status, 1)
+                status = ExitStatus.UNCONFIRMED if self._holds(Asked.STOP) else failed
+                self._conclude(self._report_of(release), status)
+                self._fire(SupervisorEvent.PORT_STUCK)
 
     def _give_up_s(self) -> float:
         """Return the monotonic time until which a lost port is waited for; infinity: for ever."""
-        if not self._ran_well:
+        if self._n_ready == 0:
             return self._release_s + _START_TIMEOUT_S
-        if not self._is_ending:
-            return float("inf") if self._may_restart() else self._release_s + PORT_WAIT_S
-        if self._signal_s is None:
-            return float("inf")  # who stopped it by the socket can ask how it is, and signal
+        if not self._holds(Asked.STOP):
+            is_over = self._phase is Phase.GIVING_UP
+            return self._release_s + PORT_WAIT_S if is_over else float("inf")
+        # Who stopped it by the socket can ask how it is, and signal.
         return self._signal_s + (PORT_WAIT_S if self._n_signals <= 2 else 0.0)
-
-    def _released(self, release: FaceRelease) -> None:
-        self._port_error = ""
-        self._drop_release()
-        report = self._report_of(release)
-        status: int = ExitStatus.UNCONFIRMED if report.unconfirmed else ExitStatus.ENDED_WELL
-        if not self._is_ending and self._last_status != ExitStatus.UNCONFIRMED:
-            status = self._last_status
-        _LOG.log(report.log_level, "%s", report.line())
-        if self._is_ending or not self._may_restart():
-            self._conclude(report, status)
 
     def _report_of(self, release: FaceRelease) -> StopReport:
         let_go = {name: self._servos.can[name] for name in release.let_go}
@@ -480,34 +485,28 @@ class Supervisor:
         return let_go_report(let_go, release.unconfirmed, confirms=confirms)
 
     def _conclude(self, report: StopReport, status: int) -> None:
-        """Handle the end of switching torque off, with `report`, and `status` to exit with.
+        """Note what the servos said when torque was off, and with what the process would exit."""
+        self._end_report, self._at_s = report, round(time.time(), 3)
+        self.exit_status = int(status)
 
-        After a person's stop the face waits for a start; otherwise, or if the stop ends the
-        process, the face ends.
-        """
-        if self._ends or not self._is_ending:
-            self._finish(report, status)
-            return
+    def _tell_stopped(self) -> None:
+        """Report the end of a stop to who asked for it; the face waits, limp, for a start."""
         self._drop_release()
-        self._phase = _Phase.STOPPED
-        self._stop_report, self._at_s = report, round(time.time(), 3)
-        self._last_status = 0
+        report = self._stop_report = self._end_report
+        self._bridge_status = 0
+        self.exit_status = ExitStatus.ENDED_WELL if report.complete else ExitStatus.UNCONFIRMED
         self._release_again_s = float("inf") if report.complete else self._now_s + _RELEASE_AGAIN_S
-        self._control.report_end({"waits": True, **report.as_dict()})
+        self._control.report_end({"waits": True, **report.as_dict(), **self._kept()})
         waits = "the face waits: `lipservo start` starts it again"
         _LOG.log(report.log_level, "%s; %s", report.text(), waits)
         self._notice.ready()  # a service that came up stopped is up
 
-    def _finish(self, report: StopReport, status: int) -> None:
-        self._drop_release()
-        self.report, self.exit_status = report, int(status)
-
     def _tell_service(self, now_s: float) -> None:
-        """Notify systemd's watchdog while the face is driven, stopped, or recovering.
+        """Tell systemd that the face is looked after: it is driven, stopped, or recovering.
 
         A recovery counts for 60 s, but without limit while it waits for a lost port.
         """
-        if self._bridge.serves or self._port_error or self._phase is _Phase.STOPPED:
+        if self._bridge.serves or self._port_error or self._phase is Phase.STOPPED:
             self._well_s = now_s
         if now_s - self._well_s < _RECOVERY_S:
             self._notice.alive()

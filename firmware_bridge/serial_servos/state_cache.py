@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_bridge.bus import Array, Health
+from firmware_bridge.known_torque import SILENT_S, KnownTorque
 
 _Kind = TypeVar("_Kind", bound=np.generic)
 
@@ -32,9 +33,9 @@ class ServoStateCache:
 
     pulses, goals: position registers, NaN = never received; effort: share of the stall torque; low,
     high: the servo's own limits in pulses; heard_s: when the servo answered last; enabled: torque
-    was switched on by us and not confirmed off since. `health` and the bus's feedback return these
-    arrays without a copy, in every tick: so arrays are replaced, by `set_one` for one servo, and
-    never written into.
+    was switched on by us and not confirmed off since; torque: what is known of it. `health` and the
+    bus's feedback return these arrays without a copy, in every tick: so arrays are replaced, by
+    `set_one` for one servo, and never written into.
     """
 
     def __init__(
@@ -62,7 +63,7 @@ class ServoStateCache:
         self.no_age_s = read_only(np.zeros(n))
         self.errors = self.no_errors
         self.heard_s = np.full(n, -np.inf)
-        self.torque = read_only(np.zeros(n, dtype=np.bool_))
+        self.torque = KnownTorque(n)
         self.enabled = np.zeros(n, dtype=np.bool_)
         self.tripped = read_only(np.zeros(n, dtype=np.bool_))
         self.hardware = self.no_errors
@@ -93,7 +94,9 @@ class ServoStateCache:
         self.heard_s[index] = now_s
 
     def ages(self, answered: Sequence[int], now_s: float) -> Array:
-        """Return how long ago each servo answered last.
+        """Return how long ago each servo answered last, after a read that some did not answer.
+
+        The torque of a servo that has been silent for half a second is unknown from now on.
 
         Parameters
         ----------
@@ -109,6 +112,7 @@ class ServoStateCache:
         """
         ages = np.maximum(now_s - self.heard_s, 1e-9)
         ages[[self.index[each] for each in answered]] = 0.0
+        self.torque.forget(np.flatnonzero(ages >= SILENT_S).tolist())
         return ages
 
     def count_silent(self, ages_s: Array) -> None:
@@ -138,7 +142,7 @@ class ServoStateCache:
         """
         return Health(
             silent_s=now_s - self.heard_s,
-            torque_on=self.torque,
+            torque=self.torque.states,
             watchdog_tripped=self.tripped,
             hardware_errors=self.hardware,
             temperature_degc=self.temperature_degc,

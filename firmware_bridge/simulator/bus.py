@@ -13,6 +13,7 @@ from firmware_bridge.capabilities import IN_MEMORY, BusCapabilities
 from firmware_bridge.clock import Clock
 from firmware_bridge.errors import PortError
 from firmware_bridge.joints import SERVO_LIMIT_MARGIN_DEG, Joint
+from firmware_bridge.known_torque import KnownTorque
 
 #: XL330-M288-T without load at 5 V: 103 rev/min;
 #: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#specifications
@@ -76,6 +77,7 @@ class SimulatedBus:
         self._goals_deg = np.zeros(n_servos)
         self._errors = np.zeros(n_servos, dtype=np.uint8)
         self._torque_on = np.zeros(n_servos, dtype=np.bool_)
+        self.torque = KnownTorque(n_servos)
         self._is_open = False
         self._moved_until_s = clock.now()
         self._history: deque[Motion] = deque(maxlen=n_remembered)
@@ -125,7 +127,7 @@ class SimulatedBus:
             time_s=self._moved_until_s,
             positions_deg=self._places_deg,
             goals_deg=self._goals_deg,
-            torque_on=self._torque_on,
+            torque=self._tell_torque(),
             errors=self._errors,
             age_s=np.zeros(self._goals_deg.shape),
         )
@@ -145,7 +147,7 @@ class SimulatedBus:
         n_servos = len(self._goals_deg)
         return Health(
             silent_s=self._nothing,
-            torque_on=self._torque_on,
+            torque=self._tell_torque(),
             watchdog_tripped=np.zeros(n_servos, dtype=np.bool_),
             hardware_errors=np.zeros(n_servos, dtype=np.uint8),
             temperature_degc=np.where(self._has_heat, 25.0, np.nan),
@@ -201,6 +203,7 @@ class SimulatedBus:
         """
         self._move()
         self._torque_on = np.zeros(self._goals_deg.shape, dtype=np.bool_)
+        self._tell_torque()
         return np.ones(self._goals_deg.shape, dtype=np.bool_)
 
     def reboot(self, index: int) -> None:
@@ -208,7 +211,8 @@ class SimulatedBus:
         self.disable_torque(index)
 
     def reopen(self) -> None:
-        """Do nothing: memory is never unplugged."""
+        """Forget what is known of torque, as every bus does; memory is never unplugged."""
+        self.torque.forget()
 
     @property
     def _places_deg(self) -> Array:
@@ -218,6 +222,14 @@ class SimulatedBus:
     def _set_torque_of(self, index: int, *, on: bool) -> None:
         self._torque_on = self._torque_on.copy()
         self._torque_on[index] = on
+        self.torque.note(index, self._clock.now(), on=on)
+
+    def _tell_torque(self) -> NDArray[np.int8]:
+        """Note the torque of every servo as read now; return numbers of `Torque`, (n_servos,)."""
+        now_s = self._clock.now()
+        for index, on in enumerate(self._torque_on.tolist()):
+            self.torque.note(index, now_s, on=on)
+        return self.torque.states
 
     def push_by_hand(self, positions_deg: Array) -> None:
         """Move limp joints to these positions, as by hand; joints with torque on stay.

@@ -199,7 +199,7 @@ def json_line(moment: datetime, number: int, servos: Sequence[ServoHealth]) -> b
         "errors": [servo.hardware_errors for servo in servos],
         "reboots": [servo.n_reboots for servo in servos],
         "unanswered": [servo.n_unanswered for servo in servos],
-        "torque_on": [int(servo.torque_on) for servo in servos],
+        "torque_on": [_number(servo.torque_on, 0) for servo in servos],
     }
     return (json.dumps(record, separators=(",", ":")) + "\n").encode()
 

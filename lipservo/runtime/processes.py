@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 from firmware_bridge.errors import BusError
 from firmware_bridge.loop.report import TickReport
 from firmware_bridge.process.control_socket import ControlSocket
-from firmware_bridge.process.lifeline import Lifeline
+from firmware_bridge.process.lifeline import Began, Lifeline, NotStarted, Ready
 from firmware_bridge.process.logs import face_logs
 from firmware_bridge.stop_signals import SignalCounter
 from firmware_bridge.stopping import ExitStatus, StopRequest
@@ -90,7 +90,9 @@ def run_bridge_process(
         how = DriveOptions(
             rate_hz=face.rate_hz,
             control=face.control(face.commands(shared.add_settings), shared.describe, live),
-            supervised=Supervised(handed.lifeline, control, stopped, given_up, switched_off),
+            supervised=Supervised(
+                handed.lifeline, control, stopped, given_up, switched_off, shared.not_kept
+            ),
         )
         channel = SocketTargetChannel(end)
         driven: DrivenFace | None = None
@@ -103,7 +105,7 @@ def run_bridge_process(
                 _drive(driven, handed.lifeline, observers)
         except BusError as error:
             if driven is None or not driven.bridge.failure:
-                handed.lifeline.not_started(" ".join(str(error).split()))
+                handed.lifeline.tell(NotStarted(" ".join(str(error).split())))
                 raise
             _LOG.warning("%s", error)
             return ExitStatus.CRITICAL_SERVO_FAILED
@@ -126,7 +128,7 @@ def _drive(
             observe(report)
         if not began and driven.bridge.settled:
             began = True
-            lifeline.ready()
+            lifeline.tell(Ready())
 
 
 def run_speech_process(
@@ -173,7 +175,7 @@ def run_speech_process(
         else:
             _LOG.info("%s goes on at %.1f s", source.name, start_s)
             side.begin(zero_s if request.voice is None else clock.now())
-        handed.lifeline.began(zero_s)
+        handed.lifeline.tell(Began(zero_s))
         listener = None if agents is None else socket.socket(fileno=agents)
         serving = voice_agents(listener, side, requested)
         url = stack.enter_context(serving)
@@ -299,6 +301,7 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
             ),
             notice=ServiceNotice(),
             record=record,
+            tell_kept=board.write_not_kept,
         )
         supervisor.run(signals)
         _tell_end(request, supervisor, whole_status({**about, "state": "ended"}, board.speech()))

@@ -238,7 +238,9 @@ class TerminalView:
         tick = self._tick
         if tick is None:
             return Text(self._title)
-        torque = "" if tick.report.torque_on else "   torque off"
+        torque = {True: "", False: "   torque off", None: "   torque unknown"}[
+            tick.report.torque_on
+        ]
         title = Text(self._title + torque, style="bold")
         speech = self._status.speech
         fallback = f", fallback {speech.fallback_level}" if speech.fallback_level else ""

@@ -12,7 +12,8 @@ from firmware_bridge.clock import ManualClock
 from firmware_bridge.errors import PortError, PortGone, ServoError
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge, face_status
-from firmware_bridge.loop.report import BridgeSettings, FaceState
+from firmware_bridge.loop.face_table import FaceState
+from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.several_buses import SeveralBuses
 from firmware_bridge.simulator.bus import SimulatedBus

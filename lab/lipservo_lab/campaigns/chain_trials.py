@@ -104,7 +104,7 @@ class ChainStage:
     def look_at_last(self) -> None:
         """Check that torque is as the bus reports it."""
         if self.chain.plugged:
-            believed = self.bus.look_after().torque_on
+            believed = self.bus.look_after().torque
             for servo, belief in zip(self.chain.servos, believed, strict=True):
                 reachable = self.is_reachable(servo, self.clock.now())
                 self.n_unknown += reachable and self.holds(servo) != belief

@@ -207,7 +207,11 @@ class StopInTheFault:
         self._auditor.note_stop(now_s, level)
         return StopRequest(level)
 
-    def answer(self, status: Callable[[], Mapping[str, object]]) -> None:
+    def answer(
+        self,
+        status: Callable[[], Mapping[str, object]],
+        of_stop: Callable[[], Mapping[str, object]],
+    ) -> None:
         """Drop an answer: no client waits for one."""
 
     def attend(self, refusal: Callable[[Order], str]) -> None:

@@ -41,7 +41,7 @@ def servo(
         return answer if "error" in answer else {**answer, **_confirmed(each, name, switch)}
 
     def answer_line(answer: dict[str, Any]) -> str:
-        return f"servo {name} is {answer['state']}"
+        return answer.get("then") or f"servo {name} is {answer['state']}"
 
     ask_faces(face, control, request, answer_line, as_json=as_json)
 
@@ -49,12 +49,15 @@ def servo(
 def _confirmed(face: RunningFace, name: str, switch: ServoSwitch) -> dict[str, Any]:
     """Poll the face until servo `name` has switched, 5 s at most.
 
-    Returns {"state"}, with "error", one line, if that is not the state requested.
+    Returns {"state"}, with "error", one line, if that is not the state requested; with "then" where
+    a stopped face will do it at its start.
     """
     give_up_s = time.monotonic() + _PATIENCE_S
     while True:
         status = ask(face.path, "status")
         state = dict(status.get("servos") or {}).get(name, "unknown")
+        if switch is ServoSwitch.ON and status.get("stopped") is not None:
+            return {"state": state, "then": f"servo {name} comes on when the face is started"}
         if state in _DONE[switch]:
             return {"state": state}
         if time.monotonic() > give_up_s:

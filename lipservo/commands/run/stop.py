@@ -27,7 +27,7 @@ _STATUS_S = 1.0
 _START_S = 20.0
 _LOOK_EVERY_S = 0.1
 #: While it is brought up; any other state is the end of it.
-_ON_ITS_WAY = ("the bridge starts", "driven")
+_ON_ITS_WAY = ("the bridge starts", "the bridge starts again", "starting", "driven")
 
 
 _FLAGS: Final = {"--limp": "limp", "--freeze": "freeze", "--end": "end"}
@@ -101,7 +101,7 @@ def stop(
 def start(face: FaceName = None, control: Control = None, as_json: Json = False) -> None:
     """Drive a stopped face again, through the ordinary checks. It moves: keep your hands away.
 
-    Exit status 1 unless it came to be driven.
+    Every servo is tried again, one that was given up, too. Exit status 1 unless all hold.
     """
 
     def started(each: RunningFace) -> dict[str, Any]:
@@ -115,9 +115,9 @@ def start(face: FaceName = None, control: Control = None, as_json: Json = False)
 
 
 def _come_back(face: RunningFace) -> dict[str, Any]:
-    """Poll a started face until all servos are driven, 20 s at most.
+    """Poll a started face until all servos hold that are not switched off, 20 s at most.
 
-    Returns {"state", "servos"}, the servos by name, or {"error": why} if they are not.
+    Returns {"state", "servos"}, the servos by name, or {"error": why} if they do not.
     """
     give_up_s = time.monotonic() + _START_S
     while True:
@@ -127,12 +127,13 @@ def _come_back(face: RunningFace) -> dict[str, Any]:
             found = {"state": _ON_ITS_WAY[0]}
         state, servos = found.get("state"), dict(found.get("servos") or {})
         troubles = "; ".join(found.get("troubles") or ())
-        if state == "driven" and servos and set(servos.values()) == {"driven"}:
+        if state == "driven" and servos and set(servos.values()) - {"off"} == {"driven"}:
             return {"state": state, "servos": servos}
         if state not in _ON_ITS_WAY:
             return {"error": troubles or f"not driven: {state}"}
         if time.monotonic() > give_up_s:
-            return {"error": troubles or f"not driven within {_START_S:g} s: {state}"}
+            without = f"{state}{_servos(found)}" if servos else f"not driven: {state}"
+            return {"error": "; ".join(filter(None, (without, troubles)))}
         time.sleep(_LOOK_EVERY_S)
 
 

@@ -60,7 +60,8 @@ class Supervised:
     lifeline: the connection to the supervisor. control_fd: descriptor of the face's listening
     control socket. stopped: a person's stop that was in force when the previous bridge process
     died. given_up: reasons for servos that stay limp, by index. switched_off: indices of servos
-    that a person switched off.
+    that a person switched off. not_kept: returns why a stop cannot be kept beyond the supervisor,
+    in one line; empty: it can.
     """
 
     lifeline: Heartbeat
@@ -68,6 +69,7 @@ class Supervised:
     stopped: StopRequest | None
     given_up: Mapping[int, str]
     switched_off: Collection[int]
+    not_kept: Callable[[], str] = str
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +165,7 @@ def face_life(
             None if watched is None else watched.lifeline,
             partial(face_status, bridge),
             None if healths is None else healths.offer,
+            str if watched is None else watched.not_kept,
         )
         stopped = None if watched is None else watched.stopped
         yield stack.enter_context(

@@ -51,7 +51,9 @@ class Outcome:
 
     problem: empty when the request could be carried out. waits: the face's process lives on, limp,
     and can be started again. released: servos with torque off that cannot confirm it;
-    released_words: their state, in words.
+    released_words: their state, in words. holds, limp, unknown: of a freeze, the servos that hold,
+    that are limp, and of which neither is known. not_kept: why the stop is forgotten when the
+    face's processes end; empty: it is not.
     """
 
     name: str
@@ -63,24 +65,34 @@ class Outcome:
     waits: bool = False
     released: list[str] = field(default_factory=list)
     released_words: str = ""
+    holds: list[str] = field(default_factory=list)
+    limp: list[str] = field(default_factory=list)
+    unknown: list[str] = field(default_factory=list)
+    not_kept: str = ""
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether there was no problem and no servo failed to confirm torque off."""
-        return not (self.problem or self.unconfirmed)
+        """Whether there was no problem, and each servo confirmed torque off, or holds as asked."""
+        return not (self.problem or self.unconfirmed or self.unknown)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the fields by name for JSON, without `released*` if no servo was released."""
+        """Return the fields by name for JSON; those about released or held servos where set."""
         return {
-            name: value
-            for name, value in asdict(self).items()
-            if self.released or not name.startswith("released")
+            name: value for name, value in asdict(self).items() if value or name not in _WHERE_SET
         }
 
     def text(self, done: str) -> str:
         """Return the outcome in one line for a person. done: the state reached, as "limp"."""
+        line = self._line(done)
+        if self.not_kept:
+            line += f"; the next start of its process will not know of this stop: {self.not_kept}"
+        return line
+
+    def _line(self, done: str) -> str:
         if self.problem:
             return f"{self.name}: {self.problem}"
+        if self.holds or self.limp or self.unknown:
+            return f"{self.name}: {self._held_words()}"
         if self.released and not self.unconfirmed:
             also = f"; confirmed by {len(self.confirmed)} servos" if self.confirmed else ""
             return f"{self.name}: {self.released_words} ({len(self.released)} servos){also}"
@@ -90,6 +102,22 @@ class Outcome:
             return f"{self.name}: {done}{by}{waits}"
         left = named_by_reason(self.unconfirmed)
         return f"{self.name}: confirmed by {len(self.confirmed)} servos, NOT by {left}"
+
+    def _held_words(self) -> str:
+        """Return which servos of a frozen face hold, which are limp, and which may be either."""
+        parts = [f"held where it is: {len(self.holds)} servos hold" if self.holds else ""]
+        if self.limp:
+            limp = f"{', '.join(self.limp)} limp" if self.holds else f"{len(self.limp)} servos limp"
+            parts.append(limp)
+        if self.unknown:
+            parts.append(f"not known of {', '.join(self.unknown)}")
+        if not self.holds:
+            parts[0] = "nothing is known to be held" if self.unknown else "nothing is held"
+        return "; ".join(filter(None, parts))
+
+
+#: What an outcome says only where there is something to say.
+_WHERE_SET: Final = ("released", "released_words", "holds", "limp", "unknown", "not_kept")
 
 
 def stop_faces(
@@ -132,7 +160,12 @@ def _await_stop(
         outcome.problem = f"has gone: {error.strerror or error}; `lipservo limp --port PORT`"
         return outcome
     outcome.port = answer.get("port")
+    outcome.not_kept = str((report or answer).get("not_kept", ""))
     if level is StopLevel.FREEZE:
+        outcome.holds, outcome.limp = list(answer["holds"]), list(answer["limp"])
+        outcome.unknown = list(answer["unknown"])
+        if not (outcome.holds or outcome.unknown):
+            outcome.unconfirmed = dict.fromkeys(outcome.limp, "limp: nothing is held")
         return outcome
     if report is not None:
         outcome.confirmed = list(report.get("confirmed", ()))

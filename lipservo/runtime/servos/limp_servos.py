@@ -13,6 +13,7 @@ import numpy as np
 from firmware_bridge.bus import ServoBus
 from firmware_bridge.clock import Clock
 from firmware_bridge.errors import PortError
+from firmware_bridge.known_torque import Torque
 from firmware_bridge.stopping import StopReport
 from lipservo.settings.settings import FaceSettings
 from lipsync.arrays import Array
@@ -80,7 +81,7 @@ class LimpServos:
         """Return positions (degrees) and obstacles read from the servos now. Raises PortGone."""
         feedback = self._bus.read()
         positions_deg = feedback.positions_deg[self._indices]
-        silent, held = feedback.missing[self._indices], feedback.torque_on[self._indices]
+        silent, held = feedback.missing[self._indices], feedback.torque[self._indices] == Torque.ON
         obstacles: dict[str, str] = {}
         for n, name in enumerate(self.names):
             if silent[n]:

@@ -19,7 +19,8 @@ import numpy as np
 
 from firmware_bridge.bus import Array, Feedback, any_set
 from firmware_bridge.loop.bridge import Bridge
-from firmware_bridge.loop.report import FaceState, TickReport
+from firmware_bridge.loop.face_table import FaceState
+from firmware_bridge.loop.report import TickReport
 from firmware_bridge.loop.servo_supervision import SILENT_S
 from lipsync.face.frame import NO_EXPRESSION, Expression
 
@@ -256,7 +257,7 @@ class ServoBoard:
             encoder_deg=self._never if feedback is None else _answered_deg(feedback),
             effort=self._never if feedback is None else feedback.effort,
             state=self._numbers[self._bridge.state],
-            torque_on=report.torque_on,
+            torque_on=report.torque_on is not False,  # what is not known may hold
             n_ticks=n_ticks,
             n_late=n_late,
             n_stale=n_stale,

@@ -94,7 +94,15 @@ class StatusBoard:
 
     def write_stopped(self, *, is_stopped: bool) -> None:
         """Write whether a person has stopped the face, for the speech process to follow."""
-        self._stop.write({"is_stopped": is_stopped})
+        self._stop.write({**self._stop.read(), "is_stopped": is_stopped})
+
+    def write_not_kept(self, why: str) -> None:
+        """Write why a stop cannot be kept beyond the face's processes; empty: it can."""
+        self._stop.write({**self._stop.read(), "not_kept": why})
+
+    def not_kept(self) -> str:
+        """Return what `write_not_kept` wrote last; empty before anything was written."""
+        return str(self._stop.read().get("not_kept", ""))
 
     def is_stopped(self) -> bool:
         """Return whether a person has stopped the face; False before anything was written."""

@@ -24,7 +24,7 @@ def test_goals_in_joint_degrees_arrive_whatever_sign_and_offset():
 
     np.testing.assert_allclose(readings.positions_deg, [10.0, -20.0, 30.0, 0.5], atol=0.2)
     np.testing.assert_allclose(readings.goals_deg, [10.0, -20.0, 30.0, 0.5], atol=0.05)
-    assert readings.torque_on.all()
+    assert (readings.torque == 1).all()
     assert not readings.errors.any()
     assert not readings.missing.any()
     assert face.chain.counts.contention == 0

@@ -177,7 +177,7 @@ def test_a_bus_just_entered_is_limp_and_says_where_everybody_stands(face):
         assert readings.positions_deg.shape == (N,)
         has_place = [bus.capabilities.of(n).place for n in range(N)]
         assert np.isfinite(readings.positions_deg).tolist() == has_place
-        assert not readings.torque_on.any()
+        assert not readings.torque.any()
 
 
 def test_what_a_bus_can_do_is_known_before_its_port_is_open(face):
@@ -237,10 +237,10 @@ def test_goals_are_reached_and_leaving_lets_go(face):
         assert eventually(
             lambda: np.abs(bus.read().goals_deg - goal_deg).max() < STEP_DEG, face.clock
         )
-        assert eventually(lambda: bus.read().torque_on.all(), face.clock)
+        assert eventually(lambda: (bus.read().torque == 1).all(), face.clock)
     with face.bus as bus:
         assert eventually(lambda: not bus.read().missing.any(), face.clock)
-        assert not bus.read().torque_on.any()
+        assert not bus.read().torque.any()
 
 
 @pytest.mark.parametrize("invalid", [np.nan, np.inf, 90.0])
@@ -266,11 +266,11 @@ def test_servos_get_torque_are_let_go_and_restarted_one_by_one(face):
         eventually(lambda: not bus.enable_torque(1), face.clock)
         eventually(lambda: not bus.enable_torque(2), face.clock)
         assert eventually(
-            lambda: bus.read().torque_on.tolist() == [False, True, True, False], face.clock
+            lambda: bus.read().torque.tolist() == [False, True, True, False], face.clock
         )
         eventually(lambda: bus.disable_torque(1), face.clock)
         bus.reboot(2)
-        assert eventually(lambda: not bus.read().torque_on.any(), face.clock)
+        assert eventually(lambda: not bus.read().torque.any(), face.clock)
         assert eventually(lambda: not bus.feedback().age_s.any(), face.clock)
 
 

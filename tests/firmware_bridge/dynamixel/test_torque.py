@@ -106,7 +106,7 @@ def test_a_reboot_clears_a_latched_error_and_leaves_the_servo_limp():
         run(face, 1.5, [0.0, 0.0])
         health = face.bus.look_after()
         assert health.hardware_errors.tolist() == [0x10, 0]
-        assert health.torque_on.tolist() == [False, True]
+        assert health.torque.tolist() == [False, True]
         face.bus.reboot(0)
         run(face, 1.0, [0.0, 0.0])
 

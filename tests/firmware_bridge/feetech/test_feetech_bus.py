@@ -159,7 +159,7 @@ def test_a_goal_to_a_limp_servo_is_kept_for_later():
         sent = [servo_id for servo_id, address, _ in writes(on.frames) if address == 42]
 
     assert set(sent) == {3}
-    assert readings.torque_on.tolist() == [False, False, True, False]
+    assert readings.torque.tolist() == [False, False, True, False]
     np.testing.assert_allclose(readings.goals_deg, [1.0, 2.0, 3.0, 0.0], atol=0.05)
 
 
@@ -185,7 +185,7 @@ def test_after_a_brown_out_that_brings_torque_back_a_servo_is_let_go_and_starts_
         changes = [each for each in on.chain.changes if each.servo_id == 2 and each.time_s > 3.0]
 
         assert changes[-1].torque == 0
-        assert not bus.read().torque_on[1]
+        assert bus.read().torque[1] == 0
         assert bus.enable_torque(1) == ""
         assert on.chain.servos[1]["torque_limit"] == 300
 
@@ -389,7 +389,7 @@ def test_a_servo_outside_its_own_range_must_be_moved_by_hand():
     on = wired(set_up=lambda chain: chain.servos[0].stand_at(3000))
     with on.bus as bus:
         assert "outside its own range; move it into" in bus.enable_torque(0)
-        assert not bus.read().torque_on.any()
+        assert not bus.read().torque.any()
 
 
 def many(model, n):

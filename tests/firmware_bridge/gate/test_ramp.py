@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_bridge.gate.ramp import EASE_PEAK_SLOPE, Ramp
+from firmware_bridge.gate.ramp import EASE_PEAK_SLOPE, EaseToNeutral, Ramp
+from firmware_bridge.joints import Joint
 
 DEGREES = st.lists(st.floats(-180.0, 180.0), min_size=3, max_size=3).map(np.array)
 
@@ -45,3 +46,29 @@ def test_an_eased_ramp_rests_at_both_ends_and_is_fastest_in_the_middle(start, go
     assert steps[0] == pytest.approx(0.0 * way_deg, abs=0.3)
     assert steps[1] == pytest.approx(EASE_PEAK_SLOPE * way_deg, abs=1e-3)
     assert steps[2] == pytest.approx(0.0 * way_deg, abs=0.3)
+
+
+JOINTS = [Joint("jaw", 0, -30.0, 30.0, 300.0), Joint("lip", 1, -30.0, 30.0, 30.0)]
+
+
+@pytest.mark.parametrize(
+    ("left_deg", "arrives"), [(0.0, True), (5e-324, True), (-1e-7, True), (1e-5, False)]
+)
+def test_a_soft_stop_has_arrived_where_rounding_alone_is_left_of_the_way(left_deg, arrives):
+    easing = EaseToNeutral(JOINTS, np.array([30.0, 0.0]), 10.0)
+    sent_deg = np.array([0.0, left_deg])
+    assert not easing.over(sent_deg, 10.499)
+    assert easing.over(sent_deg, 10.5) is arrives
+    assert easing.arrived is arrives
+
+
+def test_a_soft_stop_takes_the_time_of_its_slowest_joint_and_two_seconds_at_most():
+    easing = EaseToNeutral(JOINTS, np.array([30.0, -30.0]), 10.0)
+    assert easing.at(10.75)[1] == pytest.approx(-15.0)
+    assert not easing.over(np.zeros(2), 11.499)
+    assert easing.over(np.zeros(2), 11.5)
+
+    far_deg = np.array([0.0, -9.0])
+    assert not easing.over(far_deg, 11.999)
+    assert easing.over(far_deg, 12.0)
+    assert not easing.arrived

@@ -8,7 +8,8 @@ from firmware_bridge.errors import ServoError
 from firmware_bridge.gate.ramp import StaleLevel
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
-from firmware_bridge.loop.report import BridgeSettings, FaceState
+from firmware_bridge.loop.face_table import FaceState
+from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.simulator.bus import SimulatedBus
 from firmware_bridge.stopping import StopLevel
@@ -67,7 +68,7 @@ def test_before_arming_the_face_is_limp_and_nothing_is_sent(face):
 
     assert not any(report.torque_on for report in reports)
     assert face.bus.history == ()
-    assert not face.bus.read().torque_on.any()
+    assert not face.bus.read().torque.any()
 
 
 def test_arming_moves_nothing_whatever_goal_the_servos_remember():
@@ -79,7 +80,7 @@ def test_arming_moves_nothing_whatever_goal_the_servos_remember():
         readings = face.bus.read()
 
     np.testing.assert_array_equal(readings.positions_deg, [12.0, -7.0])
-    assert readings.torque_on.all()
+    assert (readings.torque == 1).all()
 
 
 def test_a_joint_pushed_a_little_out_of_range_is_held_there_and_led_back():
@@ -97,7 +98,7 @@ def test_a_servo_that_refuses_to_hold_its_place_is_named_and_all_stay_limp():
         with pytest.raises(ServoError, match=r"'jaw' \(id 1\) stands at 90.0 deg.*-7\.\.30 deg"):
             face.bridge.start()
 
-        assert not face.bus.read().torque_on.any()
+        assert not face.bus.read().torque.any()
         assert not face.tick([0.0, 0.0]).torque_on
 
 
@@ -141,7 +142,7 @@ def test_a_silent_speech_side_leads_to_hold_then_neutral_then_limp(face):
     assert [int((level == step).sum()) for step in (1, 2)] == pytest.approx([89, 400], abs=2)
     assert torque_on[:498].all()
     assert not torque_on[501:].any()
-    assert not face.bus.read().torque_on.any()
+    assert not face.bus.read().torque.any()
 
 
 def test_easing_to_neutral_in_a_silence_never_hits_the_speed_limit(face):
@@ -173,13 +174,13 @@ def test_a_servo_that_cannot_hold_stays_limp_while_the_others_wake_and_is_named(
     face.bus.push_by_hand(np.array([0.0, 90.0]))
     face.ticks(3, [0.0, 0.0])
 
-    assert face.bus.read().torque_on.tolist() == [True, False]
+    assert face.bus.read().torque.tolist() == [True, False]
     assert "servo 'lip' (id 2) stands at 90.0 deg" in face.bridge.troubles[0]
 
     face.bus.push_by_hand(np.array([0.0, 30.0]))
     face.ticks(60, [0.0, 0.0])
 
-    assert face.bus.read().torque_on.all()
+    assert (face.bus.read().torque == 1).all()
     assert face.bridge.troubles == ()
 
 
@@ -197,7 +198,8 @@ def test_waiting_for_the_first_target_holds_the_place_then_eases_and_is_not_call
 def test_targets_from_before_arming_do_not_move_the_face(face):
     face.bridge.start()
     face.ticks(10, [20.0, 20.0])
-    face.bridge.stop(StopLevel.LIMP)
+    face.end(StopLevel.LIMP)
+    face.bridge.await_start()
     face.clock.advance(60.0)
     face.bridge.start()
     present_deg = face.bus.read().positions_deg
@@ -229,7 +231,7 @@ def test_at_the_end_the_face_eases_to_neutral_in_half_a_second_and_goes_limp(fac
     assert face.clock.now() - start_s == pytest.approx(0.5, abs=0.04)
     np.testing.assert_array_equal(goals_deg[-1], [0.0, 0.0])
     assert np.abs(np.diff(goals_deg, axis=0)).max() <= 1.5 * 20.0 / 0.5 / RATE_HZ + 1e-9
-    assert not face.bus.read().torque_on.any()
+    assert not face.bus.read().torque.any()
     assert face.bridge.stop_report().text() == (
         "stopped; the face is at rest and limp: confirmed by 2 servos"
     )
@@ -249,7 +251,7 @@ def test_a_slow_joint_gets_the_time_it_needs_but_never_more_than_two_seconds(spe
                 break
 
         assert clock.now() == pytest.approx(seconds, abs=0.04)
-        assert not bus.read().torque_on.any()
+        assert not bus.read().torque.any()
 
 
 def test_limp_during_the_way_to_rest_lets_go_at_once(face):
@@ -259,7 +261,7 @@ def test_limp_during_the_way_to_rest_lets_go_at_once(face):
     face.ticks(5)
     face.bridge.stop(StopLevel.LIMP)
 
-    assert not face.bus.read().torque_on.any()
+    assert not face.bus.read().torque.any()
 
 
 @pytest.mark.parametrize("level", [StopLevel.SOFT, StopLevel.LIMP])
@@ -269,9 +271,10 @@ def test_a_stop_holds_whatever_speech_goes_on_to_say(face, level):
     face.bridge.stop(level)
     face.ticks(1000, [20.0, -20.0])
 
-    assert not face.bus.read().torque_on.any()
+    assert not face.bus.read().torque.any()
     assert face.bridge.state is FaceState.ENDED
 
+    face.bridge.await_start()
     face.bridge.start()
 
     assert face.tick([20.0, 20.0]).torque_on
@@ -285,12 +288,12 @@ def test_a_frozen_face_stays_where_it_is_held_and_listens_to_nobody(face):
     face.ticks(1000, [-2.0, -30.0])
 
     np.testing.assert_array_equal(face.bus.read().positions_deg, stood_deg)
-    assert face.bus.read().torque_on.all()
+    assert (face.bus.read().torque == 1).all()
     assert face.tick().torque_on
 
     face.end()
 
-    assert not face.bus.read().torque_on.any()
+    assert not face.bus.read().torque.any()
 
 
 def test_a_dry_run_never_switches_torque_on(face):

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.joints import Joint, JointPulse
 from firmware_bridge.loop.bridge import Bridge, face_status
-from firmware_bridge.loop.report import BridgeSettings, FaceState
+from firmware_bridge.loop.face_table import FaceState
+from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.maestro.kind import MAESTRO
 from firmware_bridge.pulse_bus import PulseBus
@@ -171,7 +172,7 @@ def test_a_stop_beyond_the_limits_is_a_stop(face, level):
     way_us = jaw_us(face, before)
     if level is StopLevel.FREEZE:
         assert set(way_us) == {1620.0}
-        face.bridge.resume()
+        face.bridge.start()
         drive(face, 4.0)
         assert jaw_us(face)[-1] == pytest.approx(1500.0)
         return

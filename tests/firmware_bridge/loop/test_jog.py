@@ -10,7 +10,8 @@ from lipservo_lab.campaigns.auditor import Auditor
 
 from firmware_bridge.gate.limits import PreventRule
 from firmware_bridge.loop.bridge import Bridge
-from firmware_bridge.loop.report import BridgeSettings, FaceState
+from firmware_bridge.loop.face_table import FaceState
+from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.stopping import ArmJog, JogTo, StopLevel
 

@@ -7,7 +7,8 @@ from dynamixel_chain import MemoryFace, mounted
 
 from firmware_bridge.errors import ServoError
 from firmware_bridge.loop.bridge import Bridge
-from firmware_bridge.loop.report import BridgeSettings, FaceState
+from firmware_bridge.loop.face_table import FaceState
+from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel
 from firmware_bridge.simulator.faults import Fault
 
@@ -140,7 +141,7 @@ def test_a_critical_servo_that_fails_stops_the_face_and_says_why():
         robot.face.chain.motors.jammed[1] = True
         robot.face.chain.motors.position[1] += 400.0
 
-    with pytest.raises(ServoError, match=r"critical servo 'joint_2' .* all is limp"):
+    with pytest.raises(ServoError, match=r"critical servo 'joint_2' .* the face was stopped"):
         robot.live(120.0, {2.0: jam})
 
     assert robot.stiff == []

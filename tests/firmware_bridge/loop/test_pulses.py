@@ -10,8 +10,9 @@ from hobby_bus import PULSES, WORDS
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge, face_status
+from firmware_bridge.loop.face_table import FaceState
 from firmware_bridge.loop.life_cycle import LifeCycle
-from firmware_bridge.loop.report import BridgeSettings, FaceState
+from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.simulator.bus import SimulatedBus
 from firmware_bridge.stopping import StopLevel, StopReport
@@ -86,7 +87,7 @@ def test_a_freeze_holds_the_goal_sent_last_and_a_start_goes_on_from_there(face):
         face.bridge.stop(StopLevel.FREEZE)
         drive(face, 50, (0.0, 0.0))
         np.testing.assert_allclose(face.bus.history[-1].goals_deg, [12.0, -6.0], atol=0.1)
-        face.bridge.resume()
+        face.bridge.start()
         before = len(face.bus.history)
         drive(face, 100)
         goals_deg = np.stack([each.goals_deg for each in face.bus.history[before:]])

@@ -22,7 +22,7 @@ class SupervisedServos:
         self.refusals = ["", ""]
         self.values = {
             "silent_s": np.zeros(2),
-            "torque_on": np.ones(2, dtype=bool),
+            "torque": np.ones(2, dtype=np.int8),
             "watchdog_tripped": np.zeros(2, dtype=bool),
             "hardware_errors": np.zeros(2, dtype=np.uint8),
             "temperature_degc": np.full(2, 30.0),
@@ -38,12 +38,12 @@ class SupervisedServos:
 
     def enable(self, index):
         self.done.append(("enable", index))
-        self.values["torque_on"][index] = True
+        self.values["torque"][index] = True
         return ""
 
     def disable(self, index):
         self.done.append(("disable", index))
-        self.values["torque_on"][index] = False
+        self.values["torque"][index] = False
         return True
 
     def give_up(self, index, because):
@@ -93,7 +93,7 @@ def test_a_servo_that_does_not_confirm_its_torque_off_is_told_again():
 
 def test_nobody_gets_torque_whom_the_gate_refuses():
     servos = SupervisedServos()
-    servos.values["torque_on"][1] = False
+    servos.values["torque"][1] = False
     servos.refusals[1] = "stopped by a person (limp)"
     servos.look(*np.arange(1.0, 10.0, 0.1))
 
@@ -150,7 +150,7 @@ def test_a_servo_that_does_not_follow_is_let_go_tried_again_and_given_up():
     assert [act for act, _ in servos.done].count("enable") == 3
     assert servos.supervision.reasons[0] == ""
     assert "does not follow, 30 deg off for 0.5 s" in servos.supervision.reasons[1]
-    assert "it stays limp" in servos.supervision.reasons[1]
+    assert "given up until a start" in servos.supervision.reasons[1]
 
 
 def test_a_servo_given_up_and_switched_on_by_a_person_has_all_its_tries_again():
@@ -177,7 +177,7 @@ def test_whom_a_person_switched_off_is_let_go_again_and_again_until_it_confirms(
 
     def disable(index):
         servos.done.append(("disable", index))
-        servos.values["torque_on"][index] = not confirms[0]
+        servos.values["torque"][index] = not confirms[0]
         return confirms.pop(0)
 
     servos.disable = disable

@@ -6,7 +6,8 @@ from driven_robot import RATE_HZ, TORQUE_ON, Robot, speech_deg
 from dynamixel_chain import MemoryFace, mounted
 
 from firmware_bridge.loop.bridge import Bridge
-from firmware_bridge.loop.report import BridgeSettings, FaceState
+from firmware_bridge.loop.face_table import FaceState
+from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.loop.torque_gate import TorqueGate
 from firmware_bridge.simulator.faults import Fault
@@ -116,10 +117,13 @@ def test_a_frozen_face_taken_over_keeps_the_others_and_lets_that_one_go():
             face.clock.sleep_until(tick / RATE_HZ)
             bridge.tick(tick / RATE_HZ)
         torque = [servo.torque_on for servo in face.chain.servos]
-        refused = bridge.refusal(ServoOrder("joint_2", ServoSwitch.ON))
+        bridge.obey(ServoOrder("joint_2", ServoSwitch.ON), 1.0)
+        for tick in range(30, 60):
+            face.clock.sleep_until(tick / RATE_HZ)
+            bridge.tick(tick / RATE_HZ)
+        after_on = [servo.torque_on for servo in face.chain.servos]
 
-    assert torque == [True, False, True]
-    assert "stopped by a person (freeze)" in refused
+    assert torque == after_on == [True, False, True]  # what is taken is done at the start
 
 
 def test_it_comes_on_where_it_stands_and_goes_slowly_to_where_it_is_wanted():
@@ -193,11 +197,12 @@ def test_it_gets_no_torque_while_something_is_in_the_way_and_the_face_says_what(
 @pytest.mark.parametrize("level", ["soft", "limp", "freeze"])
 def test_after_a_stop_by_a_person_nothing_switches_torque_on(level):
     robot = Robot(stops=[(3.0, level), (5.0, "soft")])
-    refused = []
+    refused, taken = [], []
 
     def ask():
-        words = ("servo joint_2 on", "servo joint_2 reboot", "jog arm", "jog joint_1 3")
+        words = ("servo joint_2 reboot", "jog arm", "jog joint_1 3")
         refused.extend(robot.say(word) for word in words)
+        taken.append(robot.say("servo joint_2 on"))  # for the next start
 
     robot.live(
         60.0,
@@ -207,12 +212,13 @@ def test_after_a_stop_by_a_person_nothing_switches_torque_on(level):
     assert all(set(answer) == {"error"} for answer in refused)
     assert all("\n" not in answer["error"] for answer in refused)
     assert f"stopped by a person ({level})" in refused[0]["error"]
+    assert taken == [{"servo": "joint_2", "asked": "on"}]
     assert robot.torque_writes(3.0) == []
 
 
 def test_the_gate_itself_gives_no_torque_to_whom_a_person_switched_off():
     face = MemoryFace(2)
-    gate = TorqueGate(face.bus, face.joints, switched_off=[0])
+    gate = TorqueGate(face.bus, switched_off=[0])
     gate.give_up(1, "jammed")
     with face.bus:
         assert gate.enable(0) == gate.obstacle(0) == "switched off by a person"

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from dynamixel_chain import MemoryFace, enable_all, run
 
+from firmware_bridge.known_torque import Torque
 from firmware_bridge.serial_servos.state_cache import ServoStateCache
 
 
 @pytest.mark.parametrize(
     ("name", "shown", "value"),
     [
-        ("torque", "torque_on", True),
         ("tripped", "watchdog_tripped", True),
         ("hardware", "hardware_errors", 0x20),
         ("voltage_v", "voltage_v", 4.9),
@@ -27,11 +27,20 @@ def test_a_change_is_seen_in_the_next_health_and_not_in_the_one_before(name, sho
     np.testing.assert_array_equal(getattr(after, shown)[[0, 2]], getattr(before, shown)[[0, 2]])
 
 
+def test_torque_that_changes_is_seen_in_the_next_health_and_not_in_the_one_before():
+    cache = ServoStateCache([1, 2, 3], 4095.0, [70.0] * 3, 0.0)
+    before = cache.health(1.0, np.zeros(3))
+    cache.torque.note(1, 1.5, on=True)
+
+    assert before.torque.tolist() == [Torque.UNKNOWN] * 3
+    assert cache.health(2.0, np.zeros(3)).torque.tolist() == [2, Torque.ON, 2]
+
+
 def test_what_is_handed_out_cannot_be_written():
     cache = ServoStateCache([1, 2, 3], 4095.0, [70.0] * 3, 0.0)
     handed_out = cache.health(0.0, np.zeros(3))
 
-    for array in (handed_out.torque_on, handed_out.hardware_errors, handed_out.temperature_degc):
+    for array in (handed_out.torque, handed_out.hardware_errors, handed_out.temperature_degc):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1
 

@@ -62,7 +62,7 @@ def test_a_limp_servo_takes_goals_but_stays(bus, clock):
 
     np.testing.assert_array_equal(readings.positions_deg, [0.0, 0.0])
     np.testing.assert_array_equal(readings.goals_deg, [10.0, 10.0])
-    assert not readings.torque_on.any()
+    assert not readings.torque.any()
 
 
 def test_torque_off_in_mid_motion_keeps_the_position(bus, clock):
@@ -81,7 +81,7 @@ def test_torque_comes_on_where_the_servo_stands_whatever_goal_it_remembers(bus, 
     clock.advance(5.0)
 
     np.testing.assert_array_equal(bus.read().positions_deg, [0.0, 0.0])
-    assert bus.read().torque_on.all()
+    assert (bus.read().torque == 1).all()
 
 
 @pytest.mark.parametrize("goal_deg", [25.0 + SERVO_LIMIT_MARGIN_DEG + 0.01, -7.01, np.nan, np.inf])
@@ -142,7 +142,7 @@ def test_the_bus_works_only_inside_its_with_block_and_leaves_the_servos_limp(clo
     with bus:
         hold_all(bus)
     with bus:
-        assert not bus.read().torque_on.any()
+        assert not bus.read().torque.any()
 
 
 @pytest.mark.parametrize(

@@ -102,7 +102,7 @@ def test_limp_servos_are_read_and_written_and_none_gets_torque():
     with bus:
         told = limp_loop(bus, 50.0, 2.0, clock)
 
-        assert not bus.read().torque_on.any()
+        assert not bus.read().torque.any()
         assert bus.read().positions_deg.tolist() == [3.0] * 4
     assert (told["n_ticks"], told["n_late"], told["unanswered"]) == (100, 0, [0] * 4)
     assert told["read_ms"] == told["write_ms"] == {"p50": 0.0, "p99": 0.0, "worst": 0.0}

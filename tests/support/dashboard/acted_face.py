@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from answering_face import AnsweringFace
 
-from firmware_bridge.loop.report import FaceState
+from firmware_bridge.loop.face_table import FaceState
 from firmware_bridge.process.commands import CommandQueue, Setting
 from lipservo.runtime.status.live_board import BoardLayout, LiveBoard, expression_values
 from lipservo.settings.settings import load_shipped_face

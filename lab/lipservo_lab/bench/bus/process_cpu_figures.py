@@ -23,7 +23,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from firmware_bridge.clock import MonotonicClock, ticks
-from firmware_bridge.loop.report import FaceState
+from firmware_bridge.loop.face_table import FaceState
 from firmware_bridge.loop.targets import ServoTargets, SocketTargetChannel, channel_pair
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.lifeline import LifelineWatch, Ready, lifeline_pair

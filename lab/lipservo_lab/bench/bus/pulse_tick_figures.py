@@ -162,7 +162,7 @@ def _bus_tick(
 
         for n in range(_SETTLES_TICKS):
             tick(n)
-        assert bus.read().torque_on.all()
+        assert bus.torque.as_json() == [True] * N_SERVOS
         yield tick
 
 

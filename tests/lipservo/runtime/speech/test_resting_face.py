@@ -5,7 +5,7 @@ import pytest
 from lipservo_lab.bench.sync.speaking_robot import Deaf
 
 from firmware_bridge.clock import ManualClock
-from firmware_bridge.loop.report import FaceState
+from firmware_bridge.loop.face_table import FaceState
 from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
 from lipservo.runtime.servos.assembly import assemble_face, bus_for
 from lipservo.runtime.street import make_street
