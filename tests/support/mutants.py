@@ -72,7 +72,7 @@ class OtherMember(Operator):
             return []
         dot = node.get_previous_leaf()
         owner = dot and dot.get_previous_leaf()
-        if not (owner and dot.value == "." and re.fullmatch(r"_?[A-Z]\w*[a-z]\w*", owner.value)):
+        if not (owner and dot.value == "." and re.fullmatch(r"_?[A-Z]\w*", owner.value)):
             return []
         text = node.get_root_node().get_code()
         members = re.findall(rf"\b{owner.value}\.([A-Z][A-Z0-9_]+)\b", text)
@@ -177,7 +177,7 @@ def drawn(plan: dict) -> list[Mutant]:
     kinds = [get_operator(name) for name in operator_names() if not left_out.search(name)]
     operators = [kind() for kind in kinds if not kind.arguments()]
     places: dict[tuple, tuple] = {}
-    for file in {file: None for group in plan["groups"] for file in files(group)}:
+    for file in {file: None for group in plan["groups"] for file in fitting(group["files"])}:
         source = Source(file)
         nodes = list(ast_nodes(get_ast(source.text)))
         for operator in [*operators, StatementRemoval(), OtherMember()]:
@@ -205,14 +205,14 @@ def drawn(plan: dict) -> list[Mutant]:
     return found
 
 
-def files(group: dict) -> list[str]:
-    """The files of a group of the plan; a pattern that no file fits is an error."""
-    found = []
-    for pattern in group["files"]:
-        fitting = sorted(str(path.relative_to(ROOT)) for path in ROOT.glob(pattern))
-        if not fitting:
+def fitting(patterns: list[str]) -> list[str]:
+    """The files of the checkout that fit; SystemExit where nothing fits a pattern."""
+    found: list[str] = []
+    for pattern in patterns:
+        those = sorted(str(path.relative_to(ROOT)) for path in ROOT.glob(pattern))
+        if not those:
             raise SystemExit(f"{PLAN}: no file fits {pattern}: name the file that took its place")
-        found += fitting
+        found += [each for each in those if each not in found]
     return found
 
 
@@ -265,7 +265,11 @@ def tried(mutant: Mutant, tree: Path, tests: list[str], limit_s: float) -> str:
 
 def all_tried(plan: dict, mutants: list[Mutant], n_workers: int) -> list[str]:
     """What became of each mutant, tried by so many workers, each in a copy of the checkout."""
-    tests = {file: group["tests"] for group in plan["groups"] for file in files(group)}
+    tests = {
+        file: fitting(group["tests"])
+        for group in plan["groups"]
+        for file in fitting(group["files"])
+    }
     with tempfile.TemporaryDirectory(prefix="lipservo-mutants-") as folder:
         trees: queue.SimpleQueue[Path] = queue.SimpleQueue()
         for n in range(n_workers):
@@ -327,7 +331,7 @@ def main() -> int:
     plan = yaml.safe_load(PLAN.read_text(encoding="utf-8"))
     plan["mutants"] = options.mutants or plan["mutants"]
     for group in plan["groups"]:
-        group["files"] = [file for file in files(group) if options.only in file]
+        group["files"] = [file for file in fitting(group["files"]) if options.only in file]
     begun_s = time.monotonic()
     mutants = drawn(plan)
     result = figures(plan, mutants, all_tried(plan, mutants, options.workers))

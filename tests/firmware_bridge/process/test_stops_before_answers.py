@@ -72,6 +72,21 @@ def test_a_stop_is_handed_to_the_loop_before_its_asker_hears_that_it_is_accepted
     assert asker.heard() == {"accepted": level.value, "name": "tom"}
 
 
+def test_what_the_answer_to_a_stop_says_of_servos_is_read_once_the_stop_was_acted_on(
+    control, client
+):
+    limp = []
+    asker = client().says("limp")
+    control.poll()
+    limp.append("jaw")
+    control.answer(dict, lambda: {"limp": list(limp), "name": "not of the servos"})
+
+    assert asker.heard() == {"accepted": "limp", "limp": ["jaw"], "name": "tom"}
+    client().says("status")
+    control.poll()
+    control.answer(dict, lambda: pytest.fail("no stop was asked for"))
+
+
 @pytest.mark.parametrize("ends", [False, True])
 def test_a_stop_tells_who_asked_and_whether_the_process_ends(control, client, ends):
     client().says("limp end" if ends else "limp")
