@@ -49,7 +49,7 @@ def test_what_may_have_changed_is_not_known_any_more(forgotten, left):
     assert torque.as_json() == left
 
 
-@pytest.mark.parametrize("states", itertools.product([True, False, None], repeat=2))
+@pytest.mark.parametrize("states", list(itertools.product([True, False, None], repeat=2)))
 def test_a_face_holds_lies_limp_or_nobody_knows(states):
     """One that is on suffices; that all are off has to be known of all."""
     torque = known(*states)

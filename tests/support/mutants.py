@@ -45,13 +45,14 @@ _ENVIRONMENT = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "CI": "true"}
 
 
 class StatementRemoval(Operator):
-    """Leaves out a call, an assignment to an attribute, or the raising of an error."""
+    """Leaves out a call, an assignment to an attribute, or an error; not a line of a log."""
 
     def mutation_positions(self, node: NodeOrLeaf) -> Iterator[tuple]:
         first = node.children[0] if node.type == "simple_stmt" else None
         assigns = first is not None and first.type == "expr_stmt"
         target = first.children[0] if assigns else first
-        if getattr(target, "type", "") in ("atom_expr", "power", "raise_stmt"):
+        is_line = node.type == "simple_stmt" and node.get_first_leaf().value == "_LOG"
+        if not is_line and getattr(target, "type", "") in ("atom_expr", "power", "raise_stmt"):
             yield first.start_pos, first.end_pos
 
     def mutate(self, node: NodeOrLeaf, _index: int) -> NodeOrLeaf:
