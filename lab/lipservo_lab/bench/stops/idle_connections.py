@@ -44,16 +44,23 @@ class Opening:
     drips: bool = False
 
 
-OPENINGS: Final = (
-    Opening(b""),
-    Opening(b"GET / " + _HEAD),
-    Opening(b"GET / " + _HEAD + b"X: ", drips=True),
-    Opening(b"GET /api/status " + _HEAD + b"\r\n"),
-    Opening(b"POST /api/say " + _HEAD + _BODY),
-    Opening(b"POST /api/stop " + _HEAD + _BODY, drips=True),
-    Opening(b"GET /control " + _HEAD + _HANDSHAKE),
-    Opening(b"GET /api/twin " + _HEAD + _HANDSHAKE),
-)
+#: That leave a connection of the page, of voice agents, open and idle.
+OPENINGS: Final = {
+    "page": (
+        Opening(b""),
+        Opening(b"GET / " + _HEAD),
+        Opening(b"GET / " + _HEAD + b"X: ", drips=True),
+        Opening(b"GET /api/status " + _HEAD + b"\r\n"),
+        Opening(b"POST /api/say " + _HEAD + _BODY),
+        Opening(b"POST /api/stop " + _HEAD + _BODY, drips=True),
+    ),
+    "agents": (
+        Opening(b""),
+        Opening(b"GET /control " + _HEAD),
+        Opening(b"GET /control " + _HEAD + b"X: ", drips=True),
+        Opening(b"GET /control " + _HEAD + _HANDSHAKE),
+    ),
+}
 
 
 class IdleCrowd:
@@ -63,7 +70,7 @@ class IdleCrowd:
         self,
         server: tuple[str, int],
         n_peers: int,
-        openings: Sequence[Opening] = OPENINGS,
+        openings: Sequence[Opening],
         n: int = N_IDLE,
     ) -> None:
         """n_peers: 1: all come from 127.0.0.1, where stops come from too; else from others."""
@@ -137,7 +144,7 @@ def _close(fileobj: object) -> None:
 
 
 def stop_beside_idle() -> dict[str, Any]:
-    """Return `stop_beside_idle_s`, and `stop_beside_idle_rows`: one for each door and number of peers.
+    """Return `stop_beside_idle_s`, and a row of it for each door and number of peers.
 
     The worst of many stops of a real daemon, in seconds from the request, made by a new client, to
     the face's answer.
@@ -155,7 +162,8 @@ def stop_beside_idle() -> dict[str, Any]:
 def _row(face: RunningFace, door: str, n_peers: int) -> dict[str, Any]:
     address = getattr(face.at, door)
     n_before = face.robot.output.count(_STANDS)
-    crowd = face.robot.start_python("-m", __name__, urlsplit(address).netloc, str(n_peers))
+    server = urlsplit(address).netloc
+    crowd = face.robot.start_python("-m", __name__, door, server, str(n_peers))
     try:
         if not face.robot.look_until(
             lambda: face.robot.output.count(_STANDS) > n_before, _STANDS_S
@@ -185,9 +193,9 @@ def _stopped_after_s(face: RunningFace, door: str) -> float:
     return min(_LOST_S, time.monotonic() - began_s) if is_taken else _LOST_S
 
 
-def _main(netloc: str, n_peers: str) -> None:
-    host, port = netloc.rsplit(":", 1)
-    crowd = IdleCrowd((host, int(port)), int(n_peers))
+def _main(door: str, server: str, n_peers: str) -> None:
+    host, port = server.rsplit(":", 1)
+    crowd = IdleCrowd((host, int(port)), int(n_peers), OPENINGS[door])
     has_told = False
 
     def is_over() -> bool:
