@@ -33,6 +33,8 @@ _LOG: Final = logging.getLogger(__name__)
 _WAIT: Final = 'trap "" HUP INT QUIT TERM; read -r _ || exec "$@"'
 #: Silent servos are asked again for so long.
 _SILENT_S: Final = 1.0
+#: A port is free so long after its holder has died; later it is another's.
+_DYING_S: Final = 2.0
 _END_S: Final = 1.0
 
 
@@ -67,36 +69,40 @@ def port_guard(face: str, settings: "BusSettings", servos: Mapping[int, str]) ->
                 guard.wait(_END_S)
 
 
-class _Taken(Exception):  # noqa: N818 - no error: another face has the port
-    pass
-
-
 def let_go(face: str, settings: "BusSettings", servos: Mapping[int, str]) -> None:
     """Switch torque off at the port of a dead face, and log what its servos confirm.
 
-    A port that is gone is waited for, 30 s. Nothing happens at one that another program holds.
+    A port that is gone is waited for, 30 s. Nothing happens at one that another program has taken.
     Arguments as of `port_guard`.
     """
     kind = bus_kind(settings.kind)
     opener = kind.port_release(str(settings.port), Wiring(settings, (), (), 1.0))
 
+    is_taken = False
+
     def open_free() -> PortRelease:
+        nonlocal is_taken
         try:
-            return opener()
+            port, is_taken = opener(), False
         except PortError as error:
-            if getattr(error.__cause__, "errno", 0) in (errno.EAGAIN, errno.EBUSY):
-                raise _Taken from error
+            is_taken = getattr(error.__cause__, "errno", 0) in (errno.EAGAIN, errno.EBUSY)
             raise
+        return port
 
     at_port = TorqueRelease(open_free, list(servos), timeout_s=_SILENT_S)
     release = FaceRelease([(at_port, servos)])
-    give_up_s = time.monotonic() + PORT_WAIT_S
-    with contextlib.suppress(_Taken):
-        while not release.step() and not (release.port_error and time.monotonic() > give_up_s):
-            time.sleep(max(0.0, release.next_s - time.monotonic()))
+    dead_s = time.monotonic()
+    while not release.step():
+        longest_s = _DYING_S if is_taken else PORT_WAIT_S
+        if release.port_error and time.monotonic() - dead_s > longest_s:
+            break
+        time.sleep(max(0.0, release.next_s - time.monotonic()))
+    release.close()
+    if not is_taken:
         can = kind.capabilities(settings)
-        report = let_go_report(dict.fromkeys(release.let_go, can), release.unconfirmed)
-        what = f"its processes have died, and its guard let go at {settings.port}"
+        let_go = dict.fromkeys(release.let_go, can)
+        report = let_go_report(let_go, release.unconfirmed, confirms=can.confirmed_limp)
+        what = f"its processes have died; its guard at {settings.port}"
         _LOG.warning("%s: %s: %s", face, what, report.line())
 
 

@@ -197,7 +197,7 @@ def test_when_all_are_shot_its_guard_lets_it_go_and_says_so(jaw):
         shoot([daemon.pid, child(daemon, "bridge"), child(daemon, "speech")])
         daemon.wait(PATIENCE_S)
     wait_for(jaw.is_off)
-    wait_for(lambda: "its processes have died, and its guard let go at" in log(daemon))
+    wait_for(lambda: "its processes have died; its guard at" in log(daemon))
 
     said = "torque off confirmed by all 1 servos" if jaw.bus == "feetech" else PULSES_OFF
     assert said in log(daemon).splitlines()[-1]
