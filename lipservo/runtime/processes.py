@@ -19,7 +19,13 @@ from firmware_bridge.stop_signals import SignalCounter
 from firmware_bridge.stopping import ExitStatus, StopRequest
 from lipservo.runtime.requested_face import RequestedFace
 from lipservo.runtime.run_request import RunRequest, request_json
-from lipservo.runtime.servos.driven_face import DrivenFace, DriveOptions, Supervised, driven_face
+from lipservo.runtime.servos.driven_face import (
+    DrivenFace,
+    DriveOptions,
+    Supervised,
+    driven_face,
+    guarded,
+)
 from lipservo.runtime.status.face_status import Status, whole_status
 from lipservo.runtime.status.live_board import LiveBoard, ServoBoard
 from lipservo.runtime.status.status_board import StatusBoard
@@ -284,6 +290,8 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
         shared += ["--board", "{board}", "--live", "{live}", "--channel", "{channel}"]
         bridge = [*command, "bridge-process", *shared, "--control", "{control}"]
         of_bridge = {"{control}": listener.fileno(), "{channel}": reader.fileno()}
+        for number, alive in enumerate(stack.enter_context(guarded(settings))):
+            of_bridge[f"{{guard {number}}}"] = alive  # held until it ends
         speech = [*command, "speech-process", *shared]
         of_speech = {"{channel}": writer.fileno()}
         if agents is not None:
