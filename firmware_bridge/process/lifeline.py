@@ -20,8 +20,8 @@ _BEAT_S: Final = 0.05
 #: As many servos as a chain can have, and a stop or two.
 _MOST_UNSENT: Final = 256
 _LONGEST_REASON: Final = 400
-#: In bytes; a character takes six at most.
-_LONGEST: Final = 4096
+#: In bytes; a character takes twelve at most.
+_LONGEST: Final = 8192
 #: More than a second of everything a process says; bounds the time of one reading.
 _MOST_AT_ONCE: Final = 400
 
