@@ -21,7 +21,6 @@ from lipservo_lab.bench.stops import injected, traced
 from lipservo_lab.bench.stops.raw_control import request
 from lipservo_lab.bench.stops.robot_at_port import (
     CLIP,
-    FACE,
     RobotAtPort,
     children_of,
     robot_at_port,
@@ -168,7 +167,7 @@ def start_daemon(
     robot.environment[injected.FOLDER_VARIABLE] = str(inject)
     paths = (str(inject), os.environ.get("PYTHONPATH", ""))
     robot.environment["PYTHONPATH"] = os.pathsep.join(each for each in paths if each)
-    where = ["--config", FACE, "--port", str(robot.port)]
+    where = ["--config", robot.config, "--port", str(robot.port)]
     return robot.start("daemon", *where, *options)
 
 
