@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from lipservo_lab.bench.stops.idle_connections import stop_beside_idle
 from lipservo_lab.bench.stops.signal_campaign import play_signal, signal_cases, signal_figures
 from lipservo_lab.bench.stops.stop_campaign import play_batch
 from lipservo_lab.bench.stops.stop_cases import StopOutcome, batches, stop_cases, stop_figures
@@ -47,7 +48,8 @@ def stop_campaign_figures(
         for played in as_completed([pool.submit(play_batch, each) for each in batches(chosen)]):
             outcomes += played.result()
             progress(len(outcomes), len(chosen))
-    return stop_figures(outcomes), [str(o) for o in outcomes if not o.kept]
+    figures = stop_figures(outcomes) | stop_beside_idle()
+    return figures, [str(o) for o in outcomes if not o.kept]
 
 
 def signal_campaign_figures(

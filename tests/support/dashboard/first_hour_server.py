@@ -15,7 +15,7 @@ PATIENCE_S = 120.0
 
 
 class Server:
-    """address: with the token, as it was printed. process: the server's."""
+    """address: with the token, as a terminal shows it. process: the server's."""
 
     def __init__(self, address, process):
         self.address, self.process = address, process
@@ -61,7 +61,8 @@ def served(path, *options):
             )
             # Nobody reads the rest, and a pipe that is full would hold the server up.
             threading.Thread(target=process.stderr.read, daemon=True).start()
-            server = Server(address, process)
+            token = (folder / "token").read_text().strip()
+            server = Server(f"{address}?token={token}", process)
             with contextlib.closing(server.client):
                 yield server
         finally:

@@ -23,6 +23,7 @@ _N_STOPS: Final = 40
 _PAUSE_S: Final = 0.2
 _STANDS: Final = "all of the crowd have come"
 _STANDS_S: Final = 30.0
+_SETTLED_S: Final = 1.0
 #: A stop that is not answered by then, or is refused, counts as this long.
 _LOST_S: Final = 10.0
 _DRIP_S: Final = 1.0
@@ -169,6 +170,7 @@ def _row(face: RunningFace, door: str, n_peers: int) -> dict[str, Any]:
             lambda: face.robot.output.count(_STANDS) > n_before, _STANDS_S
         ):
             raise RuntimeError(f"the crowd does not stand: {face.robot.last_output}")
+        face.robot.look(_SETTLED_S)
         took_s = []
         for _ in range(_N_STOPS):
             took_s.append(_stopped_after_s(face, door))

@@ -255,6 +255,38 @@ def test_the_bridge_that_is_replaced_is_sent_the_stop_again():
     assert (status, answer["report"]["confirmed"]) == (200, ["jaw"])
 
 
+def test_a_client_is_answered_once_the_face_has_taken_its_stop_and_not_before():
+    path = short_folder() / "tom.sock"
+    words, may_answer = [], threading.Event()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
+        listener.bind(str(path))
+        listener.listen()
+
+        def face():
+            client, _ = listener.accept()
+            with client:
+                words.append(client.recv(100))
+                may_answer.wait(60.0)
+                client.send(b'{"accepted": "limp"}')
+
+        thread = threading.Thread(target=face, daemon=True)
+        thread.start()
+
+        async def stopped():
+            link = FaceLink(lambda: path, control_path=path)
+            answer = asyncio.ensure_future(posted(StopRoute(None, link, None), b'{"level":"limp"}'))
+            await asyncio.to_thread(wait_for, lambda: words == [b"limp"])
+            await asyncio.sleep(0.05)
+            is_early = answer.done()
+            may_answer.set()
+            got = await answer
+            link.close()
+            return is_early, got
+
+        assert asyncio.run(stopped()) == (False, (200, {"accepted": "limp"}))
+        thread.join(20.0)
+
+
 def test_a_stop_passes_a_busy_loop_a_full_pool_and_a_slow_upload(tmp_path, monkeypatch):
     """Twenty clients poll, threads wait, the disk takes as long as the test, a body never ends."""
     soundfile.write(tmp_path / "sound.wav", 0.1 * np.sin(np.arange(16_000)), 16_000)
