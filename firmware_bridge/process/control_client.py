@@ -340,7 +340,7 @@ def _printable(value: Any) -> Any:
 
 
 def printable(text: str) -> str:
-    """Return a text as a terminal may show it: no line end, no escape sequence, no half character."""
+    """Return a text as a terminal may show it: no line end, escape sequence, half character."""
     if text.isprintable():
         return text
     return "".join(each if each.isprintable() else " " if each.isspace() else "?" for each in text)
