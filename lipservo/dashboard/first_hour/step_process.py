@@ -167,8 +167,8 @@ class StepProcess:
         if status in (0, ExitStatus.STOPPED_EARLY) or (signalled and not self._complaint):
             return None  # a person's stop is no error: what servos confirmed is told beside STOP
         if self._complaint:
-            first, last = self._complaint[:_MOST_SHOWN], self._complaint[_MOST_SHOWN:]
-            return "; ".join([*first, *(["..."] if len(last) > 1 else []), *last[-1:]])
+            cause, rest = self._complaint[:_MOST_SHOWN], self._complaint[_MOST_SHOWN:]
+            return "; ".join([*cause, *(["..."] if len(rest) > 1 else []), *rest[-1:]])
         last = f": {self.notes[-1]}" if self.notes else ""
         how = f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
         return f"the step {how}{last}"
