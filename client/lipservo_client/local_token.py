@@ -163,8 +163,5 @@ def _belongs_to(folder: Path, uid: int) -> bool:
 
 
 def _may_look_into(folder: Path) -> bool:
-    try:
-        is_folder = stat.S_ISDIR(folder.lstat().st_mode)
-    except OSError:
-        return False
+    is_folder = os.path.isdir(folder) and not os.path.islink(folder)
     return is_folder and os.access(folder, os.R_OK | os.X_OK)
