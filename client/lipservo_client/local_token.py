@@ -22,9 +22,7 @@ LONGEST_TOKEN_BYTES: Final = 4096
 _SERVICE_FOLDER: Final = Path("/run/lipservo")
 _FOLDER_NAME: Final = "lipservo"
 #: Folders with the number of their user in the path: his session's, and below the temporary one.
-_OF_A_USER: Final = re.compile(
-    rf"/run/user/(\d+)/{_FOLDER_NAME}|.*/{_FOLDER_NAME}-(\d+)", re.ASCII
-)
+_OF_A_USER: Final = re.compile(rf"/run/user/(\d+)/{_FOLDER_NAME}|.*/{_FOLDER_NAME}-(\d+)", re.ASCII)
 _TABLES: Final = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
 _LISTEN: Final = "0A"  # TCP_LISTEN of the kernel's include/net/tcp_states.h
 
@@ -149,7 +147,7 @@ def _token_of(path: Path, users: set[int]) -> str | None:
 
 
 def _is_its_users(folder: Path) -> bool:
-    """Return whether `folder` belongs to the user whose number is in its path; to us without one."""
+    """Return whether `folder` is of the user whose number is in its path; ours without one."""
     match = _OF_A_USER.fullmatch(str(folder))
     return _belongs_to(folder, int(match[1] or match[2]) if match else os.geteuid())
 
@@ -165,8 +163,5 @@ def _belongs_to(folder: Path, uid: int) -> bool:
 
 
 def _may_look_into(folder: Path) -> bool:
-    try:
-        is_folder = stat.S_ISDIR(folder.lstat().st_mode)
-    except OSError:
-        return False
+    is_folder = os.path.isdir(folder) and not os.path.islink(folder)
     return is_folder and os.access(folder, os.R_OK | os.X_OK)

@@ -81,8 +81,8 @@ def face_at(path: Path) -> RunningFace:
             pid, _ = peer(client)
     except OSError as error:
         why = error.strerror or str(error)
-        where = printable(str(path))
-        raise ControlError(f"{where}: no face answers there: {why}; is a face running?") from error
+        why = f"{printable(str(path))}: no face answers there: {why}; is a face running?"
+        raise ControlError(why) from error
     named = read_socket_name(path)
     return RunningFace(printable(path.stem) if named is None else named[0], pid, path)
 
@@ -324,26 +324,23 @@ def _answer_in(raw: bytes) -> Answer:
     Raises OSError for what no face says.
     """
     try:
-        return dict(_printable(json.loads(raw)))
+        return dict(printable(json.loads(raw)))
     except (ValueError, TypeError, RecursionError):
         raise OSError(errno.EPROTO, "what answers there is no face") from None
 
 
-def _printable(value: Any) -> Any:
-    if isinstance(value, str):
-        return printable(value)
-    if isinstance(value, list):
-        return [_printable(each) for each in value]
+def printable(value: Any) -> Any:
+    """Return a value of JSON, or a text, with all text as a terminal may show it.
+
+    In place of line ends, escape sequences and half characters stand a space and question marks.
+    """
     if isinstance(value, dict):
-        return {printable(name): _printable(each) for name, each in value.items()}
-    return value
-
-
-def printable(text: str) -> str:
-    """Return a text as a terminal may show it: no line end, no escape sequence, no half character."""
-    if text.isprintable():
-        return text
-    return "".join(each if each.isprintable() else " " if each.isspace() else "?" for each in text)
+        return {printable(name): printable(each) for name, each in value.items()}
+    if isinstance(value, list):
+        return [printable(each) for each in value]
+    if not isinstance(value, str) or value.isprintable():
+        return value
+    return "".join(each if each.isprintable() else " " if each.isspace() else "?" for each in value)
 
 
 def _wait_to_retry(give_up_s: float) -> None:

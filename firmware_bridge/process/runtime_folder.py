@@ -54,7 +54,7 @@ def runtime_folder() -> Path:
         raise ControlError(
             f"{folder}: cannot be made: {error.strerror}; choose a place with --control"
         ) from error
-    if not _is_own(folder):
+    if not _belongs_to(folder, os.geteuid()):
         raise ControlError(
             f"{folder}: is not a folder that only you may write into; choose a place with --control"
         )
@@ -73,10 +73,8 @@ def socket_path(face: str) -> Path:
 
 def read_socket_name(path: Path) -> tuple[str, int] | None:
     """Return (face, process id) from a path made by `socket_path`; None for any other file name."""
-    match = re.fullmatch(rf"(.+)-(\d+){re.escape(SOCKET_SUFFIX)}", path.name, re.ASCII)
-    if match is None or name_in_path(match[1]) != match[1]:
-        return None
-    return match[1], int(match[2])
+    match = re.fullmatch(rf"([\w-][\w.-]*)-(\d+)\{SOCKET_SUFFIX}", path.name, re.ASCII)
+    return None if match is None else (match[1], int(match[2]))
 
 
 def searched_folders() -> list[Path]:
@@ -104,7 +102,7 @@ def _check_system() -> None:
 
 def _own_folder() -> Path:
     session = os.environ.get("XDG_RUNTIME_DIR", "")
-    if session and _is_own(Path(session)):
+    if session and _belongs_to(Path(session), os.geteuid()):
         return Path(session) / _NAME
     return _temporary_folder()
 
@@ -116,10 +114,6 @@ def _temporary_folder() -> Path:
 def _folders_of_others() -> Iterator[Path]:
     yield from Path("/run/user").glob(f"*/{_NAME}")
     yield from Path(tempfile.gettempdir()).glob(f"{_NAME}-*")
-
-
-def _is_own(folder: Path) -> bool:
-    return _belongs_to(folder, os.geteuid())
 
 
 def _is_its_users(folder: Path) -> bool:
@@ -142,10 +136,7 @@ def _belongs_to(folder: Path, uid: int) -> bool:
 
 
 def _may_look_into(folder: Path) -> bool:
-    try:
-        is_folder = stat.S_ISDIR(folder.lstat().st_mode)
-    except OSError:
-        return False
+    is_folder = os.path.isdir(folder) and not os.path.islink(folder)
     return is_folder and os.access(folder, os.R_OK | os.X_OK)
 
 

@@ -19,7 +19,7 @@ from firmware_bridge.process.control_client import send_stop
 from firmware_bridge.stopping import StopLevel
 from lipservo.access.admission import Policy, Refusal, Request, refusal, request_of_scope
 from lipservo.agents.control_session import stop_answer
-from lipservo.dashboard.face_link import FaceLink, NothingDrivenError, not_answering
+from lipservo.dashboard.face_link import FaceLink, NothingDrivenError
 from lipservo.dashboard.web.access_layer import App, Receive, Scope, Send, answer_json, cors_headers
 from lipservo.dashboard.web.api_models import StopBody, first_error, status_of
 
@@ -110,14 +110,12 @@ async def stop_face(link: FaceLink, stop: StopBody) -> dict[str, Any]:
     try:
         if path is None:
             path = await link.located()
-    except NothingDrivenError as error:
-        return {"accepted": None, "nothing_driven": str(error), "is_limp": error.is_limp}
-    try:
         with link.waiting_for_end(stop.wait_s) as wait_s:
             again = partial(send_stop, path, level, end=stop.end)
             answer, report = await stop_answer(sent, again, wait_s)
-    except OSError as error:
-        raise not_answering(error) from error
+    except (OSError, FaceError, NothingDrivenError) as error:
+        done = await link.without_answer(error, level)
+        return {"accepted": None, "nothing_driven": str(done), "is_limp": done.is_limp}
     if "error" in answer:
         raise FaceError("refused", str(answer["error"]))
     return {"accepted": answer.get("accepted"), **({"report": report} if stop.wait_s else {})}

@@ -210,7 +210,7 @@ def test_the_text_of_a_voice_that_tells_no_times_is_told_with_its_sound(face, qu
 
 def test_a_text_longer_than_an_agent_may_send_is_refused_whole_and_nothing_is_made(face):
     never = Speaker("command", "false")
-    with pytest.raises(SynthesisError, match="of 30000 characters is too long.*at most 20000"):
+    with pytest.raises(SynthesisError, match=r"of 30000 characters is too long.*at most 20000"):
         spoken_text("a" * 30_000, "", face.playout, never)
 
 
