@@ -299,10 +299,14 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
             of_speech["{agents}"] = agents.fileno()
         ours = {"{board}": board.fileno(), "{live}": live.fileno()}
         supervisor = Supervisor(
+            # Without a processor: a bridge whose servos get no goals lets go of them after 5 s, a
+            # person who stops it meanwhile does so at the port; speech is waited for, a minute.
             Child(
-                "bridge", bridge, {**of_bridge, **ours}, HeartbeatTimeouts(start_s=30.0, run_s=1.0)
+                "bridge", bridge, {**of_bridge, **ours}, HeartbeatTimeouts(30.0, 1.0, patience=5.0)
             ),
-            Child("speech", speech, {**of_speech, **ours}, HeartbeatTimeouts(60.0, 3.0)),
+            Child(
+                "speech", speech, {**of_speech, **ours}, HeartbeatTimeouts(60.0, 3.0, patience=20.0)
+            ),
             listener,
             SupervisedServos(
                 {name: can.of(index) for index, name in enumerate(settings.servos)}, release

@@ -228,12 +228,16 @@ def kill_all(process: subprocess.Popen[bytes]) -> None:
 
 @contextlib.contextmanager
 def robot_at_port(
-    bus: str = "dynamixel", session: Path | None = None, *, critical: bool = False
+    bus: str = "dynamixel",
+    session: Path | None = None,
+    *,
+    critical: bool = False,
+    face: str = FACE,
 ) -> Iterator[RobotAtPort]:
     """The servos of a shipped face, limp in neutral; what was started is gone afterwards.
 
     bus: which kind of servos it has. session: of another robot, beside which this one stands; None:
-    its own. critical: its first servo is; nothing goes on without it.
+    its own. critical: its first servo is; nothing goes on without it. face: which shipped one.
     """
     with tempfile.TemporaryDirectory(prefix="lipservo-robot-") as name:
         folder = Path(name)
@@ -241,7 +245,7 @@ def robot_at_port(
         if session is None:
             session = folder / "session"
             session.mkdir(mode=0o700)
-        config, settings = FACE, load_shipped_face(FACE)
+        config, settings = face, load_shipped_face(face)
         if bus != "dynamixel" or critical:
             file = folder / "face.yaml"
             file.write_text(face_yaml(settings, bus, critical=critical))
