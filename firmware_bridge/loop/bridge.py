@@ -185,12 +185,19 @@ class Bridge:
         """Return what is unusual about the bus, as sentences for a log; the list only grows."""
         return self._servos.remarks()
 
-    def pulses(self) -> dict[str, dict[str, float]]:
-        """Return by joint name each hobby servo's `JointPulse` and sent_us, the pulse sent last."""
+    def pulses(self) -> dict[str, dict[str, float | None]]:
+        """Return by joint name each hobby servo's `JointPulse` and sent_us, the pulse it gets now.
+
+        sent_us is None for a servo that is not known to get one.
+        """
         sent_deg = self._servos.limiter.sent_deg.tolist()
+        rows = zip(self._joints, sent_deg, self.torque.as_json(), strict=True)
         return {
-            joint.name: {**asdict(joint.pulse), "sent_us": round(joint.pulse.us(deg), 2)}
-            for joint, deg in zip(self._joints, sent_deg, strict=True)
+            joint.name: {
+                **asdict(joint.pulse),
+                "sent_us": round(joint.pulse.us(deg), 2) if is_on else None,
+            }
+            for joint, deg, is_on in rows
             if joint.pulse is not None
         }
 
@@ -249,16 +256,14 @@ class Bridge:
             return  # a freeze has ended
         try:
             servos.disable_all()
-            readings = servos.read()
-            self._tick_s = readings.time_s
-            self._begin(readings.start_deg(self.capabilities), readings.time_s)
+            self._begin()
             if not servos.gate.dry_run:
                 indices = range(len(self._joints))
                 critical = [i for i in indices if self._joints[i].critical]
                 strict = not (self._settings.tolerant or by_person)
                 servos.check(indices if strict else critical, may_continue)
                 if strict:
-                    servos.enable(indices, readings.time_s, may_continue)
+                    servos.enable(indices, self._tick_s, may_continue)
         except BusError:
             self._fire(FaceEvent.NOT_STARTED)
             raise
@@ -271,9 +276,7 @@ class Bridge:
 
     def start_frozen(self) -> None:
         """Start as a face that a person froze: hold servos whose torque is on; switch none on."""
-        readings = self._servos.read()
-        self._level, self._tick_s = StopLevel.FREEZE, readings.time_s
-        self._begin(readings.start_deg(self.capabilities), readings.time_s)
+        self._level = StopLevel.FREEZE
         self._fire(FaceEvent.KEEP)
 
     def tick(self, time_s: float, late: int = 0) -> TickReport:
@@ -385,8 +388,7 @@ class Bridge:
                 servos.gate.close(f"stopped by a person ({self._level.value})")
                 self._act_now(servos.drop_waiting)
             case FaceAction.BEGIN:
-                readings = servos.read()
-                self._begin(readings.start_deg(self.capabilities), readings.time_s)
+                self._begin()
             case FaceAction.HOLD:
                 self._act_now(servos.hold_position)
             case FaceAction.KEEP_HOLDING:
@@ -401,9 +403,11 @@ class Bridge:
             case FaceAction.COUNT_START:
                 self._n_armed += 1
 
-    def _begin(self, present_deg: Array, time_s: float) -> None:
-        self._servos.limiter.start_from(present_deg, time_s)
-        self._targets.begin(present_deg, time_s)
+    def _begin(self) -> None:
+        readings = self._servos.read()
+        present_deg, self._tick_s = readings.start_deg(self.capabilities), readings.time_s
+        self._servos.limiter.start_from(present_deg, self._tick_s)
+        self._targets.begin(present_deg, self._tick_s)
         self._easing = None
 
     def _act(self, time_s: float) -> tuple[Array, Limited]:

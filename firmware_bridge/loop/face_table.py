@@ -68,7 +68,7 @@ FACE_TABLE: Final = StateTable[FaceState, FaceEvent, FaceGuard, FaceAction](
         Row((_S.FROZEN,), _E.START, _S.DRIVEN, (_A.BEGIN, _A.ALLOW_TORQUE, _A.COUNT_START)),
         Row((_S.STARTING,), _E.STARTED, _S.DRIVEN, (_A.BEGIN, _A.COUNT_START)),
         Row((_S.STARTING,), _E.NOT_STARTED, _S.STOPPED, (_A.LET_GO,)),
-        Row((_S.STOPPED,), _E.KEEP, _S.FROZEN, (_A.FORBID_TORQUE, _A.KEEP_HOLDING)),
+        Row((_S.STOPPED,), _E.KEEP, _S.FROZEN, (_A.FORBID_TORQUE, _A.BEGIN, _A.KEEP_HOLDING)),
         Row((_S.STOPPED,), _E.FREEZE, None, (_A.FORBID_TORQUE,)),  # nothing is held
         Row(
             (_S.STARTING, _S.DRIVEN, _S.SILENT, _S.EASING),

@@ -441,7 +441,7 @@ class LifeCycle:
         for order in () if control is None else control.take_orders():
             if isinstance(order, StartFace):
                 why_not = "a stop came with it" if is_stopped_now else self._obey_start()
-                then = why_not or f"the face is {self._bridge.state.value}"
+                then = why_not or "the face starts"
                 _LOG.info("start requested by %s: %s", order.requested_by, then)
                 continue
             why_not = self._bridge.obey(order, time_s)

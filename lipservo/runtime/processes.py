@@ -19,7 +19,13 @@ from firmware_bridge.stop_signals import SignalCounter
 from firmware_bridge.stopping import ExitStatus, StopRequest
 from lipservo.runtime.requested_face import RequestedFace
 from lipservo.runtime.run_request import RunRequest, request_json
-from lipservo.runtime.servos.driven_face import DrivenFace, DriveOptions, Supervised, driven_face
+from lipservo.runtime.servos.driven_face import (
+    DrivenFace,
+    DriveOptions,
+    Supervised,
+    driven_face,
+    guarded,
+)
 from lipservo.runtime.status.face_status import Status, whole_status
 from lipservo.runtime.status.live_board import LiveBoard, ServoBoard
 from lipservo.runtime.status.status_board import StatusBoard
@@ -284,6 +290,8 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
         shared += ["--board", "{board}", "--live", "{live}", "--channel", "{channel}"]
         bridge = [*command, "bridge-process", *shared, "--control", "{control}"]
         of_bridge = {"{control}": listener.fileno(), "{channel}": reader.fileno()}
+        for number, alive in enumerate(stack.enter_context(guarded(settings))):
+            of_bridge[f"{{guard {number}}}"] = alive  # held until it ends
         speech = [*command, "speech-process", *shared]
         of_speech = {"{channel}": writer.fileno()}
         if agents is not None:
@@ -291,10 +299,14 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
             of_speech["{agents}"] = agents.fileno()
         ours = {"{board}": board.fileno(), "{live}": live.fileno()}
         supervisor = Supervisor(
+            # Without a processor: a bridge whose servos get no goals lets go of them after 5 s, a
+            # person who stops it meanwhile does so at the port; speech is waited for, a minute.
             Child(
-                "bridge", bridge, {**of_bridge, **ours}, HeartbeatTimeouts(start_s=30.0, run_s=1.0)
+                "bridge", bridge, {**of_bridge, **ours}, HeartbeatTimeouts(30.0, 1.0, patience=5.0)
             ),
-            Child("speech", speech, {**of_speech, **ours}, HeartbeatTimeouts(60.0, 3.0)),
+            Child(
+                "speech", speech, {**of_speech, **ours}, HeartbeatTimeouts(60.0, 3.0, patience=20.0)
+            ),
             listener,
             SupervisedServos(
                 {name: can.of(index) for index, name in enumerate(settings.servos)}, release

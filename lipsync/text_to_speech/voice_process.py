@@ -55,6 +55,7 @@ class VoiceProcess:
             if self._child is None or self._child.poll() is not None:
                 self._child = self._started()
             late = threading.Timer(LONGEST_S, self._kill)
+            late.daemon = True  # the end of the face does not wait for what is not said any more
             late.start()
             try:
                 answer, content = _exchange(self._child, request)

@@ -6,7 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from lipservo_lab.bench.stops.idle_connections import stop_beside_idle
 from lipservo_lab.bench.stops.signal_campaign import play_signal, signal_cases, signal_figures
+from lipservo_lab.bench.stops.started_again import LEVELS, play_starts
+from lipservo_lab.bench.stops.starved_face import play_starved
 from lipservo_lab.bench.stops.stop_campaign import play_batch
 from lipservo_lab.bench.stops.stop_cases import StopOutcome, batches, stop_cases, stop_figures
 from lipservo_lab.campaigns.fault_campaign import Outcome, cases, play, trials_of
@@ -47,7 +50,8 @@ def stop_campaign_figures(
         for played in as_completed([pool.submit(play_batch, each) for each in batches(chosen)]):
             outcomes += played.result()
             progress(len(outcomes), len(chosen))
-    return stop_figures(outcomes), [str(o) for o in outcomes if not o.kept]
+    figures = stop_figures(outcomes) | stop_beside_idle()
+    return figures, [str(o) for o in outcomes if not o.kept]
 
 
 def signal_campaign_figures(
@@ -64,3 +68,40 @@ def signal_campaign_figures(
             outcomes.append(outcome)
             progress(len(outcomes), len(chosen))
     return signal_figures(outcomes), [str(o) for o in outcomes if not o.kept]
+
+
+#: Starts after a failure, and how many of them one worker plays one after the other.
+_STARTS, _STARTS_BATCH = 40, 10
+
+
+def starved_figures(
+    minutes: float, progress: Callable[[int, int], None]
+) -> tuple[dict[str, float], list[str]]:
+    """Starve a face for so many minutes, then start faces with servos that failed; the figures.
+
+    20 minutes have 20 jams, 20 held processes and 40 starts, fewer minutes fewer in proportion. A
+    line for each thing that must not be.
+    """
+    outcome = play_starved(minutes, progress)
+    n_starts = max(len(LEVELS), round(_STARTS * min(minutes, 20.0) / 20.0))
+    cases = [(number, LEVELS[number % len(LEVELS)]) for number in range(n_starts)]
+    chunks = [cases[at : at + _STARTS_BATCH] for at in range(0, n_starts, _STARTS_BATCH)]
+    starts: list[str] = []
+    with worker_pool(2) as pool:
+        for played in pool.map(play_starts, chunks):
+            starts += played
+            progress(len(starts), n_starts)
+    figures = {
+        "minutes": outcome.minutes,
+        "driven_share": float(np.mean(outcome.driven)),
+        "accused": outcome.accused,
+        "called_silent": outcome.called_silent,
+        "killed_starved": outcome.killed_starved,
+        "jams": outcome.jams,
+        "jams_named": outcome.jams_named / outcome.jams,
+        "held": outcome.held,
+        "hung_killed": outcome.hung_killed / outcome.held,
+        "starts": n_starts,
+        "started_again": starts.count("") / n_starts,
+    }
+    return figures, [*outcome.said, *filter(None, starts)]

@@ -116,9 +116,9 @@ def judge_waiting(
     if not face.look_until_state("stopped", _SERVED_S):
         outcome.broken.append("after its children were killed it does not wait")
     robot.look(0.3)
-    robot.chain.unplug()
+    robot.device.unplug()
     robot.look(_PLUG_OUT_S)
-    robot.chain.plug_in()
+    robot.device.plug_in()
     robot.look(_PLUG_IN_S)
     outcome.undone = count_undone(face, case, requested)
     outcome.torque_left_on = max(outcome.torque_left_on, int(robot.torque.sum()))
@@ -268,7 +268,7 @@ def _play(case: StopCase, face: RunningFace, outcome: StopOutcome, *, has_start:
             requested = request_stop_by(case.client, case.level, robot, face.daemon, face.at)
         if case.trouble is Trouble.UNPLUGGED:
             robot.look(PLUG_OUT_S)
-            robot.chain.plug_in()
+            robot.device.plug_in()
             reachable_s = time.monotonic()
         since_s = max(requested.requested_s + case.client.loads_s, reachable_s)
         if case.level is StopLevel.FREEZE:

@@ -112,7 +112,7 @@ def request_stop_by(
         case StopClient.API:
             work = partial(post_stop, at.page, level, _API_WAIT_S, _LONGEST_S)
         case StopClient.CONTROL:
-            work = partial(_stop_by_control, at.agents, level)
+            work = partial(stop_by_control, at.agents, level)
     _in_thread(work, requested.answers)
     return requested
 
@@ -168,12 +168,13 @@ def press_stop(page: str, level: str, post: Callable[..., tuple[int, object]] = 
     return 0
 
 
-def _stop_by_control(agents: str, level: str) -> str | bytes:
+def stop_by_control(agents: str, level: str, timeout_s: float = _LONGEST_S) -> str | bytes:
+    """Send a stop to `/control` of voice agents, without a token: the first message that comes."""
     from websockets.sync.client import connect
 
-    with connect(f"{agents}/control", open_timeout=_LONGEST_S) as client:
+    with connect(f"{agents}/control", open_timeout=timeout_s) as client:
         client.send(json.dumps({"type": "stop", "id": 1, "level": level}))
-        return client.recv(_LONGEST_S)
+        return client.recv(timeout_s)
 
 
 def _signal(daemon: subprocess.Popen[bytes], *, twice: bool) -> None:

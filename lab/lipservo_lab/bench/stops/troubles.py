@@ -103,8 +103,8 @@ def _begin(trouble: Trouble, face: RunningFace, undo: ExitStack) -> None:
         _switch_on(face, _INJECTED[trouble], undo)
     match trouble:
         case Trouble.UNPLUGGED:
-            robot.chain.unplug()
-            undo.callback(robot.chain.plug_in)
+            robot.device.unplug()
+            undo.callback(robot.device.plug_in)
         case Trouble.HUNG_BRIDGE:
             os.kill(face.child("bridge"), signal.SIGSTOP)
         case Trouble.DEAD_SPEECH:
@@ -112,9 +112,9 @@ def _begin(trouble: Trouble, face: RunningFace, undo: ExitStack) -> None:
         case Trouble.FROZEN:
             face.request("freeze")
         case Trouble.DURING_REPLUG:
-            robot.chain.unplug()
+            robot.device.unplug()
             robot.look(1.0)
-            robot.chain.plug_in()
+            robot.device.plug_in()
         case Trouble.DURING_RESTART:
             os.kill(face.child("bridge"), signal.SIGKILL)
         case Trouble.SECOND_FACE:
@@ -136,7 +136,7 @@ def _begin(trouble: Trouble, face: RunningFace, undo: ExitStack) -> None:
             servo.ignore_until(float("inf"))
             robot.look(0.3)
         case Trouble.OTHER_UNPLUGGED:
-            face.others[0].robot.chain.unplug()
+            face.others[0].robot.device.unplug()
             robot.look(0.5)
         case Trouble.OTHER_HUNG:
             other = face.others[0].daemon.pid

@@ -155,28 +155,38 @@ def faults(
             help="Signals to every command that moves servos instead, on real processes, 8 s each.",
         ),
     ] = False,
+    starved: Annotated[
+        bool,
+        typer.Option(
+            "--starved", help="A face that gets a tenth of a processor instead; needs root."
+        ),
+    ] = False,
+    minutes: Annotated[
+        float, typer.Option(min=1.0, help="How long --starved starves it; then 40 starts.")
+    ] = 20.0,
     bus: Annotated[str, typer.Option(help="Which kind of bus.")] = "dynamixel",
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Play every kind of fault against bridge and bus, on a virtual clock.
 
-    With --stops or --signals: how faces and commands end, on real processes at simulated servos.
+    With --stops, --signals or --starved: on real processes at simulated servos.
     Exit status 1 when anything happened that must not.
     """
     from lipservo_lab.bench.fault_figures import (
         campaign_figures,
         signal_campaign_figures,
+        starved_figures,
         stop_campaign_figures,
     )
     from lipservo_lab.campaigns.fault_campaign import CAMPAIGN_BUSES
 
-    if stops + signals + whole > 1:
-        raise UserError("--stops, --signals and --whole: give one of them")
-    if bus not in CAMPAIGN_BUSES or (bus != "dynamixel" and (stops or signals)):
+    if stops + signals + starved + whole > 1:
+        raise UserError("--stops, --signals, --starved and --whole: give one of them")
+    if bus not in CAMPAIGN_BUSES or (bus != "dynamixel" and (stops or signals or starved)):
         raise UserError(
-            f"--bus {bus}: use one of {', '.join(CAMPAIGN_BUSES)}; --stops and --signals are of "
-            "dynamixel"
+            f"--bus {bus}: use one of {', '.join(CAMPAIGN_BUSES)}; --stops, --signals and "
+            "--starved are of dynamixel"
         )
     began_s = time.perf_counter()
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
@@ -189,6 +199,8 @@ def faults(
             figures, broken = stop_campaign_figures(every, advance)
         elif signals:
             figures, broken = signal_campaign_figures(every, advance)
+        elif starved:
+            figures, broken = starved_figures(minutes, advance)
         else:
             figures, broken = campaign_figures(every, advance, bus=bus, whole=whole)
     for line in broken:
