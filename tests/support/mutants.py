@@ -125,10 +125,13 @@ class Source:
             (each.lineno, each.end_lineno, each.name, ast.get_docstring(each) or "")
             for each in within
         ]
-        told = (getattr(n, "annotation", None) or getattr(n, "returns", None) for n in nodes)
-        #: Annotations are not run, or end the import: any test would find it.
-        self.annotations = [
-            ((n.lineno, n.col_offset), (n.end_lineno, n.end_col_offset)) for n in told if n
+        told = [getattr(n, "annotation", None) or getattr(n, "returns", None) for n in nodes]
+        made = [n for each in within for n in each.decorator_list if isinstance(n, ast.Call)]
+        #: Annotations are not run, and whether an object is frozen is no matter of a test.
+        self.left_out = [
+            ((each.lineno, each.col_offset), (each.end_lineno, each.end_col_offset))
+            for each in [*told, *made]
+            if each is not None
         ]
 
     def function(self, row: int) -> str:
@@ -186,7 +189,7 @@ def drawn(plan: dict) -> list[Mutant]:
             seen: Counter[tuple[int, int]] = Counter()
             for occurrence, (start, _) in enumerate(positions):
                 seen[start] += 1
-                if any(first <= start < last for first, last in source.annotations):
+                if any(first <= start < last for first, last in source.left_out):
                     continue
                 line, kind = source.lines[start[0] - 1], type(operator).__name__
                 column = start[1] - len(line) + len(line.lstrip())

@@ -167,6 +167,19 @@ def test_full_strength_is_said_three_times_a_tenth_of_a_second_apart():
     np.testing.assert_allclose(said_s - begun_s, [1.0, 1.1, 1.2], atol=0.04)
 
 
+def test_servos_that_came_on_one_after_another_are_all_at_full_strength_in_the_end():
+    face = MemoryFace(2)
+    with face.bus:
+        assert face.bus.enable_torque(0) == ""
+        run(face, 0.25, [0.0, 0.0])
+        assert face.bus.enable_torque(1) == ""
+        run(face, 2.0, [0.0, 0.0])
+
+        assert face.bus.at_full_strength
+        for servo in face.chain.servos:
+            assert profile(servo) == pytest.approx(300.0 * 1.05, abs=1.5)
+
+
 def test_torque_off_everywhere_ends_all_slow_starts():
     face = MemoryFace(2)
     with face.bus:

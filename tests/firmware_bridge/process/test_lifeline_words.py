@@ -2,6 +2,7 @@
 
 import json
 import os
+import socket
 
 import pytest
 
@@ -9,6 +10,7 @@ from firmware_bridge.process.lifeline import (
     Began,
     Failed,
     Lifeline,
+    LifelineWatch,
     NotStarted,
     Ready,
     Started,
@@ -157,6 +159,17 @@ def test_what_a_child_said_before_it_died_is_heard_before_its_death():
     line.close()
 
     assert watch.read() == [Stopped(StopLevel.LIMP)]
+    assert watch.closed
+    watch.close()
+
+
+def test_a_child_that_died_before_it_read_what_it_was_sent_is_gone_all_the_same():
+    child, supervisor = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    supervisor.send(b"never read")
+    child.close()
+    watch = LifelineWatch(supervisor)
+
+    assert watch.read() == []
     assert watch.closed
     watch.close()
 
