@@ -16,8 +16,8 @@ HEAD_S: Final = 5.0
 #: which costs more than to let them wait. All bounds are of a process that may open so many files.
 MOST_HEADS: Final = 448
 _FILES: Final = 1024
-#: Between two that are dropped for being late: a crowd that comes again at once would delay a stop.
-_BETWEEN_S: Final = 0.01
+#: A crowd is not dropped in one moment: it may come again at once, and would delay a stop.
+_APART_S: Final = 0.01
 #: Of a room, for one peer.
 _SHARE: Final = 0.75
 #: Connections that the kernel holds until they are accepted. To one that finds no room there the
@@ -39,44 +39,32 @@ class Doorway:
         """Make a room for `scaled(most)` connections, each of which may wait `patience_s`."""
         self._most = scaled(most)
         self._patience_s = patience_s
-        # The loop's time at which each came, the oldest first; and how many each peer has.
-        self._came_s: dict[asyncio.WriteTransport, float] = {}
+        # In the order in which they came, with what ends their patience; and how many a peer has.
+        self._waiting: dict[asyncio.WriteTransport, asyncio.TimerHandle] = {}
         self._of_peer: Counter[str] = Counter()
-        self._late: asyncio.TimerHandle | None = None
 
     def enter(self, connection: asyncio.WriteTransport) -> None:
         """Let a connection wait here from now on, unless it does already."""
-        if connection in self._came_s:
+        if connection in self._waiting:
             return
+        patience_s = self._patience_s + len(self._waiting) * _APART_S
+        late = asyncio.get_running_loop().call_later(patience_s, self._abort, connection)
+        self._waiting[connection] = late
         peer = _peer_of(connection)
-        self._came_s[connection] = asyncio.get_running_loop().time()
         self._of_peer[peer] += 1
-        if len(self._came_s) > self._most:
-            ((peer, _),) = self._of_peer.most_common(1)
-        if len(self._came_s) > self._most or self._of_peer[peer] > _SHARE * self._most:
-            self._abort(next(each for each in self._came_s if _peer_of(each) == peer))
-        self._await_late()
+        is_full = len(self._waiting) > self._most
+        if is_full:
+            peer = max(self._of_peer, key=self._of_peer.__getitem__)
+        if is_full or self._of_peer[peer] > _SHARE * self._most:
+            self._abort(next(each for each in self._waiting if _peer_of(each) == peer))
 
     def leave(self, connection: asyncio.WriteTransport) -> bool:
         """Let a connection wait here no longer; return whether it did."""
-        if self._came_s.pop(connection, None) is None:
-            return False
-        self._of_peer -= Counter((_peer_of(connection),))  # none of 0 is kept
-        return True
-
-    def _await_late(self) -> None:
-        """Drop those that are late, the oldest first, with time for others between them."""
-        if self._late is None and self._came_s:
-            loop = asyncio.get_running_loop()
-            late_s = next(iter(self._came_s.values())) + self._patience_s
-            self._late = loop.call_at(max(late_s, loop.time() + _BETWEEN_S), self._drop_late)
-
-    def _drop_late(self) -> None:
-        self._late = None
-        oldest, came_s = next(iter(self._came_s.items()), (None, 0.0))
-        if oldest and came_s + self._patience_s <= asyncio.get_running_loop().time():
-            self._abort(oldest)
-        self._await_late()
+        late = self._waiting.pop(connection, None)
+        if late is not None:
+            late.cancel()
+            self._of_peer -= Counter((_peer_of(connection),))  # keeps no peer that has none
+        return late is not None
 
     def _abort(self, connection: asyncio.WriteTransport) -> None:
         self.leave(connection)
@@ -89,8 +77,8 @@ def scaled(most: int) -> int:
         import resource
 
         soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-        if soft != resource.RLIM_INFINITY:
-            return max(4, most * min(soft, _FILES) // _FILES)
+        most_files = _FILES if soft == resource.RLIM_INFINITY else min(soft, _FILES)
+        return max(4, most * most_files // _FILES)
     return most
 
 

@@ -163,9 +163,8 @@ class RequestLimit:
         """Pass a request to the application within, or answer 503."""
         peer = (scope.get("client") or ("",))[0]
         if 2 * self._open[peer] >= self._most or self._open.total() >= self._most:
-            busy = {"error": f"{self._open.total()} requests are being answered already"}
-            is_websocket = scope["type"] == "websocket"
-            await answer_json(send, HTTPStatus.SERVICE_UNAVAILABLE, busy, is_websocket=is_websocket)
+            busy, status = {"error": "too many requests at a time"}, HTTPStatus.SERVICE_UNAVAILABLE
+            await answer_json(send, status, busy, is_websocket=scope["type"] == "websocket")
             return
         self._open[peer] += 1
         try:

@@ -128,23 +128,18 @@ def _http_connections(heads: Doorway, stops: Doorway) -> type[asyncio.Protocol]:
 
         def connection_lost(self, exc: Exception | None) -> None:
             super().connection_lost(exc)
-            self._wait_in(None)
+            heads.leave(self.transport)
+            stops.leave(self.transport)
 
         def _wait(self) -> None:
-            room, cycle = None, self.cycle
-            if self.transport.get_protocol() is self:  # it has not become a WebSocket
-                if cycle is None or cycle.response_complete:
-                    room = heads
-                elif is_stop(cycle.scope):
-                    room = heads if cycle.more_body else stops
-            self._wait_in(room)
-
-        def _wait_in(self, room: Doorway | None) -> None:
+            cycle, room = self.cycle, None
+            if cycle is None or cycle.response_complete:
+                # What has become a WebSocket sends no further head.
+                room = heads if self.transport.get_protocol() is self else None
+            elif is_stop(cycle.scope):
+                room = heads if cycle.more_body else stops
             for each in (heads, stops):
-                if each is not room:
-                    each.leave(self.transport)
-            if room is not None:
-                room.enter(self.transport)
+                each.enter(self.transport) if each is room else each.leave(self.transport)
 
     return Connection
 

@@ -21,6 +21,7 @@ from lipservo_lab.bench.stops import injected, traced
 from lipservo_lab.bench.stops.raw_control import request
 from lipservo_lab.bench.stops.robot_at_port import (
     CLIP,
+    FACE,
     RobotAtPort,
     children_of,
     robot_at_port,
