@@ -144,8 +144,8 @@ class Pca9685Truth:
 class LoggedDevice:
     """A simulated device that a `PtyHost` serves, which logs each change of torque and pulses.
 
-    device: the simulator. moments: the log, oldest first; shafts: (time, degrees of each), some fifty a second. The host's
-    thread writes both, and any thread may read them.
+    device: the simulator. moments: the log, oldest first; shafts: (time, degrees of each), some
+    fifty a second. The host's thread writes both, and any thread may read them.
     """
 
     def __init__(self, device: SimulatedDevice, truth: ServoTruth) -> None:

@@ -155,16 +155,22 @@ def faults(
             help="Signals to every command that moves servos instead, on real processes, 8 s each.",
         ),
     ] = False,
+    only: Annotated[
+        str,
+        typer.Option(help="Of --stops only: stops, freezes, statements or restarts."),
+    ] = "",
     bus: Annotated[str, typer.Option(help="Which kind of bus.")] = "dynamixel",
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Play every kind of fault against bridge and bus, on a virtual clock.
 
-    With --stops or --signals: how faces and commands end, on real processes at simulated servos.
+    With --stops or --signals: how faces and commands end, on real processes at simulated servos;
+    with --stops also whether what they say of torque is so.
     Exit status 1 when anything happened that must not.
     """
     from lipservo_lab.bench.fault_figures import (
+        STOP_PARTS,
         campaign_figures,
         signal_campaign_figures,
         stop_campaign_figures,
@@ -178,6 +184,8 @@ def faults(
             f"--bus {bus}: use one of {', '.join(CAMPAIGN_BUSES)}; --stops and --signals are of "
             "dynamixel"
         )
+    if only and not (stops and only in STOP_PARTS):
+        raise UserError(f"--only {only}: goes with --stops; one of {', '.join(STOP_PARTS)}")
     began_s = time.perf_counter()
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
         steps = progress.add_task("cases", total=None)
@@ -186,7 +194,7 @@ def faults(
             progress.update(steps, completed=n_done, total=n_cases)
 
         if stops:
-            figures, broken = stop_campaign_figures(every, advance)
+            figures, broken = stop_campaign_figures(every, advance, only)
         elif signals:
             figures, broken = signal_campaign_figures(every, advance)
         else:
