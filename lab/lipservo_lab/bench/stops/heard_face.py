@@ -53,7 +53,7 @@ class HeardFace:
     @property
     def last_servo(self) -> str:
         """The name of the face's last servo."""
-        return next(reversed(self.robot.settings.servos))
+        return list(self.robot.settings.servos)[-1]
 
     def begin(self, *arguments: str) -> subprocess.Popen[bytes]:
         """Start `lipservo ARGUMENTS`; each of its lines is heard."""

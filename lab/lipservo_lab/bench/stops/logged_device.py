@@ -194,7 +194,7 @@ class LoggedDevice:
 
     def turn(self, index: int, by_deg: float) -> None:
         """Turn a limp servo's shaft by hand, where it can be."""
-        if (turn := getattr(self._device, "turn", None)) is not None:
+        if (turn := getattr(self.device, "turn", None)) is not None:
             turn(index, by_deg)
 
     def during(self, since_s: float, until_s: float) -> list[Moment]:

@@ -5,7 +5,7 @@ from itertools import product
 
 from lipservo_lab.bench.stops.claims import Judge, Tally
 from lipservo_lab.bench.stops.faces_on_buses import BUSES
-from lipservo_lab.bench.stops.heard_face import heard_face
+from lipservo_lab.bench.stops.heard_face import HeardFace, heard_face
 from lipservo_lab.bench.stops.statement_rules import RULES
 from lipservo_lab.bench.stops.statement_scenes import CRITICAL, SCENES
 
@@ -27,6 +27,10 @@ def play_scene(bus: str, scene: str) -> tuple[Tally, list[str]]:
         except (OSError, RuntimeError, subprocess.SubprocessError) as error:
             errors.append(f"{bus}/{scene}: {type(error).__name__}: {error}")
         face.close()
-        settings = face.robot.settings
-        judge = Judge(RULES, face.robot.device, settings.joints(), settings.name)
-        return judge.judge(list(face.statements), f"{bus}/{scene}"), errors
+        return judge_of(face).judge(list(face.statements), f"{bus}/{scene}"), errors
+
+
+def judge_of(face: HeardFace) -> Judge:
+    """Who holds what a face says against the log of its servos."""
+    settings = face.robot.settings
+    return Judge(RULES, face.robot.device, settings.joints(), settings.name)
