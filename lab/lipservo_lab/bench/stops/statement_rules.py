@@ -16,6 +16,7 @@ from lipservo_lab.bench.stops.claims import (
     Rule,
     Torque,
     WasOn,
+    limp_state,
     nothing,
     sent_pulse,
     unknown,
@@ -26,6 +27,7 @@ _SHORT: Final = {
     r"(?:bridge: |speech: |lipservo: )*(?:FACE: )?(?:could not be started: )?",
     "{servo}": r"servo '(?P<who>\w+)' \((?:id|channel) \d+\)",
     "{limp}": r"(?:limp|pulses off; a digital servo may hold)",
+    "{face}": r"says FACE  process \d+  (?:\S+|simulated servos)  ",
     "{n}": r"(?P<n>\d+) servos?",
 }
 _ALL_OFF: Final = Torque(on=False)
@@ -67,9 +69,7 @@ _STATUS: Final[tuple[tuple[str, Claim], ...]] = (
     ),
     (r"status pulses\.\w+\.sent_us: null", unknown),
     (r"status pulses\.(?P<who>\w+)\.sent_us: (?P<us>[\d.]+)", sent_pulse),
-    # A servo that has not confirmed is named beside it.
-    (r"status state: (?:stopped|ended)", Torque(on=False, but="stop_report.unconfirmed")),
-    (r"status state: silent", _ALL_OFF),
+    (r"status state: (?:stopped|ended|silent)", limp_state),
     (r"status state: starting", nothing),
     (r"status state: (?:driven|frozen|easing|letting go|unknown)", nothing),
     (r"status state: the bridge .*", nothing),
@@ -90,7 +90,8 @@ _ANSWERS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"answer to \w+ limp: (?P<who>\w+)", _IS_OFF),
     (r"answer to \w+ unknown: (?P<who>\w+)", unknown),
     (
-        r"(?:end of \w+|outcome) (?:confirmed|released|limp): (?:id |channel )?(?P<who>\w+)(?: at .*)?",
+        r"(?:end of \w+|outcome) (?:confirmed|released|limp): "
+        r"(?:id |channel )?(?P<who>\w+)(?: at .*)?",
         _IS_OFF,
     ),
     (r"(?:end of \w+|outcome) holds: (?P<who>\w+)", _IS_ON),
@@ -114,8 +115,8 @@ _ANSWERS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"outcome servos\.\w+: (?:waiting|cooling|rebooting|failed|switching off)", unknown),
     (r"outcome servos\.\w+\.\w+: .*", nothing),  # health --json: of days
     (r"outcome state: .*", nothing),
-    # The file of a face that one `doctor --json` or `limp --json` names.
-    (r"outcome (?:ok|level|text|lines|checks|warnings)[\w.]*: .*", nothing),
+    (r"outcome findings\.what: {servo} gets no pulses", _IS_OFF),
+    (r"outcome (?:bad|findings\.(?:remedy|severity|what)): .*", nothing),
 )
 
 #: Of one servo, as they stand in `troubles`.
@@ -180,6 +181,9 @@ _OF_A_FACE: Final[tuple[tuple[str, Claim], ...]] = (
     (r"{S}recogniser .*", nothing),
     (r"{S}(?:\d+ lines were lost).*", nothing),
     (r"{S}simulated.*", nothing),
+    (r"{S}\S+: (?:no such port|no such I2C bus|no Maestro answers|used by another).*", unknown),
+    (r"{S}\S+, address \S+: .*", unknown),
+    (r"{S}could not be started .*", nothing),
 )
 
 #: What the commands answer.
@@ -189,8 +193,9 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
         r"says FACE: {limp} \({n}\)(?:; confirmed by \d+ servos)?(?:; it waits: .*)?",
         AtLeast(on=False),
     ),
-    (r"says (?:FACE|PORT): (?:limp|{limp}).*", _ALL_OFF),
-    (r"says (?:FACE|PORT): confirmed by {n}, NOT by .*", AtLeast(on=False)),
+    (r"says \S+: {limp}(?:, confirmed by all {n}| \(\d+ servos?\))?(?:; .*)?", _ALL_OFF),
+    (r"says \S+: confirmed by {n}, NOT by .*", AtLeast(on=False)),
+    (r"says FACE hangs: it does not answer; processes .* are killed", nothing),
     (r"says FACE: held where it is until the next stop", _ALL_ON),
     (r"says FACE: driven, (?P<n>\d+) of \d+ servos driven", Count(on=True)),
     (r"{S}will stop, but has not confirmed it within .*", unknown),
@@ -208,16 +213,35 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"{S}no bridge drives the servos just now; ask again", nothing),
     (r"{S}no face (?:runs|answers).*", nothing),
     # `status`: a line for each face.
-    (r"says FACE  process \d+  \S+  \w+, but its port is gone: no servo can be reached", unknown),
     (
-        r"says FACE  process \d+  \S+  stopped by .*: (?:.*; )?limp, confirmed by {n}"
+        r"{face}\w+, but its port is gone: no servo can be reached",
+        unknown,
+    ),
+    (
+        r"{face}stopped by .*: (?:.*; )?limp, confirmed by {n}"
         r"(?:, NOT by .*)?(?:; .*)?",
         AtLeast(on=False),
     ),
-    (r"says FACE  process \d+  \S+  stopped by .*: {limp}(?:; .*)?", _ALL_OFF),
-    (r"says FACE  process \d+  \S+  [\w ]+, (?P<n>\d+) of \d+ servos driven", Count(on=True)),
-    (r"says FACE  process \d+  \S+  .*", nothing),
-    (r"says   silence: .*", nothing),
+    (r"{face}stopped by .*: {limp}(?:; .*)?", _ALL_OFF),
+    (
+        r"{face}[\w ]+, (?P<n>\d+) of \d+ servos driven",
+        Count(on=True),
+    ),
+    (r"{face}.*", nothing),
+    (r"says   (?:silence|\S+\.flac): .*", nothing),
+    # The frame and the counts that a `run` leaves behind.
+    (r"says .* -> FACE +torque off", _ALL_OFF),
+    (r"says .* -> FACE +torque on", Torque(on=True, who="any")),
+    (r"says  *\w+ +[─●]+ +-?[\d.]+ deg", nothing),
+    (r"says \S+\.flac", nothing),
+    (r"says animpho, .*", nothing),
+    (r"says delay from sound to face: .*", nothing),
+    (r"says (?:lip gap|phonemes) .*", nothing),
+    (
+        r"says  [a-z0-9 ]+  +\S.*  +(?:good: .*|goals sent to every servo|the face is so .*)",
+        nothing,
+    ),
+    (r"says  [a-z0-9 ]+  +\S.*  +(?:from the start of .*|a few are normal; .*)", nothing),
     # `calibrate neutral`.
     (r"says (?P<who>\w+) was sent to .* deg(?: \(.* us\))?", WasOn("who")),
     (r"says (?P<who>\w+) stands at .* deg(?: \(.* us\))?", WasOn("who")),
@@ -247,6 +271,7 @@ _EXITS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"exit (?:daemon|run .*): 3", unknown),
     (r"exit calibrate neutral .*: 0", _ALL_OFF),
     (r"exit (?:stop|start|servo|limp|calibrate|daemon|run)\b.*: -?\d+", nothing),
+    (r"exit daemon at a port in use: [1-9]", nothing),
     (r"exit (?:status|doctor|health|servo)\b.*: \d+", nothing),
 )
 
