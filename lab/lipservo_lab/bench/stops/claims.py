@@ -148,6 +148,22 @@ class Count:
         )
 
 
+@dataclass(frozen=True, slots=True, init=False)
+class Each:
+    """Several claims of one sentence; those whose group is not in it are left out."""
+
+    claims: tuple[Claim, ...]
+
+    def __init__(self, *claims: Claim) -> None:
+        object.__setattr__(self, "claims", claims)
+
+    def __call__(self, heard: Heard) -> Verdict:
+        """Untrue where one of them is."""
+        named = heard.match.groupdict()
+        found = [each(heard) for each in self.claims if named.get(getattr(each, "who", ""), "-")]
+        return Verdict.UNTRUE if Verdict.UNTRUE in found else found[0]
+
+
 @dataclass(frozen=True, slots=True)
 class WasOn:
     """Servos have had torque, or pulses, since the process was started that says so."""

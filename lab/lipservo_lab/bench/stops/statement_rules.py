@@ -13,6 +13,7 @@ from lipservo_lab.bench.stops.claims import (
     AtLeast,
     Claim,
     Count,
+    Each,
     Rule,
     Torque,
     WasOn,
@@ -24,11 +25,14 @@ from lipservo_lab.bench.stops.claims import (
 
 _SHORT: Final = {
     "{S}": r"(?:says|status troubles:|\w+ error:|answer to \w+ error:|outcome problem:) *"
-    r"(?:bridge: |speech: |lipservo: )*(?:FACE: )?(?:could not be started: )?",
+    r"(?:bridge: |speech: |guard: |lipservo: )*(?:FACE: )?"
+    r"(?:its processes have died; its guard at \S+: )?(?:could not be started: )?",
     "{servo}": r"servo '(?P<who>\w+)' \((?:id|channel) \d+\)",
     "{limp}": r"(?:limp|pulses off; a digital servo may hold)",
     "{face}": r"says FACE  process \d+  (?:\S+|simulated servos)  ",
     "{n}": r"(?P<n>\d+) servos?",
+    # Behind a stop that a full disk did not take.
+    "{kept}": r"(?:; the next start of its process will not know of this stop: .*)?",
 }
 _ALL_OFF: Final = Torque(on=False)
 _ALL_ON: Final = Torque(on=True)
@@ -64,7 +68,7 @@ _STATUS: Final[tuple[tuple[str, Claim], ...]] = (
     # It gets no goals; whether it holds is told by torque_on.
     (
         r"status (?:servos\.\w+|health\.\w+\.state): "
-        r"(?:waiting|cooling|rebooting|failed|switching off|unknown)",
+        r"(?:starting|waiting|cooling|rebooting|failed|switching off|unknown)",
         unknown,
     ),
     (r"status pulses\.\w+\.sent_us: null", unknown),
@@ -83,7 +87,8 @@ _STATUS: Final[tuple[tuple[str, Claim], ...]] = (
 
 _ANSWERS: Final[tuple[tuple[str, Claim], ...]] = (
     (
-        r"answer to \w+ (?:accepted|name|config|port|sounds|control|servo|asked|set|value): .*",
+        r"answer to \w+ (?:accepted|name|config|port|sounds|control|servo|asked|set|value"
+        r"|not_kept): .*",
         nothing,
     ),
     (r"answer to \w+ holds: (?P<who>\w+)", _IS_ON),
@@ -95,13 +100,14 @@ _ANSWERS: Final[tuple[tuple[str, Claim], ...]] = (
         _IS_OFF,
     ),
     (r"(?:end of \w+|outcome) holds: (?P<who>\w+)", _IS_ON),
+    (r"outcome unconfirmed\.(?P<who>\w+): limp: nothing is held", _IS_OFF),
     (r"(?:end of \w+|outcome) unconfirmed\.[\w ]+: .*", unknown),
     (r"(?:end of \w+|outcome) unknown: .*", unknown),
     (r"end of \w+ complete: true", _ALL_OFF),
     (r"end of \w+ complete: false", unknown),
     (
         r"end of \w+ (?:ended|waits|name|config|port|sounds|at_rest|dry_run|released_words"
-        r"|exit_status): .*",
+        r"|exit_status|not_kept): .*",
         nothing,
     ),
     (
@@ -131,6 +137,7 @@ _OF_A_SERVO: Final[tuple[tuple[str, Claim], ...]] = (
     (r"{S}{servo} has lost its torque", _IS_OFF),
     (r"{S}{servo} stopped by its watchdog", nothing),
     (r"{S}{servo} .*: it stays limp", _IS_OFF),
+    (r"{S}{servo} .*, again and again: given up until a start", unknown),
     (r"{S}{servo} (?:is|was)? ?[\d.]+ deg off for [\d.]+ s.*", nothing),
     (
         r"{S}{servo} [\w ]*(?:overload|overheating|electrical shock|encoder|input voltage)[\w ]*",
@@ -158,9 +165,11 @@ _OF_A_FACE: Final[tuple[tuple[str, Claim], ...]] = (
     (r"says (?:bridge: )?  \w+: .*", unknown),  # each that has not confirmed, and why
     (r"{S}keep your hands away; .*", nothing),
     (r"{S}dry run over; no torque was switched on", _ALL_OFF),
-    (r"{S}every servo is driven again", _ALL_ON),
+    (r"{S}every servo (?:is driven|holds) again", _ALL_ON),
     (r"{S}motion comes again", nothing),
     (r"{S}no motion comes from speech .*: the servos are let go until it comes", _ALL_OFF),
+    # What is done; what came of it, each servo's torque says.
+    (r"{S}no motion comes from speech .*: torque is switched off until it comes", unknown),
     (r"{S}the port of the servos is (?:gone|back)", nothing),
     (r"{S}the port is (?:gone|back).*", nothing),
     (r"{S}start requested by .*: driven again", Torque(on=True, who="any")),
@@ -172,10 +181,13 @@ _OF_A_FACE: Final[tuple[tuple[str, Claim], ...]] = (
     (r"{S}starts {limp}, and `lipservo start` drives it: .*", _ALL_OFF),
     (r"{S}stays {limp}: (?P<who>\w+): .*", _IS_OFF),
     (r"{S}critical {servo} .*; all is {limp}", _ALL_OFF),
+    (r"{S}critical {servo} .*; the face was stopped", nothing),
     (r"{S}servo \w+ (?:off|on|reboot): .*", nothing),
     # What may be, and what becomes of servos when the computer dies: no state of now.
     (r"says (?:stop|stop --limp|stop --freeze|computer dies, or the plug is pulled): .*", nothing),
     (r"{S}nothing holds the OE pin of the board: .*", nothing),
+    (r"{S}no guard runs: .*", nothing),
+    (r"{S}the program is over: the next stop ends it", nothing),
     (r"{S}(?:speech|bridge) (?:runs as process|died|hangs|has not ended).*", nothing),
     (r"{S}strategy .*", nothing),
     (r"{S}recogniser .*", nothing),
@@ -197,6 +209,14 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"says \S+: confirmed by {n}, NOT by .*", AtLeast(on=False)),
     (r"says FACE hangs: it does not answer; processes .* are killed", nothing),
     (r"says FACE: held where it is until the next stop", _ALL_ON),
+    (
+        r"says FACE: held where it is: {n} hold(?:; (?P<limp>[\w, ]+) limp)?"
+        r"(?:; not known of [\w, ]+)?{kept}",
+        Each(AtLeast(on=True), Torque(on=False, who="limp")),
+    ),
+    (r"says FACE: nothing is held(?:; \d+ servos? limp)?{kept}", _ALL_OFF),
+    (r"says FACE: nothing is known to be held; .*", unknown),
+    (r"says FACE: servo \w+ comes on when the face is started", nothing),
     (r"says FACE: driven, (?P<n>\d+) of \d+ servos driven", Count(on=True)),
     (r"{S}will stop, but has not confirmed it within .*", unknown),
     (r"{S}hangs: .*", unknown),
@@ -251,8 +271,9 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
 _OF_DOCTOR: Final[tuple[tuple[str, Claim], ...]] = (
     (r"says ok   {servo} gets no pulses", _IS_OFF),
     (r"says \w+ +{servo} gets pulses.*", _IS_ON),
-    (r"says (?:ok  |warn|FAIL|fail|info) .*", nothing),
-    (r"says  *(?:servo +°C now|\w+ +[-\d]).*", nothing),
+    (r"says (?:ok  |warn|FAIL|fail|info) (?!.*\b(?:torque|holds?|limp|pulses)\b).*", nothing),
+    (r"says  *servo +°C now .*", nothing),
+    (r"says  *\w+ +(?:[-\d.%]+ +){5}[\w ]+ +\d+ +\d+", nothing),
     (r"says - .*", nothing),
     (r"says   its supply is failing", nothing),
     (r"says .* readings", nothing),

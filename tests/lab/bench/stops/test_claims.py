@@ -51,6 +51,8 @@ def verdict(text, at_s, about=None):
         ("says bridge: every servo is driven again", 12.0, 25.0),
         ("says bridge: stopped; the face is at rest and limp: confirmed by 2 servos", 5.0, 25.0),
         ("says a_face: held where it is until the next stop", 12.0, 5.0),
+        ("says a_face: held where it is: 1 servos hold; lip limp", 25.0, 12.0),
+        ("says a_face: nothing is held; 2 servos limp", 5.0, 25.0),
         ("says a face: driven, 2 of 2 servos driven", 12.0, 25.0),
         ("says a face  process 7  /dev/x  silent, 0 of 2 servos driven", 5.0, 12.0),
         ("exit stop --limp: 0", 5.0, 12.0),
