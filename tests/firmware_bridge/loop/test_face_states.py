@@ -235,9 +235,7 @@ def play(state, event):
             face.bring(FaceState.EASING if came_from_rest else state, event)
             if came_from_rest:
                 face.face.chain.servos[2].ignore_until(face.face.clock.now() + 1.0)
-                face.bridge.stop(
-                    StopLevel.FREEZE if state is FaceState.FROZEN else StopLevel.LIMP
-                )
+                face.bridge.stop(StopLevel.FREEZE if state is FaceState.FROZEN else StopLevel.LIMP)
             prepare(face, state, event)
             face.happen(CAUSES[event])
         assert face.before is state
@@ -346,5 +344,7 @@ def test_in_every_state_an_event_does_what_the_grid_says_and_no_more(state, even
     if then == FaceState.FROZEN and cell != "frozen, unreached":
         assert at_end == face.kept
         assert all(face.watchdogs[index] == 5 for index in face.kept)  # none has tripped
-    if event == "freeze" and cell != NOTHING and 0 in face.kept:  # held where it is, not where it was told to go
+    if (
+        event == "freeze" and cell != NOTHING and 0 in face.kept
+    ):  # held where it is, not where it was told to go
         assert abs(face.face.chain.motors.position[0] - face.place) < PUSH / 2

@@ -252,7 +252,9 @@ def test_in_every_phase_an_event_does_what_the_grid_says_and_no_more(
         n_starts, face.bridge.signals[:] = len(face.bridge.starts), []
         face.ends.clear()
         cause(face, state, name, asked)
-        then, *does = [face.phase if asked == "kept" else state] if cell == NOTHING else cell.split(", ")
+        then, *does = (
+            [face.phase if asked == "kept" else state] if cell == NOTHING else cell.split(", ")
+        )
 
         assert face.phase == then
         assert len(face.bridge.starts) - n_starts == does.count("start")
