@@ -269,7 +269,7 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
         board = stack.enter_context(StatusBoard.create())
         live = stack.enter_context(requested.live_board())
         path, commands = requested.control_path, requested.commands(board.add_settings)
-        listener = ControlSocket.bind(path, about, commands, board.describe_stopped, live.fileno())
+        listener = ControlSocket(path, about, commands, board.describe_stopped, live.fileno())
         stack.enter_context(listener)
         record = StopRecord(
             stop_record_path(settings.name, port, os.environ),

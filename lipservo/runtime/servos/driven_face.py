@@ -173,11 +173,11 @@ def face_life(
     with ExitStack() as stack:
         if watched is None:
             stack.enter_context(face_logs(name, quiet=options.quiet))
-            listener = stack.enter_context(ControlSocket.bind(path, *answers))
+            listener = stack.enter_context(ControlSocket(path, *answers))
             for line in bridge.capabilities.warnings():
                 _LOG.warning("%s", line)
         else:
-            listener = ControlSocket.adopt(watched.control_fd, path, *answers)
+            listener = ControlSocket(path, *answers, watched.control_fd)
             stack.enter_context(listener)
             words = bridge.capabilities.released_words
             for index, reason in watched.given_up.items():

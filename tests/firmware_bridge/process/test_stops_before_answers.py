@@ -17,7 +17,7 @@ MOST_CLIENTS = 16
 
 @pytest.fixture
 def control(tmp_path):
-    with ControlSocket.bind(tmp_path / "face.sock", {"name": "tom"}) as control:
+    with ControlSocket(tmp_path / "face.sock", {"name": "tom"}) as control:
         yield control
 
 
@@ -230,7 +230,7 @@ def test_an_answer_never_reaches_whoever_took_the_place_of_who_asked(control, cl
 @pytest.mark.parametrize("too_many", [0, 1])
 def test_a_word_is_understood_whole_or_refused(tmp_path, too_many):
     word = "set x 1" + " " * (LONGEST_WORD - 7 + too_many)
-    with ControlSocket.bind(tmp_path / "face.sock") as control:
+    with ControlSocket(tmp_path / "face.sock") as control:
         asker = Client(control).says(word)
         control.poll()
         control.answer(dict)
@@ -266,7 +266,7 @@ def test_who_waits_for_the_end_of_a_stop_stays_where_another_process_takes_over(
 
 def test_orders_are_refused_until_the_loop_takes_them(tmp_path):
     commands = CommandQueue()
-    with ControlSocket.bind(tmp_path / "face.sock", {"name": "tom"}, commands) as control:
+    with ControlSocket(tmp_path / "face.sock", {"name": "tom"}, commands) as control:
         asker = Client(control).says("start")
         control.poll()
         control.answer(dict)
@@ -285,4 +285,4 @@ def test_orders_are_refused_until_the_loop_takes_them(tmp_path):
 
 def test_a_place_that_cannot_be_listened_at_is_named_with_the_reason(tmp_path):
     with pytest.raises(ControlError, match=r"\.sock: cannot listen there: .*too long"):
-        ControlSocket.bind(tmp_path / f"{'x' * 120}.sock")
+        ControlSocket(tmp_path / f"{'x' * 120}.sock")

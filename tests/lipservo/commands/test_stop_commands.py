@@ -60,7 +60,7 @@ def face(name, unconfirmed=None, status=SERVOS):
                         {"confirmed": ["jaw"], "unconfirmed": dict(unconfirmed or {})}
                     )
 
-    with ControlSocket.bind(path, {"name": name, "port": f"/dev/{name}"}) as control:
+    with ControlSocket(path, {"name": name, "port": f"/dev/{name}"}) as control:
         thread = threading.Thread(target=loop, args=(control,))
         thread.start()
         try:
@@ -185,7 +185,7 @@ def test_a_port_is_never_opened_because_an_answer_names_it(port):
     path = runtime_folder() / "liar-1.sock"
 
     def lie():
-        with ControlSocket.bind(path, {"name": "liar", "port": port}) as control:
+        with ControlSocket(path, {"name": "liar", "port": port}) as control:
             while control.poll() is None:
                 pass
             control.answer(dict)
@@ -228,7 +228,7 @@ def answering(name, status):
             control.poll()
             control.answer(lambda: status)
 
-    with ControlSocket.bind(path, {"name": name}) as control:
+    with ControlSocket(path, {"name": name}) as control:
         thread = threading.Thread(target=loop, args=(control,))
         thread.start()
         try:
