@@ -1,7 +1,7 @@
 """Mutants of the lines that a stop depends on, each against the nearest tests: `make mutants`.
 
 The operators, the change of the source and the run of the tests are cosmic-ray's; which files,
-which tests, how many mutants, and the survivors that were read are in tests/support/mutants/mutants.yaml:
+which tests, how many mutants, and the survivors that were read are in mutants.yaml beside it:
 docs/decisions/0090-mutants.md. Each worker mutates a copy of the checkout of its own.
 """
 
