@@ -10,10 +10,9 @@ in another state by a start that was stopped, and perhaps started again, meanwhi
 
 import contextlib
 
-import numpy as np
 import pytest
-from dynamixel_chain import MemoryFace
 from driven_robot import RATE_HZ, TORQUE_ON, speech_deg
+from dynamixel_chain import MemoryFace
 from state_grid import CANNOT_COME, NOTHING, differences, grid
 
 from firmware_bridge.errors import BusError, ServoError
@@ -40,7 +39,7 @@ all off         | .                   | x                   | x                 
 wait            | .                   | .                   | .                   | .                 | .                     | .                 | .                     | stopped, off
 port lost       | stopped, unreached  | starting, unreached | driven, unreached   | silent, unreached | letting go, unreached | frozen, unreached | letting go, unreached | ended, unreached
 port back       | stopped, off        | .                   | driven, off, on, +1 | silent, off       | x                     | frozen, held      | letting go, off       | ended, off
-""")
+""")  # noqa: E501 - a table
 N = 3
 #: So short that a way to rest, half a second, is longer.
 STALE = StaleRule(0.1, 0.2, 0.3)

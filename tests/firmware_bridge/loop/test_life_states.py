@@ -42,7 +42,7 @@ limp                | x                | x over           | over, limp      | ov
 port is lost        | .                | x                | .               | .                        | .                   | .                | .               | over            | .                 | x         | x
 disable             | disabling, limp  | disabling, limp  | disabling, limp | disabling, limp          | disabling, limp     | disabling, limp  | disabling, limp | disabling, limp | disabling, limp   | x         | x disabling
 left                | x over           | x over           | x over          | x over                   | x over              | x over           | x over          | x over          | x over            | over      | x
-""")
+""")  # noqa: E501 - a table
 STOPS = {
     "freeze": (StopLevel.FREEZE, False),
     "stop": (StopLevel.SOFT, False),
@@ -231,10 +231,10 @@ class Course:
 
     def freeze_too_late(self):
         """A face that is let go since a critical servo failed."""
-        if self.event == "limp" and self.bridge.state is FaceState.LETTING_GO:
-            if self.state is LifeState.FROZEN and self.life.state is LifeState.RUNNING:
-                self.robot.face.chain.servos[2].ignore_until(self.now_s + 1.0)
-                self.robot.control.commands.stop(StopLevel.FREEZE, "a test")
+        is_let_go = self.event == "limp" and self.bridge.state is FaceState.LETTING_GO
+        is_live = self.state is LifeState.FROZEN and self.life.state is LifeState.RUNNING
+        if is_let_go and is_live:
+            self.robot.control.commands.stop(StopLevel.FREEZE, "a test")
 
 
 def test_the_grid_and_the_table_have_the_same_cells():

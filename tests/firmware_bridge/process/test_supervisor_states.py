@@ -56,7 +56,7 @@ signal, frozen          | releasing, off  | .                 | .               
 start                   | .               | .                 | .               | .               | .                | .              | returning, start | x
 start, kept             | x               | x                 | x               | x               | returning, start | x              | returning, start | x
 again, unconfirmed      | x               | x                 | x               | x               | x                | x              | stopped, off, told | x
-""")
+""")  # noqa: E501 - a table
 #: What a bridge that heard of it had told.
 ASKED = {
     "": (),
