@@ -20,6 +20,7 @@ from firmware_bridge.maestro.release import MaestroRelease
 from firmware_bridge.maestro.simulator import PulseFault, Shaft, maestro_for, read_faults, serve
 from firmware_bridge.pulse_bus import KeptPulses, PulseBus
 from firmware_bridge.simulator.ports import MemoryTransport
+from firmware_bridge.simulator.request import SimulationRequest
 from firmware_bridge.stopping import StopLevel
 from lipservo.settings.settings import load_shipped_face
 
@@ -399,7 +400,7 @@ def test_a_script_that_cannot_be_used_says_where(text):
 
 def test_a_log_that_cannot_be_written_is_an_error(tmp_path):
     with pytest.raises(ServoError, match="--log"):
-        serve(None, None, faults=None, log=tmp_path / "no" / "where")
+        serve(None, None, SimulationRequest(log=tmp_path / "no" / "where"))
 
 
 def test_shafts_run_hold_and_sag():
