@@ -1,9 +1,9 @@
 """What is known of the torque of a bus's servos, by evidence: the one truth of it.
 
 A servo's torque is ON or OFF because the servo confirmed it, or because pulses were really sent to
-it or its controller confirmed that it sends none. It is UNKNOWN before that, from any packet on that
-may change it until the servo has confirmed, once the servo has been silent for half a second, and
-when the port is lost. A bus writes it; every status, sentence, count and exit status reads it.
+it or its controller confirmed that it sends none. It is UNKNOWN before that, from any packet on
+that may change it until the servo has confirmed, once the servo has been silent for half a second,
+and when the port is lost. A bus writes it; every status, sentence, count and exit status reads it.
 """
 
 from collections.abc import Callable, Iterable
@@ -98,9 +98,7 @@ class KnownTorque:
 
     @property
     def any_on(self) -> bool | None:
-        """Whether any servo is on. False: every servo is off. None: none is known to be on, but
-        not every servo is known to be off.
-        """
+        """Whether any servo is on; None: none is known to be, and not every one to be off."""
         states = self.states.tobytes()
         if _ON in states:
             return True

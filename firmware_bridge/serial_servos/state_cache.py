@@ -33,9 +33,9 @@ class ServoStateCache:
 
     pulses, goals: position registers, NaN = never received; effort: share of the stall torque; low,
     high: the servo's own limits in pulses; heard_s: when the servo answered last; enabled: torque
-    was switched on by us and not confirmed off since; torque: what is known of it. `health` and the bus's feedback return these
-    arrays without a copy, in every tick: so arrays are replaced, by `set_one` for one servo, and
-    never written into.
+    was switched on by us and not confirmed off since; torque: what is known of it. `health` and the
+    bus's feedback return these arrays without a copy, in every tick: so arrays are replaced, by
+    `set_one` for one servo, and never written into.
     """
 
     def __init__(
