@@ -165,7 +165,6 @@ def controller_of(
     if why := check_pulses(wiring.settings, max(each.max_us for each in wiring.servos)):
         raise ServoError(f"servos: {why}")
     channels = [each.channel for each in wiring.servos]
-    assert max(channels) < N_CHANNELS
     return Pca9685(opener, wiring.settings.timing, channels, clock, guard)
 
 
