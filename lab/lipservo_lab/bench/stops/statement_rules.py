@@ -127,7 +127,7 @@ _ANSWERS: Final[tuple[tuple[str, Claim], ...]] = (
 
 #: Of one servo, as they stand in `troubles`.
 _OF_A_SERVO: Final[tuple[tuple[str, Claim], ...]] = (
-    (r"{S}{servo} does not answer(?:; check its power and cable)?", unknown),
+    (r"{S}{servo} does not answer(?:; check its power(?: and|,) cable.*)?", unknown),
     (r"{S}{servo} cannot be reached: the port is gone", unknown),
     (r"{S}{servo} let go: a port of the face is gone", _IS_OFF),
     (r"{S}{servo} switched off by a person", _IS_OFF),
@@ -187,6 +187,7 @@ _OF_A_FACE: Final[tuple[tuple[str, Claim], ...]] = (
     (r"says (?:stop|stop --limp|stop --freeze|computer dies, or the plug is pulled): .*", nothing),
     (r"{S}nothing holds the OE pin of the board: .*", nothing),
     (r"{S}no guard runs: .*", nothing),
+    (r"{S}`lipservo doctor` (?:shows|examines) every .*", nothing),
     (r"{S}the program is over: the next stop ends it", nothing),
     (r"{S}(?:speech|bridge) (?:runs as process|died|hangs|has not ended).*", nothing),
     (r"{S}strategy .*", nothing),
@@ -287,6 +288,7 @@ _EXITS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"exit start(?: --json)?: 0", _ALL_ON),
     (r"exit servo (?P<who>\w+) off: 0", _IS_OFF),
     (r"exit servo (?P<who>\w+) on: 0", _IS_ON),
+    (r"exit servo \w+ on of a stopped face: 0", nothing),  # it comes on with the face
     (r"exit limp .*: 0", _ALL_OFF),
     (r"exit (?:daemon|run .*): [05]", _ALL_OFF),  # it ended well, or early, and all confirmed
     (r"exit (?:daemon|run .*): 3", unknown),
