@@ -69,7 +69,7 @@ _STATUS: Final[tuple[tuple[str, Claim], ...]] = (
     (
         r"status (?:servos\.\w+|health\.\w+\.state): "
         r"(?:starting|waiting|cooling|rebooting|failed|switching off|unknown)",
-        unknown,
+        nothing,
     ),
     (r"status pulses\.\w+\.sent_us: null", unknown),
     (r"status pulses\.(?P<who>\w+)\.sent_us: (?P<us>[\d.]+)", sent_pulse),
@@ -118,7 +118,7 @@ _ANSWERS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"outcome n_\w+: \d+", nothing),
     (r"outcome servos\.(?P<who>\w+): driven", _IS_ON),
     (r"outcome servos\.(?P<who>\w+): off", _IS_OFF),
-    (r"outcome servos\.\w+: (?:waiting|cooling|rebooting|failed|switching off)", unknown),
+    (r"outcome servos\.\w+: (?:waiting|cooling|rebooting|failed|switching off)", nothing),
     (r"outcome servos\.\w+\.\w+: .*", nothing),  # health --json: of days
     (r"outcome state: .*", nothing),
     (r"outcome findings\.what: {servo} gets no pulses", _IS_OFF),
@@ -263,6 +263,9 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
         nothing,
     ),
     (r"says  [a-z0-9 ]+  +\S.*  +(?:from the start of .*|a few are normal; .*)", nothing),
+    (r"says  [a-z0-9 ]+  +\S.*  +(?:of sound|moved the mouth|the most memory used)", nothing),
+    (r"says  seconds +[\d.]+ +the whole run took", nothing),
+    (r"says sound +[\d.]+ s", nothing),
     # `calibrate neutral`.
     (r"says (?P<who>\w+) was sent to .* deg(?: \(.* us\))?", WasOn("who")),
     (r"says (?P<who>\w+) stands at .* deg(?: \(.* us\))?", WasOn("who")),
