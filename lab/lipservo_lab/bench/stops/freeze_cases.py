@@ -35,7 +35,8 @@ class Frozen(StrEnum):
     """The state in which the freeze comes."""
 
     RUN_STARTING = "run starting"  # a plain `run` arms its servos
-    STARTING = "starting"  # a stopped daemon with a critical servo was just started
+    TOLD_TO_START = "told to start"  # a stopped daemon with a critical servo
+    STARTING = "starting"  # the same, once its first servo has torque
     DRIVEN = "driven"
     FROZEN = "frozen"
     EASING = "easing"
@@ -50,7 +51,8 @@ class Frozen(StrEnum):
 #: How long after the state has begun the freeze comes.
 _DELAYS_S: Final[dict[Frozen, tuple[float, ...]]] = {
     Frozen.RUN_STARTING: (0.0, 0.02, 0.3),
-    Frozen.STARTING: (0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.6),
+    Frozen.TOLD_TO_START: (0.0, 0.3),
+    Frozen.STARTING: (0.0, 0.02, 0.05, 0.12, 0.3, 0.55),
     Frozen.DRIVEN: (0.0, 0.37),
     Frozen.FROZEN: (0.2,),
     Frozen.EASING: (0.05, 0.3),
@@ -153,13 +155,19 @@ def play_freezes(cases: Sequence[FreezeCase]) -> list[FreezeOutcome]:
 
 
 def freeze_figures(outcomes: Sequence[FreezeOutcome]) -> dict[str, Any]:
-    """freeze_cases; untrue_answers: answers that said other than was; the others count servos."""
+    """freeze_cases; untrue_answers: answers that said other than was; the others count servos.
+
+    freeze_unknown_share: of servos, of those of which an answer says only that it is not known.
+    """
+    named = [each.answer.get(key, ()) for each in outcomes for key in ("holds", "limp", "unknown")]
+    n_named = sum(map(len, named))
+    n_unknown = sum(each.n_unknown for each in outcomes)
     return {
         "freeze_cases": len(outcomes),
         "untrue_answers": sum(bool(each.untrue) for each in outcomes),
         "armed_after_freeze": sum(each.armed for each in outcomes),
         "moved_after_freeze": sum(each.moved for each in outcomes),
-        "freeze_unknown": sum(each.n_unknown for each in outcomes),
+        "freeze_unknown_share": n_unknown / n_named if n_named else 0.0,
         "freeze_errors": sum(bool(each.error) for each in outcomes),
     }
 
@@ -167,8 +175,7 @@ def freeze_figures(outcomes: Sequence[FreezeOutcome]) -> dict[str, Any]:
 def _play_run(face: HeardFace, case: FreezeCase, outcome: FreezeOutcome) -> None:
     """A program's freeze comes while it arms its servos."""
     face.begin_face("run", "--wav", str(CLIP))
-    if not face.until(lambda: bool(face.robot.torque.any()), _STARTS_S):
-        raise RuntimeError("`run` armed nothing")
+    _until_armed(face)
     _freeze(face, case, outcome)
 
 
@@ -178,9 +185,11 @@ def _play(
     device = face.robot.device
     with contextlib.ExitStack() as undo:
         match case.state:
-            case Frozen.STARTING:
+            case Frozen.TOLD_TO_START | Frozen.STARTING:
                 _until_stopped(face)
                 face.word("start")
+                if case.state is Frozen.STARTING:
+                    _until_armed(face)
             case Frozen.FROZEN:
                 face.word("freeze")
             case Frozen.EASING:
@@ -252,6 +261,11 @@ def judge_freeze(
 
 def _was(moments: Sequence[Any], index: int, *, on: bool) -> bool:
     return all(each.on[index] is on for each in moments)
+
+
+def _until_armed(face: HeardFace) -> None:
+    if not face.until(lambda: bool(face.robot.torque.any()), _STARTS_S):
+        raise RuntimeError("no servo got torque")
 
 
 def _until_stopped(face: HeardFace) -> None:

@@ -74,11 +74,14 @@ class HeardFace:
         where = ("--config", self.robot.config, "--port", str(self.robot.port))
         return self.begin(command, *where, *options)
 
-    def command(self, *arguments: str) -> int:
-        """Run `lipservo ARGUMENTS` to its end; its exit status, which is a statement, too."""
+    def command(self, *arguments: str, of: str = "") -> int:
+        """Run `lipservo ARGUMENTS` to its end; its exit status, which is a statement, too.
+
+        of: of what face, where that makes a difference to what the status means.
+        """
         began_s = time.monotonic()
         process = self.begin(*arguments)
-        return self.end_of(process, " ".join(arguments), began_s)
+        return self.end_of(process, " ".join((*arguments, of)).rstrip(), began_s)
 
     def end_of(self, process: subprocess.Popen[bytes], name: str, began_s: float = 0.0) -> int:
         """Wait for a process's end; its exit status as a statement of `name`.

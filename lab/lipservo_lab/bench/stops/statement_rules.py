@@ -69,7 +69,7 @@ _STATUS: Final[tuple[tuple[str, Claim], ...]] = (
     (
         r"status (?:servos\.\w+|health\.\w+\.state): "
         r"(?:starting|waiting|cooling|rebooting|failed|switching off|unknown)",
-        unknown,
+        nothing,
     ),
     (r"status pulses\.\w+\.sent_us: null", unknown),
     (r"status pulses\.(?P<who>\w+)\.sent_us: (?P<us>[\d.]+)", sent_pulse),
@@ -118,7 +118,7 @@ _ANSWERS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"outcome n_\w+: \d+", nothing),
     (r"outcome servos\.(?P<who>\w+): driven", _IS_ON),
     (r"outcome servos\.(?P<who>\w+): off", _IS_OFF),
-    (r"outcome servos\.\w+: (?:waiting|cooling|rebooting|failed|switching off)", unknown),
+    (r"outcome servos\.\w+: (?:waiting|cooling|rebooting|failed|switching off)", nothing),
     (r"outcome servos\.\w+\.\w+: .*", nothing),  # health --json: of days
     (r"outcome state: .*", nothing),
     (r"outcome findings\.what: {servo} gets no pulses", _IS_OFF),
@@ -127,7 +127,7 @@ _ANSWERS: Final[tuple[tuple[str, Claim], ...]] = (
 
 #: Of one servo, as they stand in `troubles`.
 _OF_A_SERVO: Final[tuple[tuple[str, Claim], ...]] = (
-    (r"{S}{servo} does not answer(?:; check its power and cable)?", unknown),
+    (r"{S}{servo} does not answer(?:; check its power(?: and|,) cable.*)?", unknown),
     (r"{S}{servo} cannot be reached: the port is gone", unknown),
     (r"{S}{servo} let go: a port of the face is gone", _IS_OFF),
     (r"{S}{servo} switched off by a person", _IS_OFF),
@@ -187,6 +187,7 @@ _OF_A_FACE: Final[tuple[tuple[str, Claim], ...]] = (
     (r"says (?:stop|stop --limp|stop --freeze|computer dies, or the plug is pulled): .*", nothing),
     (r"{S}nothing holds the OE pin of the board: .*", nothing),
     (r"{S}no guard runs: .*", nothing),
+    (r"{S}`lipservo doctor` (?:shows|examines) every .*", nothing),
     (r"{S}the program is over: the next stop ends it", nothing),
     (r"{S}(?:speech|bridge) (?:runs as process|died|hangs|has not ended).*", nothing),
     (r"{S}strategy .*", nothing),
@@ -262,6 +263,9 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
         nothing,
     ),
     (r"says  [a-z0-9 ]+  +\S.*  +(?:from the start of .*|a few are normal; .*)", nothing),
+    (r"says  [a-z0-9 ]+  +\S.*  +(?:of sound|moved the mouth|the most memory used)", nothing),
+    (r"says  seconds +[\d.]+ +the whole run took", nothing),
+    (r"says sound +[\d.]+ s", nothing),
     # `calibrate neutral`.
     (r"says (?P<who>\w+) was sent to .* deg(?: \(.* us\))?", WasOn("who")),
     (r"says (?P<who>\w+) stands at .* deg(?: \(.* us\))?", WasOn("who")),
@@ -287,6 +291,7 @@ _EXITS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"exit start(?: --json)?: 0", _ALL_ON),
     (r"exit servo (?P<who>\w+) off: 0", _IS_OFF),
     (r"exit servo (?P<who>\w+) on: 0", _IS_ON),
+    (r"exit servo \w+ on of a stopped face: 0", nothing),  # it comes on with the face
     (r"exit limp .*: 0", _ALL_OFF),
     (r"exit (?:daemon|run .*): [05]", _ALL_OFF),  # it ended well, or early, and all confirmed
     (r"exit (?:daemon|run .*): 3", unknown),
