@@ -70,5 +70,5 @@ def test_the_sample_that_is_followed_goes_where_the_page_says(tmp_path):
 
 
 def test_the_state_tables_of_the_page_are_those_of_the_code():
-    """`python tests/support/state_tables.py` writes them."""
+    """`python tests/support/servos/state_tables.py` writes them."""
     assert page_with_tables(TEXT) == TEXT
