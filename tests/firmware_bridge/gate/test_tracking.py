@@ -332,7 +332,7 @@ def test_a_jam_of_before_is_not_held_against_a_servo_that_was_enabled_in_one_lat
     """It was given torque, and its two seconds to catch up passed without a tick."""
     monitor = TrackingMonitor(ONE_JOINT, TrackingRule())
     found = [
-        monitor.behind(np.array([8.0 * np.sin(n * 0.2)]), feedback(n * 0.01, [0.0]))[0]
+        monitor.behind(np.array([8.0 * np.sin(n * 0.2)]), feedback(0.1 + n * 0.01, [0.0]))[0]
         for n in range(300)
     ]
     assert found[-1]
