@@ -4,6 +4,7 @@
 # make docs   a site of all pages with search, and the reference of all public names, into site/
 # make check  style, types, the docs, samples of campaigns, and the wheels: what they hold, and that they run alone
 # make agents the adapters with the real packages (Pipecat, LiveKit, Wyoming, OpenAI: 1 GB), in .venv-agents
+# make mutants  400 mutants of the lines that a stop depends on, each against the nearest tests: within an hour
 # make campaign  every campaign whole: an hour and a half
 PYTHON ?= python3
 VENV := .venv
@@ -16,7 +17,7 @@ SLOW := -m "slow and not campaign"
 once_more_alone = || { [ $$? = 1 ] && echo "=== what failed beside others, once more alone ===" \
 	&& $(PYTEST) --last-failed --last-failed-no-failures none $(1); }
 
-.PHONY: run test traces docs check agents campaign format clean
+.PHONY: run test traces docs check agents campaign mutants format clean
 
 # Heard where `lipservo devices` finds a loudspeaker; silent where there is none.
 run: $(VENV)/.installed
@@ -71,6 +72,9 @@ campaign: $(VENV)/.installed-dev
 	$(BIN)/lipservo bench faults --signals
 	$(BIN)/lipservo bench endurance
 
+mutants: $(VENV)/.installed-mutants
+	$(BIN)/python tests/support/mutants/mutants.py
+
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
@@ -91,6 +95,11 @@ $(VENV)/.installed-dev: pyproject.toml client/pyproject.toml lab/pyproject.toml
 # Not in `dev`: its newest packages want a newer Python than Debian 12 has.
 $(VENV)/.installed-docs: $(VENV)/.installed-dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	touch $@
+
+# Not in `dev`: `make test` needs none of its thirty packages.
+$(VENV)/.installed-mutants: $(VENV)/.installed-dev
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[mutants]'
 	touch $@
 
 # The client first: pip does not find it for the others once it has extras.

@@ -2,8 +2,8 @@
 
 A servo's torque is ON or OFF because the servo confirmed it, or because pulses were really sent to
 it or its controller confirmed that it sends none. It is UNKNOWN before that, from any packet on
-that may change it until the servo has confirmed, once the servo has been silent for half a second, and
-when the port is lost. A bus writes it; every status, sentence, count and exit status reads it.
+that may change it until the servo has confirmed, once the servo has been silent for half a second,
+and when the port is lost. A bus writes it; every status, sentence, count and exit status reads it.
 """
 
 from collections.abc import Callable, Iterable
@@ -98,7 +98,7 @@ class KnownTorque:
 
     @property
     def any_on(self) -> bool | None:
-        """Whether any servo is on; False: every servo is off; None: that is not known."""
+        """Whether any servo is on; None: none is known to be, and not every one to be off."""
         states = self.states.tobytes()
         if _ON in states:
             return True

@@ -8,6 +8,7 @@ before a token is sent there, and those whose programs have connected.
 
 import ipaddress
 import os
+import re
 import stat
 import tempfile
 from collections.abc import Iterator
@@ -20,6 +21,8 @@ TOKEN_NAME: Final = "token"
 LONGEST_TOKEN_BYTES: Final = 4096
 _SERVICE_FOLDER: Final = Path("/run/lipservo")
 _FOLDER_NAME: Final = "lipservo"
+#: Folders with the number of their user in the path: his session's, and below the temporary one.
+_OF_A_USER: Final = re.compile(rf"/run/user/(\d+)/{_FOLDER_NAME}|.*/{_FOLDER_NAME}-(\d+)", re.ASCII)
 _TABLES: Final = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
 _LISTEN: Final = "0A"  # TCP_LISTEN of the kernel's include/net/tcp_states.h
 
@@ -46,8 +49,8 @@ def runtime_folders() -> list[Path]:
     """Return the folders that may contain a running face: the service's and the user's; root: all.
 
     LIPSERVO_RUNTIME, if set, is the only one. Folders that cannot be read are left out, and so is
-    another user's folder that does not belong to the user whose number is in its name: its contents
-    may be anything.
+    any that does not belong, alone, to the user whose number is in its path (to us where none is):
+    its contents may be anything.
     """
     if own := os.environ.get("LIPSERVO_RUNTIME", ""):
         return [each for each in (Path(own),) if _may_look_into(each)]
@@ -57,19 +60,12 @@ def runtime_folders() -> list[Path]:
     own_temporary = temporary / f"{_FOLDER_NAME}-{user}"
     session = os.environ.get("XDG_RUNTIME_DIR", "")
     has_session = session and _belongs_to(Path(session), user)
-    candidates.append(_SERVICE_FOLDER)
-    candidates.append(Path(session) / _FOLDER_NAME if has_session else own_temporary)
-    candidates += [Path(f"/run/user/{user}") / _FOLDER_NAME, own_temporary]
+    of_users = [Path(session) / _FOLDER_NAME if has_session else own_temporary]
+    of_users += [Path(f"/run/user/{user}") / _FOLDER_NAME, own_temporary]
     if user == 0:
-        others = [(each.parent.name, each) for each in Path("/run/user").glob(f"*/{_FOLDER_NAME}")]
-        others += [
-            (each.name.rpartition("-")[2], each) for each in temporary.glob(f"{_FOLDER_NAME}-*")
-        ]
-        candidates += [
-            each
-            for uid, each in others
-            if uid.isascii() and uid.isdigit() and _belongs_to(each, int(uid))
-        ]
+        of_users += Path("/run/user").glob(f"*/{_FOLDER_NAME}")
+        of_users += temporary.glob(f"{_FOLDER_NAME}-*")
+    candidates += [_SERVICE_FOLDER, *filter(_is_its_users, of_users)]
     return [each for each in dict.fromkeys(candidates) if _may_look_into(each)]
 
 
@@ -150,6 +146,12 @@ def _token_of(path: Path, users: set[int]) -> str | None:
     return (lines[0].strip() or None) if lines else None
 
 
+def _is_its_users(folder: Path) -> bool:
+    """Return whether `folder` is of the user whose number is in its path; ours without one."""
+    match = _OF_A_USER.fullmatch(str(folder))
+    return _belongs_to(folder, int(match[1] or match[2]) if match else os.geteuid())
+
+
 def _belongs_to(folder: Path, uid: int) -> bool:
     """Return whether `folder`, not a link, is user `uid`'s, and no other user can write to it."""
     try:
@@ -161,8 +163,5 @@ def _belongs_to(folder: Path, uid: int) -> bool:
 
 
 def _may_look_into(folder: Path) -> bool:
-    try:
-        is_folder = stat.S_ISDIR(folder.lstat().st_mode)
-    except OSError:
-        return False
+    is_folder = os.path.isdir(folder) and not os.path.islink(folder)
     return is_folder and os.access(folder, os.R_OK | os.X_OK)

@@ -386,8 +386,8 @@ class DynamixelBus:
     def _begin(self, line: Line) -> None:
         """Use `line` from now on, with the answer deadline that the slowest servo needs.
 
-        Nothing is known of torque then. All servos are set to answer every instruction, and counts
-        of unanswered reads start anew.
+        All servos are set to answer every instruction, counts of unanswered reads start anew, and
+        nothing is known of torque.
         """
         self._line = line
         self._cache.torque.forget()

@@ -2,9 +2,9 @@
 
 import statistics
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Final
 
-from firmware_bridge.bus import describe_errors
 from firmware_bridge.bus_kinds import Finding, Severity, other_kind_at
 from firmware_bridge.dynamixel.bus import budget, slow_adapter
 from firmware_bridge.dynamixel.control_table import model_name
@@ -20,7 +20,13 @@ from firmware_bridge.dynamixel.provisioning import (
 from firmware_bridge.dynamixel.wire import codec
 from firmware_bridge.dynamixel.wire.codec import SpanRead
 from firmware_bridge.dynamixel.wire.line import Line
-from firmware_bridge.errors import ServoError
+from firmware_bridge.serial_servos.doctor import (
+    ServoCondition,
+    servo_findings,
+    shared_id,
+    strangers,
+)
+from firmware_bridge.serial_servos.mounting import SETUP
 from firmware_bridge.serial_servos.provisioning import differences
 
 _PINGS: Final = 7
@@ -48,9 +54,7 @@ def without_fast_read(line: Line, ids: Sequence[int]) -> list[int]:
     return [span.ids[0] for span in spans if not any(line.sync_read(span) for _ in range(_TRIES))]
 
 
-_SETUP: Final = "`lipservo setup-servos`"
 _UDEV: Final = "install the udev rule (docs/hardware.md), or `echo 1` into its latency_timer"
-_WARM_DEGC: Final = 10
 #: Of the stall torque: proposed where nothing bounds a servo; the shipped faces' jaws have it.
 _GENTLE_SHARE: Final = 0.3
 #: Later than this, answers are held back by something: a USB frame is 1 ms, a busy computer less.
@@ -79,9 +83,9 @@ def examine(
     """
     wanted_rate = line.baud_rate
     ids = [servo.joint.servo_id for servo in servos]
-    at_rate: dict[int, tuple[int, int]] = {}
+    at_rate: dict[int, tuple[int, str]] = {}
     for rate, found in scan(line, [wanted_rate, *SCANNED_RATES]):
-        at_rate |= {each: (rate, number) for each, number in found.items() if each not in at_rate}
+        at_rate = {each: (rate, model_name(number)) for each, number in found.items()} | at_rate
         if set(ids) <= set(at_rate):
             break
     line.baud_rate = wanted_rate
@@ -102,28 +106,19 @@ def examine(
     yield from _adapter(line, there[0] if there else None, latency_timer_ms)
     doubled = duplicates(line, [each for each in ids if each not in at_rate])
     doubled += [each for each in there if shares_id(line, each)]
-    for each in doubled:
-        yield Finding(
-            Severity.BAD,
-            f"answers of id {each} are spoilt: two servos may have this id",
-            f"connect one of them alone and run {_SETUP}",
-        )
+    yield from (shared_id(f"id {each}") for each in doubled)
     yield from _fast_read(line, [each for each in there if each not in doubled])
     for servo in servos:
         servo_id = servo.joint.servo_id
         if servo_id not in doubled:
-            yield from _servo(line, servo, at_rate.get(servo_id), wanted_rate)
-    for each in sorted(set(at_rate) - set(ids)):
-        yield Finding(
-            Severity.WARNING,
-            f"id {each} ({model_name(at_rate[each][1])}) is on the bus but not in the YAML",
-            "add it to the YAML, or unplug it",
-        )
+            seen, condition = at_rate.get(servo_id), partial(_condition, line, servo)
+            yield from servo_findings(servo.joint, servo.model.name, seen, wanted_rate, condition)
+    yield from strangers(at_rate, ids)
     yield from _strength(servos)
     slow = budget(len(servos), wanted_rate, rate_hz)
     held_back = slow_adapter(len(servos), wanted_rate, rate_hz, latency_timer_ms)
     if slow is not None:
-        yield Finding(Severity.BAD, slow, f"then {_SETUP}")
+        yield Finding(Severity.BAD, slow, f"then {SETUP}")
     elif held_back is not None:
         yield Finding(Severity.BAD, held_back, _UDEV)
     else:
@@ -145,7 +140,7 @@ def _strength(servos: Sequence[MountedServo]) -> Iterator[Finding]:
         Severity.WARNING,
         f"without max_current_ma these pull as hard as they can: {names}",
         f"write `max_current_ma: {gentle_ma:.0f}`, three tenths of what an {model.name} takes, "
-        f"then run {_SETUP}",
+        f"then {SETUP}",
     )
 
 
@@ -186,63 +181,19 @@ def _fast_read(line: Line, ids: Sequence[int]) -> Iterator[Finding]:
         )
 
 
-def _servo(
-    line: Line, servo: MountedServo, seen: tuple[int, int] | None, wanted_rate: int
-) -> Iterator[Finding]:
-    joint = servo.joint
-    name = f"{joint.name} (id {joint.servo_id})"
-    if seen is None:
-        yield Finding(
-            Severity.BAD, f"{name} does not answer", f"check its cable and power, or run {_SETUP}"
-        )
-        return
-    rate, number = seen
-    if rate != wanted_rate:
-        yield Finding(
-            Severity.BAD,
-            f"{name} answers at {rate:,} baud, the YAML says {wanted_rate:,}",
-            f"run {_SETUP}",
-        )
-        return
-    if number != servo.model.model_number:
-        what = f"{name} is {model_name(number)}, the YAML says {servo.model.name}"
-        yield Finding(Severity.BAD, what, "correct the YAML")
-        return
-    try:
-        yield from _state(line, servo, name)
-    except ServoError as error:
-        yield Finding(Severity.BAD, str(error), "check its cable")
-
-
-def _state(line: Line, servo: MountedServo, name: str) -> Iterator[Finding]:
+def _condition(line: Line, servo: MountedServo) -> ServoCondition:
+    """Return what a servo says of itself. Raises ServoError where it falls silent."""
     servo_id, model = servo.joint.servo_id, servo.model
     state = read_settings(line, servo_id, model, _STATE)
-    volts, warmth = state["present_input_voltage"] / 10.0, state["present_temperature"]
-    yield Finding(
-        Severity.GOOD,
-        f"{name}: {model.name}, firmware {state['firmware_version']}, {volts:.1f} V, {warmth} degC",
-    )
-    low, high = state["min_voltage_limit"] / 10.0, state["max_voltage_limit"] / 10.0
-    if not low <= volts <= high:
-        yield Finding(
-            Severity.BAD, f"{name} has {volts:.1f} V, needs {low:g}..{high:g}", "check the supply"
-        )
-    if warmth > state["temperature_limit"] - _WARM_DEGC:
-        yield Finding(
-            Severity.WARNING,
-            f"{name} is at {warmth} degC, switches off at {state['temperature_limit']}",
-            "let it cool, and look for a joint that binds",
-        )
-    if state["hardware_error_status"]:
-        yield Finding(
-            Severity.BAD,
-            f"{name} reports {describe_errors(state['hardware_error_status'])}",
-            "remove the cause, then power it off and on",
-        )
-    if state["torque_enable"]:
-        yield Finding(
-            Severity.WARNING, f"{name} has torque on", "is another program driving the face?"
-        )
     wanted = wanted_settings(servo, line.baud_rate)
-    for difference in differences(read_settings(line, servo_id, model, wanted), wanted):
-        yield Finding(Severity.BAD, f"{name}: {difference}", f"run {_SETUP}")
+    return ServoCondition(
+        firmware=str(state["firmware_version"]),
+        volts=state["present_input_voltage"] / 10.0,
+        least_v=state["min_voltage_limit"] / 10.0,
+        most_v=state["max_voltage_limit"] / 10.0,
+        warmth_degc=state["present_temperature"],
+        hottest_degc=state["temperature_limit"],
+        errors=state["hardware_error_status"],
+        torque_on=bool(state["torque_enable"]),
+        differences=differences(read_settings(line, servo_id, model, wanted), wanted),
+    )

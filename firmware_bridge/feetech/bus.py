@@ -18,7 +18,7 @@ from firmware_bridge.bus import (
 )
 from firmware_bridge.errors import PortError
 from firmware_bridge.feetech import codec
-from firmware_bridge.feetech.codec import EMPTY_SIZE, GoalWrite, Status, statuses_in
+from firmware_bridge.feetech.codec import EMPTY_SIZE, GoalWrite, SpanRead, Status, statuses_in
 from firmware_bridge.feetech.control_table import (
     CAPABILITIES,
     CONTROL,
@@ -26,7 +26,7 @@ from firmware_bridge.feetech.control_table import (
     TORQUE_ENABLE,
     Dialect,
 )
-from firmware_bridge.feetech.line import Group, Line
+from firmware_bridge.feetech.line import Answers, Group, Line
 from firmware_bridge.feetech.mounting import MountedServo, identify_all
 from firmware_bridge.feetech.present_state import PresentState
 from firmware_bridge.feetech.torque import TorqueSwitch
@@ -40,6 +40,11 @@ from firmware_bridge.transport import Transport
 _TURNAROUND_S: Final = 0.001
 #: Bytes of a question to one servo, and of a sync write or read without its servos.
 _ASK_ONE, _ASK_ALL = 8, 8
+#: A servo may go this much faster than its goal moves, so that it is there well before the next;
+#: what it may have needed lately falls by a tenth from tick to tick.
+_SPEED_MARGIN, _SPEED_KEPT = 2.0, 0.9
+#: Where each servo must be asked alone, so many that answer again are asked in one tick.
+_AT_ONCE: Final = 3
 #: Torque off is said this often before it is checked: a lost packet must not keep a face stiff.
 _LIMP_REPEATS: Final = 3
 _ECHO: Final = "the adapter gives back what is sent to the servos; that is swallowed"
@@ -50,7 +55,7 @@ def cycle_s(n_servos: int, baud_rate: int, dialect: Dialect) -> float:
 
     Control and state: the registers from `CONTROL` and from `STATE` on.
     """
-    write = _ASK_ALL + 3 * n_servos
+    write = _ASK_ALL + 7 * n_servos
     answer = EMPTY_SIZE + dialect.state_size
     state = n_servos * answer + (_ASK_ALL + n_servos if dialect.sync_read else n_servos * _ASK_ONE)
     n_questions = 2 if dialect.sync_read else n_servos + 1
@@ -81,6 +86,10 @@ class FeetechBus:
 
     A servo that falls silent costs its own samples only. When the port fails every method raises
     PortGone until `reopen` succeeds. Never writes EEPROM, nor a goal to a servo that is to be limp.
+
+    A servo that restarts forgets its speed, and its next goal switches its torque on. So each goal
+    brings a speed, no more than the goal's own motion needs; and a servo that misses one answer
+    gets no goals until it was read that it has not restarted.
     """
 
     capabilities: Final = CAPABILITIES
@@ -112,7 +121,7 @@ class FeetechBus:
         self._index = self._cache.index
         self._torque = TorqueSwitch(servos, self._present, self._mounting)
         self._goal = dialect.registers["goal_position"].address
-        self._goal_write = GoalWrite(self._ids, self._goal, dialect.byte_order)
+        self._goal_write = self._goals_to(self._ids)
         self._state = self._group(STATE, dialect.state_size)
         self._whole = self._group(CONTROL, STATE - CONTROL + dialect.state_size)
         self._holding = self._group(TORQUE_ENABLE, 1)
@@ -125,10 +134,15 @@ class FeetechBus:
         self._top_pulses_s = np.array(
             [s.joint.max_speed_deg_s * s.model.pulses_per_deg for s in servos]
         )
+        #: Registers goal_speed that the goals lately needed.
+        self._needed = np.zeros(len(self._ids))
         self._line: Line | None = None
 
     def _group(self, address: int, size: int) -> Group:
         return Group(self._ids, address, size, sync=self._dialect.sync_read)
+
+    def _goals_to(self, ids: Sequence[int]) -> GoalWrite:
+        return GoalWrite(ids, self._goal, self._dialect.byte_order)
 
     @property
     def torque(self) -> KnownTorque:
@@ -173,8 +187,8 @@ class FeetechBus:
         if all_set(taken):
             cache.errors, cache.goals = cache.no_errors, pulses
             if all_set(torque.driven) and not any_set(self._behind):
+                line.tell(self._goal_write.request(pulses, self._speeds(pulses, since_s)))
                 self._sent = pulses
-                line.tell(self._goal_write.request(pulses))
                 return
         else:
             cache.errors = np.where(taken, 0, GOAL_OUT_OF_RANGE).astype(np.uint8)
@@ -185,20 +199,23 @@ class FeetechBus:
         near = np.clip(cache.goals, self._sent - reach, self._sent + reach)
         goals = np.where(self._behind, near, cache.goals)
         self._behind &= torque.doubted | (goals != cache.goals)
+        speeds = self._speeds(goals, since_s)
         self._sent = np.where(torque.doubted, self._sent, goals)
-        sent = taken & torque.driven
-        if any_set(sent):
-            encode = self._dialect.encode
-            line.tell(
-                codec.sync_write(
-                    self._goal,
-                    2,
-                    [
-                        (self._ids[n], encode("goal_position", int(goals[n])))
-                        for n in np.flatnonzero(sent).tolist()
-                    ],
-                )
-            )
+        sent = np.flatnonzero(taken & torque.driven)
+        if len(sent):
+            some = self._goals_to([self._ids[n] for n in sent.tolist()])
+            line.tell(some.request(goals[sent], speeds[sent]))
+
+    def _speeds(self, goals: Array, since_s: float) -> Array:
+        """Return the goal_speed of each servo with its next goal; since_s: when the last was sent.
+
+        Never less than that of a start, nor more than the joint's; arrays are (n_servos,).
+        """
+        torque, seconds = self._torque, min(self._sent_s - since_s, self._period_s)
+        margin = _SPEED_MARGIN / max(seconds, _TURNAROUND_S)
+        now = np.abs(goals - self._sent) * (torque.units * margin)
+        self._needed = np.fmax(now, self._needed * _SPEED_KEPT)  # of a first goal now is NaN
+        return np.minimum(np.maximum(self._needed, torque.slow), torque.top)
 
     def widen(self, joints: NDArray[np.bool_]) -> None:
         """Do nothing: only hobby servos accept goals beyond their joints' limits.
@@ -217,7 +234,7 @@ class FeetechBus:
         """
         line, cache = self.line, self._cache
         found = self._whole.ask(line)
-        statuses = statuses_in(found) if isinstance(found, bytes) else found
+        statuses = _statuses(found)
         now_s = line.transport.clock.now()
         goals = np.full(len(self._ids), np.nan)
         for status in statuses:
@@ -258,23 +275,30 @@ class FeetechBus:
     def look_after(self) -> Health:
         """Read torque and limits of one servo, in turns; return the last readings of all servos.
 
-        A servo that answers again after a silence comes first: until then it gets no goals.
+        Servos that answer again after a silence come first: until then they get no goals.
         """
-        line, cache = self._line or self.line, self._cache
-        index = self._turn
-        back = self._torque.doubted & (cache.heard_s == cache.heard_s.max())
-        if any_set(back):
-            index = int(back.argmax())
+        line, cache, doubted = self._line or self.line, self._cache, self._torque.doubted
+        back: Sequence[int] = ()
+        if any_set(doubted):
+            heard = cache.heard_s == cache.heard_s.max()
+            back = [self._ids[n] for n in np.flatnonzero(doubted & heard).tolist()]
+        if not back:
+            back = (self._ids[self._turn],)
+            self._turn = (self._turn + 1) % len(self._ids)
+        size, found = self._dialect.control_size, []
+        if self._dialect.sync_read and len(back) > 1:
+            found = _statuses(line.sync_read(SpanRead(back, CONTROL, size)))
         else:
-            self._turn = (index + 1) % len(self._ids)
-        servo_id = self._ids[index]
-        status = line.read(servo_id, CONTROL, self._dialect.control_size)
-        if status is not None:
+            found = [
+                status for each in back[:_AT_ONCE] if (status := line.read(each, CONTROL, size))
+            ]
+        for status in found:
+            index = self._index[status.servo_id]
             cache.heard_s[index] = line.transport.clock.now()
             self._torque.look_after(line, index, status.data)
             for group in (self._state, self._whole, self._holding):
                 if group.leaves_out:
-                    group.trust(servo_id)
+                    group.trust(status.servo_id)
         return cache.health(line.transport.clock.now(), self._present.current_ma)
 
     def obstacle(self, index: int) -> str:
@@ -318,8 +342,7 @@ class FeetechBus:
         confirmed = np.zeros(len(self._ids), dtype=np.bool_)
         self._holding.reset()  # everybody is asked, also who was silent lately
         for _ in range(_LIMP_REPEATS):
-            found = self._holding.ask(line)
-            for status in statuses_in(found) if isinstance(found, bytes) else found:
+            for status in _statuses(self._holding.ask(line)):
                 n = self._index[status.servo_id]
                 confirmed[n] = status.data == b"\0"
                 cache.torque.note(n, line.transport.clock.now(), on=not confirmed[n])
@@ -390,3 +413,7 @@ class FeetechBus:
         if self._line is not None:
             self._line.transport.close()
             self._line = None
+
+
+def _statuses(found: Answers) -> list[Status]:
+    return statuses_in(found) if isinstance(found, bytes) else found

@@ -3,7 +3,6 @@
 The simulator itself logs every change of torque and goal: tests judge by that log.
 """
 
-import json
 import random
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -11,14 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-import yaml
-from pydantic import TypeAdapter, ValidationError
-
 from firmware_bridge.bus_kinds import Wiring
-from firmware_bridge.bus_settings import Strict, within
+from firmware_bridge.bus_settings import within
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.control_table import CENTER_PULSE, PULSES_PER_DEG
-from firmware_bridge.errors import ServoError
 from firmware_bridge.feetech.bus import FeetechBus
 from firmware_bridge.feetech.codec import BROADCAST_ID, Instruction, packet, packets_in
 from firmware_bridge.feetech.control_table import (
@@ -36,6 +31,7 @@ from firmware_bridge.feetech.provisioning import wanted_settings
 from firmware_bridge.serial_servos.half_duplex import BITS_PER_BYTE
 from firmware_bridge.simulator.motors import UNBOUNDED, Course, Environment, Motors
 from firmware_bridge.simulator.ports import MemoryTransport, PtyHost
+from firmware_bridge.simulator.request import SimulationRequest, TimedFault
 
 #: Not simulated here but in a ping, which lipservo never sends and others do.
 _PING: Final = 0x01
@@ -64,36 +60,16 @@ _FACTORY: Final = {
 }
 
 
-class ChainFault(Strict):
-    """A simulated fault: once at at_s, or every every_s seconds from then on; each lasts lasts_s.
+class ChainFault(TimedFault):
+    """A simulated fault; each lasts lasts_s.
 
-    servo: its index in the chain; None: all servos.
+    servo: its index in the chain; None: all servos. A brown-out is a restart that takes .2 s.
     """
 
-    kind: Literal["lost", "spoilt", "silence", "brown-out", "overload", "jam", "locked", "unplug"]
-    at_s: Annotated[float, within(0.0, 1e9)]
-    every_s: Annotated[float, within(0.01, 1e9)] | None = None
-    lasts_s: Annotated[float, within(0.001, 1e9)] = 0.5
+    kind: Literal[
+        "lost", "spoilt", "silence", "brown-out", "restart", "overload", "jam", "locked", "unplug"
+    ]
     servo: Annotated[int, within(0, 253)] | None = None
-
-
-class _Script(Strict):
-    faults: tuple[ChainFault, ...]
-
-
-def read_faults(text: str | None) -> tuple[ChainFault, ...]:
-    """Parse the YAML text of a fault script; () for None. Raises ValueError for a bad script."""
-    if text is None:
-        return ()
-    try:
-        content = yaml.safe_load(text)
-        return TypeAdapter(_Script).validate_python(content, strict=False).faults
-    except yaml.YAMLError as error:
-        raise ValueError("not YAML") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise ValueError(f"{where}: {first['msg']}") from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -325,11 +301,14 @@ class SimulatedChain:
         """Simulate all servos and due faults up to `now_s`."""
         if now_s <= self._now_s:
             return
-        for at_s, fault in [each for each in self._faults if each[0] <= now_s]:
+        due = [each for each in self._faults if each[0] <= now_s]
+        for at_s, fault in sorted(due, key=lambda each: each[0]):
             self._faults.remove((at_s, fault))
             if fault.every_s is not None:
                 self._faults.append((at_s + fault.every_s, fault))
-            self._happen(fault, now_s)
+            self._now_s = max(self._now_s, at_s)
+            self.motors.advance(self._now_s)
+            self._happen(fault, self._now_s)
         for end_s, servo in [each for each in self._ends if each[0] <= now_s]:
             self._ends.remove((end_s, servo))
             self.motors.load[servo.index], self.motors.jammed[servo.index] = 0.0, False
@@ -376,9 +355,9 @@ class SimulatedChain:
         for servo in servos:
             if fault.kind == "silence":
                 servo.silent_until_s = end_s
-            elif fault.kind == "brown-out":
+            elif fault.kind in ("brown-out", "restart"):
                 servo.power_up()
-                servo.silent_until_s = now_s + _BOOT_S
+                servo.silent_until_s = end_s if fault.kind == "restart" else now_s + _BOOT_S
                 self._log(servo)
             elif fault.kind == "locked":
                 servo.stays_locked = True
@@ -486,54 +465,27 @@ def simulated_wire(wiring: Wiring) -> tuple[FeetechBus, ManualClock]:
     return FeetechBus(servos, lambda: MemoryTransport(chain, clock, rate)), clock
 
 
-def serve(
-    wiring: Wiring | None,
-    link: Path | None,
-    *,
-    n_servos: int,
-    model: str | None,
-    first_id: int,
-    baud_rate: int | None,
-    faults: str | None,
-    **others: Any,
-) -> PtyHost:
-    """Return the host of a pseudo-terminal with a face's servos, or with `n_servos` of one model.
+def serve(wiring: Wiring | None, link: Path | None, request: SimulationRequest) -> PtyHost:
+    """Return a host that serves simulated servos at a pseudo-terminal.
 
-    wiring: the face; None: servos of `model` (None: STS3215) with ids from `first_id` on. link: a
-    path that leads to the terminal. baud_rate: None: the face's, or 1,000,000. faults: the text of
-    a script. others: log, a file to which every change of torque and goal is written as a line of
-    JSON. Raises ServoError for what no chain can have, ValueError for an invalid script, and
-    PortError where no terminal can be made.
+    wiring: of the face that they belong to; None: servos of one model, with factory settings. link:
+    path of a symbolic link to the terminal. request.log: a file that gets each change of torque or
+    goal as a line of JSON. Raises ServoError for what no chain can have, ValueError for an invalid
+    script, and PortError where no terminal or link can be made.
     """
-    models, last_id, model = servo_models(), first_id + n_servos - 1, model or "STS3215"
-    if model not in models:
-        raise ServoError(f"model {model!r} is not known; use one of {', '.join(models)}")
-    if baud_rate is not None and baud_rate not in baud_rates().values():
-        raise ServoError(f"{baud_rate} baud is no rate of these servos")
-    if last_id >= BROADCAST_ID:
-        raise ServoError(f"ids {first_id}..{last_id}: a servo's id is at most {BROADCAST_ID - 1}")
-    options: dict[str, Any] = {"faults": read_faults(faults)}
-    if others["log"] is not None:
-        options["on_change"] = _writer(others["log"])
+    rates, last_id = baud_rates(), BROADCAST_ID - 1
+    new = request.new_servos(servo_models(), "STS3215", rates.values(), last_id)
+    write = request.row_log()
+
+    def on_change(now: ServoChange) -> None:
+        write((round(now.time_s, 6), now.servo_id, now.torque, now.goal, now.place))
+
+    options: dict[str, Any] = {"faults": request.timed_faults(ChainFault), "on_change": on_change}
     if wiring is not None:
-        rate = baud_rate or wiring.settings.baud_rate
+        rate = request.baud_rate or wiring.settings.baud_rate
         return PtyHost(chain_for(mounted_servos(wiring), rate, **options), link)
-    chain = SimulatedChain([models[model]] * n_servos, range(first_id, last_id + 1), **options)
+    chain = SimulatedChain(*new, **options)
+    code = next(code for code, rate in rates.items() if rate == (request.baud_rate or 1_000_000))
     for servo in chain.servos:
-        servo["baud_rate"] = next(
-            c for c, r in baud_rates().items() if r == (baud_rate or 1_000_000)
-        )
+        servo["baud_rate"] = code
     return PtyHost(chain, link)
-
-
-def _writer(log: Path) -> Callable[[ServoChange], None]:
-    try:
-        file = log.open("w", buffering=1, encoding="utf-8")
-    except OSError as error:
-        raise ServoError(f"--log {log}: cannot be written: {error.strerror}") from error
-
-    def write(change: ServoChange) -> None:
-        row = [round(change.time_s, 6), change.servo_id, change.torque, change.goal, change.place]
-        file.write(json.dumps(row) + "\n")
-
-    return write

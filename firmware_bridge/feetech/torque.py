@@ -25,8 +25,6 @@ _SPEED_MARGIN: Final = 1.05
 _STAGGER_S: Final = 0.010
 #: In a tick there is no time for more.
 _TRIES: Final = 2
-#: Silent for so long, it may have restarted, without bounds and with a goal switching torque on.
-_RESTART_S: Final = 0.1
 
 
 def write_verified(line: Line, servo_id: int, address: int, data: bytes) -> bool:
@@ -73,8 +71,11 @@ class TorqueSwitch:
         self._mounting = mounting
         self._dialect = servos[0].model.dialect
         self._identities: list[ServoIdentity | None] = [None] * n
-        #: What goal_speed was read as last, and when its bound falls; infinite: it has.
-        self._speeds = [0] * n
+        #: Registers goal_speed: of a start, and the most that a goal may bring now; and of one step
+        #: of the position register a second.
+        self.slow, self.top, self.units = np.ones(n), np.ones(n), np.ones(n)
+        #: What torque_limit was set to, and when the bounds of a start fall; infinite: they have.
+        self._strengths = [0] * n
         self._full_at_s = np.full(n, np.inf)
         self._goal = self._dialect.registers["goal_position"].address
 
@@ -148,19 +149,19 @@ class TorqueSwitch:
         self._full_at_s[:] = np.inf
 
     def doubt(self, ages_s: Array) -> None:
-        """Withhold goals from driven servos that were silent for more than 0.1 s.
+        """Withhold goals from driven servos that have just missed an answer.
 
         Parameters
         ----------
         ages_s : Array
             (n_servos,) seconds; 0 for servos that just answered.
         """
-        silent = self.driven & (ages_s > _RESTART_S)
+        silent = self.driven & (ages_s > 0.0)
         self.doubted |= silent
         self.driven &= ~silent
 
     def look_after(self, line: Line, index: int, control: bytes) -> None:
-        """Set full strength when due; switch off a servo that lost its speed limit in a restart.
+        """Set full strength when due; switch off a servo that lost its limits in a restart.
 
         control: its registers from `CONTROL` on, read just now. After a brown-out a servo may come
         back with torque on.
@@ -170,7 +171,11 @@ class TorqueSwitch:
             self.doubted[index] = False  # it is brought up anew
         if not (self.driven[index] or self.doubted[index]) or not control[0]:
             return
-        if self._dialect.decode("goal_speed", control, CONTROL) != self._speeds[index]:
+        of, speed = self._dialect, self._dialect.decode("goal_speed", control, CONTROL)
+        strength = self._strengths[index]
+        if "torque_limit" in of.registers:
+            strength = of.decode("torque_limit", control, CONTROL)
+        if not 0 < speed <= self.top[index] or strength != self._strengths[index]:
             self.disable(line, index)
             return
         self.driven[index], self.doubted[index] = True, False
@@ -190,22 +195,25 @@ class TorqueSwitch:
         """Limit a servo's speed and, if possible, its torque; return whether it keeps the limits.
 
         soft: to the low limits of a start, otherwise to the joint's. A servo that cannot go as fast
-        as its setting keeps the most that it can.
+        as its setting keeps the most that it can. Full strength is one step below that of a servo
+        that has restarted, so that a restart shows.
         """
         servo, found, dialect = self._servos[index], self._identities[index], self._dialect
         if found is None:
             return False
         servo_id, registers = servo.joint.servo_id, dialect.registers
         full_deg_s = servo.joint.max_speed_deg_s * _SPEED_MARGIN
-        speed = found.speed_register(min(_SOFT_DEG_S, full_deg_s) if soft else full_deg_s, dialect)
+        slow = found.speed_register(min(_SOFT_DEG_S, full_deg_s), dialect)
+        speed = slow if soft else found.speed_register(full_deg_s, dialect)
         if "acceleration" in registers:
             line.write(servo_id, registers["acceleration"].address, b"\0")
         if "torque_limit" in registers:
             limit = found.eeprom["max_torque"]
-            limit = max(1, round(limit * _SOFT_STRENGTH)) if soft else limit
+            limit = max(1, round(limit * _SOFT_STRENGTH) if soft else limit - 1)
             data = dialect.encode("torque_limit", limit)
             if not write_verified(line, servo_id, registers["torque_limit"].address, data):
                 return False
+            self._strengths[index] = limit
         for _ in range(_WRITE_TRIES):
             address = registers["goal_speed"].address
             line.write(servo_id, address, dialect.encode("goal_speed", speed))
@@ -213,7 +221,8 @@ class TorqueSwitch:
             if status is not None:
                 kept = dialect.decode("goal_speed", status.data, address)
                 if 0 < kept <= speed:
-                    self._speeds[index] = kept
+                    self.slow[index], self.top[index] = min(slow, kept), kept
+                    self.units[index] = found.speed_unit
                     return True
         return False
 

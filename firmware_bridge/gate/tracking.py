@@ -34,6 +34,9 @@ _ENCODER_SLACK_DEG: Final = 0.2
 #: at 100. A mouth goes to and fro five times a second at most. A little less than the 50 ms meant,
 #: so that rounding makes no sixth tick of the fifth.
 _SAMPLE_S: Final = 0.049
+#: A tick counts for so long at most. What a busy computer stole between two of them is no time in
+#: which a servo was seen to fail, so that half a second of doubt is ten ticks at least.
+_TICK_S: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +67,10 @@ class TrackingRule:
 
 
 class TrackingMonitor:
-    """A monitor that compares goals with positions in every tick; old positions do not count.
+    """A monitor that compares each tick's positions with the goals of the tick before.
+
+    Those the servos have had the time to follow, however late the tick comes. Old positions do not
+    count, and a tick counts for .05 s at most.
 
     error_deg: how far each servo was from its goal when it last answered, (n_servos,).
     """
@@ -73,18 +79,19 @@ class TrackingMonitor:
         self._rule = rule
         self._allowed_deg = np.array([rule.allowed_deg(joint) for joint in joints])
         self._within_s: Array = np.zeros(len(joints))
+        self._suspended_until_s = np.zeros(len(joints))
+        self._all_count_s = 0.0
+        self._goals_deg: Array | None = None
+        self._ticked_s = math.inf
+        self._stolen_s = 0.0
         self._travel = _Travel(len(joints))
         self.error_deg: Array = np.zeros(len(joints))
 
-    @property
-    def rule(self) -> TrackingRule:
-        """The rule in use."""
-        return self._rule
-
     def suspend_until(self, index: int, until_s: float) -> None:
         """Ignore one servo until `until_s`: after torque comes on a servo is slow on purpose."""
-        self._within_s[index] = until_s
-        self._travel.suspend_until(index, until_s)
+        self._suspended_until_s[index] = until_s
+        self._all_count_s = max(self._all_count_s, until_s)
+        self._travel.forget(index)
 
     def reason(self, index: int) -> str:
         """Return why servo `index`, reported by `behind`, does not follow, in words for a log."""
@@ -106,7 +113,7 @@ class TrackingMonitor:
         Parameters
         ----------
         sent_deg : Array
-            (n_joints,) degrees: goals sent last.
+            (n_joints,) degrees: goals of this tick, which the next one compares.
         feedback : Feedback
             Positions in degrees, with their age.
 
@@ -115,21 +122,31 @@ class TrackingMonitor:
         NDArray[np.bool_]
             (n_servos,): True for those that have not followed.
         """
-        error_deg = np.abs(sent_deg - feedback.positions_deg)
+        self._stolen_s += max(0.0, feedback.time_s - self._ticked_s - _TICK_S)
+        self._ticked_s = feedback.time_s
+        seen_s = feedback.time_s - self._stolen_s
+        suspended = None
+        if feedback.time_s < self._all_count_s:
+            suspended = feedback.time_s < self._suspended_until_s
+        goals_deg = sent_deg if self._goals_deg is None else self._goals_deg
+        self._goals_deg = sent_deg
+        error_deg = np.abs(goals_deg - feedback.positions_deg)
         heard = None
         if any_set(feedback.age_s):
             heard = feedback.age_s == 0.0
             error_deg = np.where(heard, error_deg, self.error_deg)
         self.error_deg = error_deg
-        self._travel.observe(sent_deg, feedback, heard)
+        self._travel.observe(goals_deg, feedback.positions_deg, seen_s, heard)
         doubtful = self.error_deg > self._allowed_deg
         doubtful |= self._travel.still
+        if suspended is not None:
+            doubtful &= ~suspended
+            self._travel.travelled_deg[:, suspended] = 0.0
         if not any_set(doubtful):  # nearly always so
-            np.maximum(self._within_s, feedback.time_s, out=self._within_s)
+            self._within_s.fill(seen_s)
             return doubtful
-        within_s = np.maximum(self._within_s, feedback.time_s)
-        self._within_s = np.where(doubtful, self._within_s, within_s)
-        return feedback.time_s - self._within_s > self._rule.after_s
+        self._within_s[~doubtful] = seen_s
+        return seen_s - self._within_s > self._rule.after_s
 
 
 class _Travel:
@@ -148,32 +165,32 @@ class _Travel:
         self._places_deg = np.zeros((2, n))
         self._moved_deg = np.zeros((2, n))
         self._dragged_deg = np.zeros((2, n))
-        self._suspended_until_s = np.zeros(n)
-        self._all_count_s = 0.0
         self._time_s = -math.inf
 
-    def suspend_until(self, index: int, until_s: float) -> None:
-        """Ignore the motion of one servo until `until_s`."""
-        self._suspended_until_s[index] = until_s
-        self._all_count_s = max(self._all_count_s, until_s)
+    def forget(self, index: int) -> None:
+        """Forget the motion of one servo."""
+        self.travelled_deg[:, index] = 0.0
         self.still[index] = False
 
-    def observe(self, sent_deg: Array, feedback: Feedback, heard: NDArray[np.bool_] | None) -> None:
+    def observe(
+        self, goals_deg: Array, places_deg: Array, seen_s: float, heard: NDArray[np.bool_] | None
+    ) -> None:
         """Update `travelled_deg` and `still` from one tick.
 
-        heard: (n_servos,), True for servos that answered; None: all did. Arrays are changed in
-        place, and only every 50 ms or so, to save time in every tick.
+        seen_s: its time, without what was stolen between ticks. heard: (n_servos,), True for servos
+        that answered; None: all did. Arrays are changed in place, and only every 50 ms or so, to
+        save time in every tick.
         """
-        elapsed_s = feedback.time_s - self._time_s
+        elapsed_s = seen_s - self._time_s
         if elapsed_s < _SAMPLE_S:
             return
-        self._time_s = feedback.time_s
+        self._time_s = seen_s
         moved_deg, dragged_deg, travelled_deg = (
             self._moved_deg,
             self._dragged_deg,
             self.travelled_deg,
         )
-        moved_deg[0], moved_deg[1] = sent_deg, feedback.positions_deg
+        moved_deg[0], moved_deg[1] = goals_deg, places_deg
         moved_deg -= self._places_deg
         if heard is not None:
             moved_deg[:, ~heard] = 0.0
@@ -184,7 +201,5 @@ class _Travel:
         self._places_deg += moved_deg
         travelled_deg += np.abs(moved_deg, out=moved_deg)
         travelled_deg *= math.exp(-elapsed_s / _MEMORY_S)
-        if feedback.time_s < self._all_count_s:
-            travelled_deg[:, feedback.time_s < self._suspended_until_s] = 0.0
         self.still = self._goal_deg > _ENOUGH_TRAVEL_DEG
         self.still &= self._made_deg < _TRAVEL_SHARE * self._goal_deg

@@ -185,12 +185,19 @@ class Bridge:
         """Return what is unusual about the bus, as sentences for a log; the list only grows."""
         return self._servos.remarks()
 
-    def pulses(self) -> dict[str, dict[str, float]]:
-        """Return by joint name each hobby servo's `JointPulse` and sent_us, the pulse sent last."""
+    def pulses(self) -> dict[str, dict[str, float | None]]:
+        """Return by joint name each hobby servo's `JointPulse` and sent_us, the pulse it gets now.
+
+        sent_us is None for a servo that is not known to get one.
+        """
         sent_deg = self._servos.limiter.sent_deg.tolist()
+        rows = zip(self._joints, sent_deg, self.torque.as_json(), strict=True)
         return {
-            joint.name: {**asdict(joint.pulse), "sent_us": round(joint.pulse.us(deg), 2)}
-            for joint, deg in zip(self._joints, sent_deg, strict=True)
+            joint.name: {
+                **asdict(joint.pulse),
+                "sent_us": round(joint.pulse.us(deg), 2) if is_on else None,
+            }
+            for joint, deg, is_on in rows
             if joint.pulse is not None
         }
 

@@ -7,6 +7,7 @@ from typing import Final, Protocol
 from firmware_bridge.bus import ServoHealth
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.face_table import FaceState
+from firmware_bridge.process.lifeline import Failed
 
 _LOG: Final = logging.getLogger(__name__)
 #: A trouble is told when it has lasted so long; a servo that misses one answer is none.
@@ -18,8 +19,8 @@ _REMARKS_EVERY_S: Final = 1.0
 class FailureReader(Protocol):
     """The receiver of failures: `Lifeline`."""
 
-    def failed(self, index: int, reason: str) -> None:
-        """Report that servo number `index` was given up, and why."""
+    def tell(self, message: Failed) -> None:
+        """Report that a servo was given up, and why."""
 
 
 class ChangeLog:
@@ -63,7 +64,7 @@ class ChangeLog:
         if len(bridge.given_up) != self._n_given_up:
             for index, why in list(bridge.given_up.items())[self._n_given_up :]:
                 if self._lifeline is not None:
-                    self._lifeline.failed(index, why)
+                    self._lifeline.tell(Failed(index, why))
             self._n_given_up = len(bridge.given_up)
         if bridge.n_trouble_changes != self._n_changes:
             self._n_changes = bridge.n_trouble_changes

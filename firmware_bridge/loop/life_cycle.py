@@ -25,6 +25,7 @@ from firmware_bridge.loop.life_table import (
     LifeGuard,
     LifeState,
 )
+from firmware_bridge.process.lifeline import Message, Started, Stopped, Switched
 from firmware_bridge.stop_signals import PreviousHandlers, install_handler, restore_handlers
 from firmware_bridge.stopping import (
     PORT_WAIT_S,
@@ -77,20 +78,8 @@ class Heartbeat(Protocol):
     def beat(self) -> None:
         """Report that the loop is alive."""
 
-    def stopped(self, level: StopLevel, *, ends: bool = False, requested_by: str = "") -> None:
-        """Report that a person stopped the face; ends: the operating-system process ends with it.
-
-        requested_by: a description of the client that requested the stop.
-        """
-
-    def started(self) -> None:
-        """Report that a person started the face again."""
-
-    def failed(self, index: int, reason: str) -> None:
-        """Report to the supervisor that servo number `index` was given up for good, and why."""
-
-    def switched(self, index: int, *, on: bool) -> None:
-        """Report that a person switched servo number `index` off, or `on` again."""
+    def tell(self, message: Message) -> None:
+        """Report what must outlive this process: a stop, a start, a switched or failed servo."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -369,9 +358,7 @@ class LifeCycle:
         """
         level, before = request.level, self._request
         if self._links.lifeline is not None:
-            self._links.lifeline.stopped(
-                level, ends=request.ends, requested_by=request.requested_by
-            )
+            self._links.lifeline.tell(Stopped(level, request.ends, request.requested_by))
         event = LifeEvent.STOP_AND_END if request.ends else LifeEvent.STOP
         self._level, level_before = level, self._level
         if self._fire(LifeEvent.FREEZE if level is StopLevel.FREEZE else event):
@@ -442,7 +429,7 @@ class LifeCycle:
             return f"stopped meanwhile by {self._request.requested_by}"
         self._stop_report = None
         if self._links.lifeline is not None:
-            self._links.lifeline.started()
+            self._links.lifeline.tell(Started())
         return ""
 
     def _obey_orders(self, time_s: float, *, is_stopped_now: bool) -> None:
@@ -454,7 +441,7 @@ class LifeCycle:
         for order in () if control is None else control.take_orders():
             if isinstance(order, StartFace):
                 why_not = "a stop came with it" if is_stopped_now else self._obey_start()
-                then = why_not or f"the face is {self._bridge.state.value}"
+                then = why_not or "the face starts"
                 _LOG.info("start requested by %s: %s", order.requested_by, then)
                 continue
             why_not = self._bridge.obey(order, time_s)
@@ -462,7 +449,7 @@ class LifeCycle:
                 _LOG.info("%s: %s", order, why_not or f"asked by {order.requested_by}")
                 if not why_not and lifeline is not None and order.switch in _KEPT:
                     index = self._bridge.names.index(order.name)
-                    lifeline.switched(index, on=order.switch is ServoSwitch.ON)
+                    lifeline.tell(Switched(index, on=order.switch is ServoSwitch.ON))
 
     def _port_due_s(self, time_s: float) -> float:
         """Return when a stop has waited long enough for a lost port; infinity: no end to that.

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import Final, Literal, get_args
 
 import numpy as np
 
@@ -39,7 +39,7 @@ from firmware_bridge.maestro.settings import MaestroSettings
 from firmware_bridge.pulse_bus import PulseBus
 from firmware_bridge.pulse_servos import PulseScale
 from firmware_bridge.simulator.ports import MemoryTransport, PtyHost, WatchedServos
-from firmware_bridge.simulator.pulse_device import TimedFault, parse_faults, pulse_log
+from firmware_bridge.simulator.request import SimulationRequest, TimedFault, parse_faults
 
 #: As it comes: https://www.pololu.com/docs/0J40/4.b .
 _SHORTEST_US, _LONGEST_US = 992.0, 2000.0
@@ -375,23 +375,20 @@ def simulated_wire(wiring: Wiring) -> tuple[ServoBus, ManualClock]:
     return watched.bus, watched.clock
 
 
-def serve(
-    wiring: Wiring | None, link: Path | None, *, faults: str | None, log: Path | None, **_of: Any
-) -> PtyHost:
+def serve(wiring: Wiring | None, link: Path | None, request: SimulationRequest) -> PtyHost:
     """Return a host that serves a simulated Maestro at a pseudo-terminal.
 
     wiring: the servos of the face that is simulated; None: a Micro 6 without a face. link: path of
-    a symbolic link to the terminal. faults: the YAML text of a script. log: a file that gets every
+    a symbolic link to the terminal. request.log: a file that gets every
     change of a pulse as a line of JSON: seconds since the start, channel, pulse and shaft in us.
     Raises ServoError for channels that the model lacks and for a log that cannot be written,
     ValueError for an invalid script, and PortError where no terminal or link can be made.
     """
-    script = read_faults(faults)
-    write = pulse_log(log)
+    script = read_faults(request.faults)
+    write = request.row_log()
 
     def on_pulse(pulse: Pulse) -> None:
-        if write is not None:
-            write((round(pulse.time_s, 6), pulse.channel, pulse.pulse_us, pulse.shaft_us))
+        write((round(pulse.time_s, 6), pulse.channel, pulse.pulse_us, pulse.shaft_us))
 
     if wiring is None:
         wiring = Wiring(MaestroSettings(model=WITHOUT_SET_TARGETS), (), (), 50.0)

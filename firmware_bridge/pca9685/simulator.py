@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import Final, Literal, get_args
 
 import numpy as np
 
@@ -38,7 +38,7 @@ from firmware_bridge.pca9685.registers import (
 )
 from firmware_bridge.pulse_bus import PulseBus
 from firmware_bridge.simulator.ports import PtyHost, WatchedServos
-from firmware_bridge.simulator.pulse_device import TimedFault, parse_faults, pulse_log
+from firmware_bridge.simulator.request import SimulationRequest, TimedFault, parse_faults
 
 _SOFTWARE_RESET: Final = (0x00, bytes([0x06]))
 #: Of auto-increment: behind these comes register 0.
@@ -499,24 +499,21 @@ def simulated_wire(wiring: Wiring) -> tuple[ServoBus, ManualClock]:
     return watched.bus, watched.clock
 
 
-def serve(
-    wiring: Wiring | None, link: Path | None, *, faults: str | None, log: Path | None, **_of: Any
-) -> PtyHost:
+def serve(wiring: Wiring | None, link: Path | None, request: SimulationRequest) -> PtyHost:
     """Return a host that serves the simulated PCA9685 of a face at a pseudo-terminal.
 
-    link: path of a symbolic link to the terminal. faults: the YAML text of a script. log: a file
+    link: path of a symbolic link to the terminal. request.log: a file
     that gets every pulse as a line of JSON: start in seconds of the simulator, channel, width in
     us. Raises ServoError if `wiring` is None or the log cannot be written, ValueError for a bad
     script, and PortError where no terminal, link or FIFO can be made.
     """
     if wiring is None:
         raise ServoError("a simulated PCA9685 needs --config, a face whose servos hang on one")
-    script, settings = read_faults(faults), wiring.settings
-    write = pulse_log(log)
+    script, settings = read_faults(request.faults), wiring.settings
+    write = request.row_log()
 
     def on_pulse(pulse: Pulse) -> None:
-        if write is not None:
-            write((round(pulse.start_s, 6), pulse.channel, round(pulse.width_us, 2)))
+        write((round(pulse.start_s, 6), pulse.channel, round(pulse.width_us, 2)))
 
     # That of a real computer is left alone: then the OE pin leads nowhere.
     has_pin = settings.oe_gpio is not None and not settings.gpio_chip.startswith("/dev/")

@@ -5,23 +5,33 @@ import logging
 import os
 import signal
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 from firmware_bridge.process.lifeline import LifelineWatch, Message, lifeline_pair
+from firmware_bridge.process.processor_wait import ProcessorWait, ThreadCount, thread_counts
 
 _LOG: Final = logging.getLogger(__name__)
 #: A watcher that did not look for so long was stopped itself: nobody counts as hung.
 _BLIND_S: Final = 0.5
+#: The kernel is not asked before a process has been silent for this share of its time, which
+#: happens to few; the share counts however it was spent.
+_UNREAD_SHARE: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class HeartbeatTimeouts:
-    """The longest silence in s: `start_s` until a process's first heartbeat, `run_s` afterwards."""
+    """The longest silence in s: `start_s` until a process's first heartbeat, `run_s` afterwards.
+
+    What a process waited for a processor does not count, but the silence ends after `patience`
+    times as long: nobody knows then what it does.
+    """
 
     start_s: float
     run_s: float
+    patience: float = 1.0
 
 
 class HeartbeatMonitor:
@@ -30,25 +40,36 @@ class HeartbeatMonitor:
     def __init__(self, timeouts: HeartbeatTimeouts) -> None:
         self._timeouts = timeouts
         self._since_s = self._looked_s = 0.0
+        self._wait: ProcessorWait | None = None
 
     def begin(self, now_s: float) -> None:
         """Start counting the silence of a process that was started at `now_s`."""
         self._since_s = self._looked_s = now_s
 
-    def look(self, now_s: float, beat_s: float | None) -> float:
+    def look(
+        self,
+        now_s: float,
+        beat_s: float | None,
+        counts: Callable[[], Mapping[str, ThreadCount]] = dict,
+    ) -> float:
         """Return the time at which the process counts as hung if no further heartbeat comes.
 
         If that is at or before `now_s`, the process hangs. beat_s: time of its newest heartbeat;
-        None: none yet. Call it often: if the caller itself paused for more than .5 s, the silence
-        is counted anew.
+        None: none yet. counts: called to read those of its threads once it has been silent for a
+        tenth of its time. Call `look` often: if the caller itself paused for more than .5 s, the
+        silence is counted anew.
         """
         if now_s - self._looked_s > _BLIND_S:
             self._since_s = now_s
         self._looked_s = now_s
-        if beat_s is None:
-            return self._since_s + self._timeouts.start_s
-        self._since_s = max(self._since_s, beat_s)
-        return self._since_s + self._timeouts.run_s
+        self._since_s = max(self._since_s, beat_s or 0.0)
+        allowed_s = self._timeouts.start_s if beat_s is None else self._timeouts.run_s
+        if now_s - self._since_s < _UNREAD_SHARE * allowed_s:
+            self._wait = None
+            return self._since_s + allowed_s
+        self._wait = self._wait or ProcessorWait()
+        waited_s = self._wait.waited_s(now_s, counts())
+        return self._since_s + min(allowed_s + waited_s, self._timeouts.patience * allowed_s)
 
 
 class Child:
@@ -129,9 +150,12 @@ class Child:
     def hung_at_s(self, now_s: float) -> float:
         """Return the monotonic time at which the process counts as hung if no heartbeat comes.
 
-        Call it often, with the present time as `now_s`.
+        Infinity: there is no process. Call it often, with the present time as `now_s`.
         """
-        return self._silence.look(now_s, None if self._watch is None else self._watch.beat_s)
+        if self._process is None or self._watch is None:
+            return float("inf")
+        counts = partial(thread_counts, self._process.pid)
+        return self._silence.look(now_s, self._watch.beat_s, counts)
 
     def ended(self) -> int | None:
         """Return the exit status of a process that has ended, once; negative: its signal.
@@ -165,21 +189,30 @@ class Child:
         self.ended()
 
 
-_RESTART_S, _LONGEST_RESTART_S = 0.2, 5.0
+_RESTART_S: Final = 0.2
 #: A process that ran for so long had started well: the next failure is a new one.
-_WELL_S: Final = 10.0
+_WELL_S, _LONGEST_RESTART_S = 10.0, 5.0
+#: The same for one that hung: on a busy computer a start alone takes long, and each takes the
+#: others' time. The fifth hang within ten minutes waits as long as the fifth crash.
+_WELL_HUNG_S, _LONGEST_RESTART_HUNG_S = 600.0, 60.0
 
 
 class RestartDelay:
-    """The wait in s before a process is started again: doubled by each failure, .2 s to 5 s."""
+    """The wait in s before a process is started again: from .2 s on doubled by each failure.
+
+    A crash waits for 5 s at most, so that servos are soon driven again, a hang for a minute.
+    """
 
     def __init__(self) -> None:
         self._wait_s = _RESTART_S
 
-    def after(self, ran_s: float) -> float:
-        """Return the seconds to wait before restarting a process that died after `ran_s`."""
-        wait_s = _RESTART_S if ran_s > _WELL_S else self._wait_s
-        self._wait_s = min(2.0 * wait_s, _LONGEST_RESTART_S)
+    def after(self, ran_s: float, *, hung: bool = False) -> float:
+        """Return the seconds to wait before restarting a process that ended after `ran_s`."""
+        well_s, longest_s = _WELL_S, _LONGEST_RESTART_S
+        if hung:
+            well_s, longest_s = _WELL_HUNG_S, _LONGEST_RESTART_HUNG_S
+        wait_s = _RESTART_S if ran_s > well_s else min(self._wait_s, longest_s)
+        self._wait_s = 2.0 * wait_s
         return wait_s
 
 
@@ -190,6 +223,7 @@ class RestartedChild:
         self.child = child
         self.due_s = 0.0  # when it may start again
         self.is_killed = False
+        self._has_hung = False
         self._delay = RestartDelay()
         self._started_s = 0.0
 
@@ -201,13 +235,14 @@ class RestartedChild:
     def start(self, arguments: list[str], now_s: float) -> None:
         """Start the process at `now_s`, with `arguments` after its command, and log it."""
         self.child.start(arguments, now_s)
-        self.is_killed = False
+        self.is_killed = self._has_hung = False
         self._started_s = now_s
         _LOG.info("%s runs as process %s", self.child.name, self.child.pid)
 
     def kill_if_hung(self, now_s: float) -> None:
         """Kill the process if at `now_s` its last heartbeat is older than its timeout."""
-        if now_s >= self.child.hung_at_s(now_s):
+        if not self.is_killed and now_s >= self.child.hung_at_s(now_s):
+            self._has_hung = True
             self.kill("hangs: no heartbeat from it")
 
     def kill(self, why: str) -> None:
@@ -221,7 +256,7 @@ class RestartedChild:
         """Log that the process ended with `status`, and set when it may be restarted, `due_s`."""
         how = f"signal {-status}" if status < 0 else f"status {status}"
         _LOG.warning("%s died (%s)", self.child.name, how)
-        self.due_s = now_s + self._delay.after(now_s - self._started_s)
+        self.due_s = now_s + self._delay.after(now_s - self._started_s, hung=self._has_hung)
 
     def next_s(self, now_s: float) -> float:
         """Return when a restart or kill may be due next; infinity: the process is being killed."""

@@ -81,9 +81,10 @@ def face_at(path: Path) -> RunningFace:
             pid, _ = peer(client)
     except OSError as error:
         why = error.strerror or str(error)
-        raise ControlError(f"{path}: no face answers there: {why}; is a face running?") from error
+        why = f"{printable(str(path))}: no face answers there: {why}; is a face running?"
+        raise ControlError(why) from error
     named = read_socket_name(path)
-    return RunningFace(path.stem if named is None else named[0], pid, path)
+    return RunningFace(printable(path.stem) if named is None else named[0], pid, path)
 
 
 def ask(path: Path, word: str, patience_s: float = _PATIENCE_S) -> Answer:
@@ -243,8 +244,8 @@ def watch(path: Path, patience_s: float = _PATIENCE_S) -> int:
         if not raw:
             _wait_to_retry(give_up_s)
     if not handed:
-        why = json.loads(raw).get("error", "no memory was handed out")
-        raise ControlError(f"{path}: {why}")
+        why = _answer_in(raw).get("error", "no memory was handed out")
+        raise ControlError(f"{printable(str(path))}: {why}")
     os.set_inheritable(handed[0], False)
     return handed[0]
 
@@ -306,14 +307,40 @@ def _send_and_receive(client: socket.socket, word: str, give_up_s: float) -> Ans
 def _receive(client: socket.socket, give_up_s: float) -> Answer | None:
     """Return the face's next message; None: it closed the connection.
 
-    Raises TimeoutError when neither happens until the monotonic time `give_up_s`.
+    Raises TimeoutError when neither happens until the monotonic time `give_up_s`, OSError for
+    what is no answer of a face.
     """
     client.settimeout(max(0.001, give_up_s - time.monotonic()))
     try:
         raw = client.recv(_LONGEST_ANSWER)
     except ConnectionError:
         raw = b""
-    return dict(json.loads(raw)) if raw else None
+    return _answer_in(raw) if raw else None
+
+
+def _answer_in(raw: bytes) -> Answer:
+    """Return a message of a face without control characters, whoever made its socket.
+
+    Raises OSError for what no face says.
+    """
+    try:
+        return dict(printable(json.loads(raw)))
+    except (ValueError, TypeError, RecursionError):
+        raise OSError(errno.EPROTO, "what answers there is no face") from None
+
+
+def printable(value: Any) -> Any:
+    """Return a value of JSON, or a text, with all text as a terminal may show it.
+
+    In place of line ends, escape sequences and half characters stand a space and question marks.
+    """
+    if isinstance(value, dict):
+        return {printable(name): printable(each) for name, each in value.items()}
+    if isinstance(value, list):
+        return [printable(each) for each in value]
+    if not isinstance(value, str) or value.isprintable():
+        return value
+    return "".join(each if each.isprintable() else " " if each.isspace() else "?" for each in value)
 
 
 def _wait_to_retry(give_up_s: float) -> None:

@@ -70,26 +70,38 @@ class ControlSocket:
 
     def __init__(
         self,
-        listener: socket.socket,
         path: Path,
         about: Mapping[str, object] | None = None,
         commands: CommandQueue | None = None,
         describe: Describe = dict,
         watched_fd: int | None = None,
+        listener_fd: int | None = None,
     ) -> None:
-        """Serve a listening socket; call `bind` or `adopt` instead.
+        """Listen at `path`, and remove that file at the exit.
+
+        Raises ControlError where a face listens already, where a file exists that is no dead socket
+        of ours, and where no socket can be made.
 
         Parameters
         ----------
-        commands : the queue for stops and orders; None: a new one.
         about : part of every answer, such as the face's name and port.
+        commands : the queue for stops and orders; None: a new one.
         describe : makes the answer to `status` from the loop's status and `about`.
         watched_fd : descriptor of shared memory that `watch` hands out, to read only; None: none.
+        listener_fd : of another process's socket that listens at `path`, which is served instead;
+            its file stays at the exit.
 
         """
-        self._listener = listener
-        self._listener.setblocking(False)
         self._path = path
+        self._bound_inode: tuple[int, int] | None = None
+        if listener_fd is None:
+            # The kernel lists the socket as it is bound.
+            self._path = path.parent.resolve() / path.name
+            self._listener = _listener_at(self._path)
+            self._bound_inode = inode_of(self._path)
+        else:
+            self._listener = socket.socket(fileno=listener_fd)
+        self._listener.setblocking(False)
         self._about = {} if about is None else dict(about)
         self._commands = CommandQueue() if commands is None else commands
         self._describe = describe
@@ -97,59 +109,7 @@ class ControlSocket:
         self._clients: dict[int, _Client] = {}
         self._unanswered: list[tuple[_Client, str]] = []
         self._ready = select.poll()
-        self._ready.register(listener.fileno(), select.POLLIN)
-        self._bound_inode: tuple[int, int] | None = None
-
-    @classmethod
-    def bind(
-        cls,
-        path: Path,
-        about: Mapping[str, object] | None = None,
-        commands: CommandQueue | None = None,
-        describe: Describe = dict,
-        watched_fd: int | None = None,
-    ) -> Self:
-        """Listen at `path`, and remove that file at the exit. Parameters as for the constructor.
-
-        Raises ControlError where a face listens already, where a file exists that is no dead socket
-        of ours, and where no socket can be made.
-        """
-        path = path.parent.resolve() / path.name  # the kernel lists it as it is bound
-        listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        try:
-            with held_folder(path.parent):
-                make_room(path)
-                os.fchmod(listener.fileno(), 0o600)  # Linux gives the file this mode: no gap
-                listener.bind(str(path))
-                listener.listen(_BACKLOG)
-                path.chmod(_MODE)
-        except OSError as error:
-            listener.close()
-            why = error.strerror or str(error)
-            raise ControlError(f"{path}: cannot listen there: {why}") from error
-        except ControlError:
-            listener.close()
-            raise
-        control = cls(listener, path, about, commands, describe, watched_fd)
-        control._bound_inode = inode_of(path)
-        return control
-
-    @classmethod
-    def adopt(
-        cls,
-        fd: int,
-        path: Path,
-        about: Mapping[str, object] | None = None,
-        commands: CommandQueue | None = None,
-        describe: Describe = dict,
-        watched_fd: int | None = None,
-    ) -> Self:
-        """Serve the listening socket `fd` of another process; its file is not removed at the exit.
-
-        path: of that file. Other parameters as for the constructor.
-        """
-        listener = socket.socket(fileno=fd)
-        return cls(listener, path, about, commands, describe, watched_fd)
+        self._ready.register(self._listener.fileno(), select.POLLIN)
 
     @property
     def path(self) -> Path:
@@ -308,6 +268,26 @@ class ControlSocket:
         del self._clients[fd]
         self._ready.unregister(fd)
         client.end.close()
+
+
+def _listener_at(path: Path) -> socket.socket:
+    """Return a socket that listens at `path`. Raises ControlError."""
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    try:
+        with held_folder(path.parent):
+            make_room(path)
+            os.fchmod(listener.fileno(), 0o600)  # Linux gives the file this mode: no gap
+            listener.bind(str(path))
+            listener.listen(_BACKLOG)
+            path.chmod(_MODE)
+    except OSError as error:
+        listener.close()
+        why = error.strerror or str(error)
+        raise ControlError(f"{path}: cannot listen there: {why}") from error
+    except ControlError:
+        listener.close()
+        raise
+    return listener
 
 
 def peer(end: socket.socket) -> tuple[int, int]:

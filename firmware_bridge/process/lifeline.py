@@ -4,27 +4,24 @@ The lifeline is a socket pair, one end each. Nothing here waits: while the super
 heartbeats are lost, but no other message.
 """
 
-import contextlib
+import json
 import os
 import socket
-import struct
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Final
 
 from firmware_bridge.stopping import StopLevel
 
 #: Often enough to be missed within a second, rarely enough to cost nothing.
 _BEAT_S: Final = 0.05
-_TIME: Final = struct.Struct("<d")
-_INDEX: Final = struct.Struct("<H")
-_SWITCHED: Final = struct.Struct("<H?")
 #: As many servos as a chain can have, and a stop or two.
 _MOST_UNSENT: Final = 256
 _LONGEST_REASON: Final = 400
-_LONGEST: Final = 512
+#: In bytes; a character takes twelve at most.
+_LONGEST: Final = 8192
 #: More than a second of everything a process says; bounds the time of one reading.
 _MOST_AT_ONCE: Final = 400
 
@@ -82,6 +79,10 @@ class Ready:
 
 
 Message = Stopped | Started | NotStarted | Failed | Switched | Began | Ready
+_KINDS: Final = {
+    kind.__name__: kind for kind in (Stopped, Started, NotStarted, Failed, Switched, Began, Ready)
+}
+_BEAT: Final = "Beat"
 
 
 class Lifeline:
@@ -110,47 +111,19 @@ class Lifeline:
         self._beat_s = now_s
         if self._unsent:
             self._flush()
-        self._send(b"B" + _TIME.pack(now_s))
+        self._send(json.dumps([_BEAT, now_s]).encode())
 
-    def stopped(self, level: StopLevel, *, ends: bool = False, requested_by: str = "") -> None:
-        """Report that a person stopped the face; the stop remains in force if this process dies.
-
-        Arguments: as of `Stopped`.
-        """
-        words = f"{level.value}\0{requested_by}".encode("utf-8", "replace")[:_LONGEST_REASON]
-        self._say((b"E" if ends else b"S") + words)
-
-    def started(self) -> None:
-        """Report that a person ended a freeze."""
-        self._say(b"G")
-
-    def not_started(self, reason: str) -> None:
-        """Report that torque could not be switched on at a start, and why (`reason`)."""
-        self._say(b"N" + reason.encode("utf-8", "replace")[:_LONGEST_REASON])
-
-    def failed(self, index: int, reason: str) -> None:
-        """Report that servo number `index` was given up for good, and why (`reason`)."""
-        self._say(b"F" + _INDEX.pack(index) + reason.encode("utf-8", "replace")[:_LONGEST_REASON])
-
-    def switched(self, index: int, *, on: bool) -> None:
-        """Report that a person switched servo number `index` of the face off or `on`."""
-        self._say(b"W" + _SWITCHED.pack(index, on))
-
-    def began(self, zero_s: float) -> None:
-        """Report that time 0 of the spoken sound was at the monotonic time `zero_s`."""
-        self._say(b"Z" + _TIME.pack(zero_s))
-
-    def ready(self) -> None:
-        """Report that the servos are driven now."""
-        self._say(b"R")
+    def tell(self, message: Message) -> None:
+        """Send a message; it is not lost while the supervisor lives. Long texts are cut off."""
+        values = [
+            each[:_LONGEST_REASON] if isinstance(each, str) else each for each in astuple(message)
+        ]
+        self._unsent.append(json.dumps([type(message).__name__, *values]).encode())
+        self._flush()
 
     def close(self) -> None:
         """Close the child's end of the connection."""
         self._end.close()
-
-    def _say(self, message: bytes) -> None:
-        self._unsent.append(message)
-        self._flush()
 
     def _flush(self) -> None:
         while self._unsent and self._send(self._unsent[0]):
@@ -196,11 +169,11 @@ class LifelineWatch:
             if not raw:
                 self.closed = True
                 break
-            if raw[:1] == b"B" and len(raw) == 1 + _TIME.size:
-                self.beat_s = max(_TIME.unpack_from(raw, 1)[0], self.beat_s or 0.0)
-                continue
-            with contextlib.suppress(ValueError, struct.error):
-                messages.append(_understood(raw))
+            message = _understood(raw)
+            if isinstance(message, float):
+                self.beat_s = max(message, self.beat_s or 0.0)
+            elif message is not None:
+                messages.append(message)
         return messages
 
     def close(self) -> None:
@@ -220,22 +193,15 @@ def inherited_lifeline(fd: int) -> Lifeline:
     return Lifeline(fd)
 
 
-def _understood(raw: bytes) -> Message:
-    """Parse `raw`, one message in bytes. Raises ValueError or struct.error for unknown bytes."""
-    kind, rest = raw[:1], raw[1:]
-    if kind in (b"S", b"E"):
-        level, _, requested_by = rest.decode("utf-8", "replace").partition("\0")
-        return Stopped(StopLevel(level), kind == b"E", requested_by)
-    if kind == b"G":
-        return Started()
-    if kind == b"N":
-        return NotStarted(rest.decode("utf-8", "replace"))
-    if kind == b"F":
-        return Failed(_INDEX.unpack_from(rest)[0], rest[_INDEX.size :].decode("utf-8", "replace"))
-    if kind == b"W":
-        return Switched(*_SWITCHED.unpack(rest))
-    if kind == b"Z":
-        return Began(_TIME.unpack(rest)[0])
-    if kind == b"R":
-        return Ready()
-    raise ValueError(f"{raw[:20]!r} is not known")
+def _understood(raw: bytes) -> Message | float | None:
+    """Return the message of some bytes, or the time of a heartbeat; None: they are neither."""
+    try:
+        kind, *values = json.loads(raw)
+        if kind == _BEAT:
+            return float(values[0])
+        if kind == Stopped.__name__:
+            values[0] = StopLevel(values[0])
+        message: Message = _KINDS[kind](*values)
+    except (ValueError, TypeError, LookupError):
+        return None
+    return message

@@ -75,7 +75,7 @@ class ServiceNotice:
         self._alive_s = float("-inf")
 
     def ready(self) -> None:
-        """Notify systemd, once, that the servos are driven."""
+        """Notify systemd, once, that the face is up: driven, or stopped and waiting for a start."""
         if not self._ready:
             self._ready = True
             self._notify("READY=1")

@@ -23,6 +23,8 @@ SOCKET_SUFFIX: Final = ".sock"
 _NAME: Final = "lipservo"
 _OWN_VARIABLE: Final = "LIPSERVO_RUNTIME"
 _LONGEST_FACE_NAME: Final = 40
+#: Folders with the number of their user in the path: his session's, and below the temporary one.
+_OF_A_USER: Final = re.compile(rf"/run/user/(\d+)/{_NAME}|.*/{_NAME}-(\d+)", re.ASCII)
 
 
 #: Unix sockets that keep messages whole and name their peer, file locks and /proc. Without them
@@ -52,7 +54,7 @@ def runtime_folder() -> Path:
         raise ControlError(
             f"{folder}: cannot be made: {error.strerror}; choose a place with --control"
         ) from error
-    if not _is_own(folder):
+    if not _belongs_to(folder, os.geteuid()):
         raise ControlError(
             f"{folder}: is not a folder that only you may write into; choose a place with --control"
         )
@@ -71,25 +73,25 @@ def socket_path(face: str) -> Path:
 
 def read_socket_name(path: Path) -> tuple[str, int] | None:
     """Return (face, process id) from a path made by `socket_path`; None for any other file name."""
-    match = re.fullmatch(rf"([^.].*)-(\d+){re.escape(SOCKET_SUFFIX)}", path.name)
+    match = re.fullmatch(rf"([\w-][\w.-]*)-(\d+)\{SOCKET_SUFFIX}", path.name, re.ASCII)
     return None if match is None else (match[1], int(match[2]))
 
 
 def searched_folders() -> list[Path]:
     """Return readable folders where faces may listen: the service's, ours, for root all users'.
 
-    Left out are unreadable folders, and any folder of another user that is not owned by the user
-    whose number is in its name, since its files cannot be trusted.
+    Left out are unreadable folders, and any that does not belong, alone, to the user whose number
+    is in its path (to us where none is): whoever made it, its files cannot be trusted.
     """
     _check_system()
     if own := os.environ.get(_OWN_VARIABLE, ""):
         return [each for each in (Path(own),) if _may_look_into(each)]
     candidates = [Path(each) for each in os.environ.get("RUNTIME_DIRECTORY", "").split(":") if each]
     session = Path(f"/run/user/{os.geteuid()}") / _NAME
-    candidates += [SERVICE_FOLDER, _own_folder(), session, _temporary_folder()]
+    of_users = [_own_folder(), session, _temporary_folder()]
     if os.geteuid() == 0:
-        found = [(each, _user_in_name(each)) for each in _folders_of_others()]
-        candidates += [each for each, uid in found if uid is not None and _belongs_to(each, uid)]
+        of_users += _folders_of_others()
+    candidates += [SERVICE_FOLDER, *filter(_is_its_users, of_users)]
     return [each for each in dict.fromkeys(candidates) if _may_look_into(each)]
 
 
@@ -100,7 +102,7 @@ def _check_system() -> None:
 
 def _own_folder() -> Path:
     session = os.environ.get("XDG_RUNTIME_DIR", "")
-    if session and _is_own(Path(session)):
+    if session and _belongs_to(Path(session), os.geteuid()):
         return Path(session) / _NAME
     return _temporary_folder()
 
@@ -114,17 +116,13 @@ def _folders_of_others() -> Iterator[Path]:
     yield from Path(tempfile.gettempdir()).glob(f"{_NAME}-*")
 
 
-def _is_own(folder: Path) -> bool:
-    return _belongs_to(folder, os.geteuid())
+def _is_its_users(folder: Path) -> bool:
+    """Return whether `folder` belongs to the user whose number is in its path; to us without one.
 
-
-def _user_in_name(folder: Path) -> int | None:
-    """Return the user number in a folder's path; None without a number.
-
-    It is 1000 in /run/user/1000/lipservo and in /tmp/lipservo-1000.
+    The number is 1000 in /run/user/1000/lipservo and in /tmp/lipservo-1000.
     """
-    number = folder.parent.name if folder.name == _NAME else folder.name.rpartition("-")[2]
-    return int(number) if number.isascii() and number.isdigit() else None
+    match = _OF_A_USER.fullmatch(str(folder))
+    return _belongs_to(folder, int(match[1] or match[2]) if match else os.geteuid())
 
 
 def _belongs_to(folder: Path, uid: int) -> bool:
@@ -138,10 +136,7 @@ def _belongs_to(folder: Path, uid: int) -> bool:
 
 
 def _may_look_into(folder: Path) -> bool:
-    try:
-        is_folder = stat.S_ISDIR(folder.lstat().st_mode)
-    except OSError:
-        return False
+    is_folder = os.path.isdir(folder) and not os.path.islink(folder)
     return is_folder and os.access(folder, os.R_OK | os.X_OK)
 
 

@@ -18,10 +18,13 @@ from firmware_bridge.simulator.faults import (
     Fault,
 )
 
-#: Bounds of the numbers that every kind may have.
-_TIMES: Final = ("from_s", "until_s", "lasts_s")
-_SHORTEST_EVERY_S: Final = 0.001
 _LONGEST_S: Final = 1e9
+#: Of the numbers that many kinds may have.
+_BOUNDS: Final = {
+    "probability": (0.0, 1.0),
+    "every_s": (0.001, _LONGEST_S),
+    **dict.fromkeys(("from_s", "until_s", "lasts_s"), (0.0, _LONGEST_S)),
+}
 #: A list of mappings of lists is 3 deep.
 _DEEPEST: Final = 20
 
@@ -122,24 +125,17 @@ class _Reader:
                 int(self._number("servos", each, 0, self._n_servos - 1, whole=True))
                 for each in self._several("servos")
             )
-        if "probability" in self._raw:
-            values["probability"] = self._number("probability", self._raw["probability"], 0.0, 1.0)
         if "at_s" in self._raw:
             starts_s = (self._number("at_s", each, 0.0) for each in self._several("at_s"))
             values["at_s"] = tuple(sorted(starts_s))
-        if "every_s" in self._raw:
-            values["every_s"] = self._number("every_s", self._raw["every_s"], _SHORTEST_EVERY_S)
-        for key in _TIMES:
+        for key, bounds in _BOUNDS.items():
             if key in self._raw:
-                values[key] = self._number(key, self._raw[key], 0.0)
+                values[key] = self._number(key, self._raw[key], *bounds)
         if amount is not None and ("amount" in self._raw or amount.needed):
+            given, bounds = self._raw.get("amount"), (amount.low, amount.high)
+            meaning = f" ({amount.meaning})"
             values["amount"] = self._number(
-                "amount",
-                self._raw.get("amount"),
-                amount.low,
-                amount.high,
-                whole=amount.whole,
-                meaning=f" ({amount.meaning})",
+                "amount", given, *bounds, whole=amount.whole, meaning=meaning
             )
         if values.get("until_s", math.inf) <= values.get("from_s", 0.0):
             raise self._wrong("until_s", "must be later than from_s", self._raw["until_s"])
@@ -187,9 +183,7 @@ class _Reader:
         allowed = f"must be {kind} {bounds}{meaning}"
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self._wrong(key, allowed, value)
-        if whole and not isinstance(value, int):
-            raise self._wrong(key, allowed, value)
-        if not low <= value <= high:
+        if (whole and not isinstance(value, int)) or not low <= value <= high:
             raise self._wrong(key, allowed, value)
         return value
 

@@ -14,56 +14,6 @@ from firmware_bridge.dynamixel.control_table import PULSES_PER_DEG
 from firmware_bridge.simulator.motors import ENCODER_ERROR, SHOCK_ERROR, Motors
 from firmware_bridge.simulator.servo import SimulatedServo
 
-#: What happens to a status packet on its way, by chance.
-ON_REPLIES: Final = frozenset(
-    {
-        "drop_reply",
-        "corrupt_reply",
-        "truncate_reply",
-        "duplicate_reply",
-        "late_reply",
-        "wrong_id",
-        "error_reply",
-        "babble",
-        "echo",
-    }
-)
-#: What happens to an instruction packet on its way, by chance.
-ON_INSTRUCTIONS: Final = frozenset({"drop_instruction", "corrupt_instruction"})
-#: What happens to a servo, or to all, at a moment; `lasts_s` later it is over.
-ON_SERVOS: Final = frozenset(
-    {
-        "silence",
-        "reboot",
-        "brown_out",
-        "overload",
-        "overheat",
-        "undervoltage",
-        "overvoltage",
-        "shock",
-        "encoder_fault",
-        "jam",
-        "load",
-        "torque_lost",
-        "id_change",
-        "baud_reset",
-        "return_delay_drift",
-        "limits_drift",
-        "answers_stop",
-        "watchdog_trip",
-        "pushed",
-        "unplug",
-    }
-)
-KINDS: Final = tuple(sorted(ON_REPLIES | ON_INSTRUCTIONS | ON_SERVOS))
-#: Those that are over after `lasts_s`; the others are a matter of a moment.
-LASTING: Final = frozenset(
-    {
-        *("silence", "brown_out", "overload", "overheat", "undervoltage", "overvoltage"),
-        *("jam", "load", "answers_stop", "unplug"),
-    }
-)
-
 
 @dataclass(frozen=True, slots=True)
 class Amount:
@@ -79,22 +29,61 @@ class Amount:
     needed: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    """A kind of fault. lasts: it is over after `lasts_s`; others are a matter of a moment."""
+
+    amount: Amount | None = None
+    lasts: bool = False
+
+
+_SHARE: Final = "load as a share of the stall torque"
+_REPLY_KINDS: Final = {
+    "drop_reply": _Kind(),
+    "corrupt_reply": _Kind(),
+    "truncate_reply": _Kind(),
+    "duplicate_reply": _Kind(),
+    "late_reply": _Kind(Amount("seconds late", 0.0, 10.0, needed=True)),
+    "wrong_id": _Kind(),
+    "error_reply": _Kind(Amount("error byte of the reply, else 1", 1, 255, whole=True)),
+    "babble": _Kind(Amount("bytes of noise, else 8", 1, 1000, whole=True)),
+    "echo": _Kind(),
+}
+_SERVO_KINDS: Final = {
+    "silence": _Kind(lasts=True),
+    "reboot": _Kind(),
+    "brown_out": _Kind(lasts=True),
+    "overload": _Kind(Amount(f"{_SHARE}, else 0.9", 0.0, 1.0), lasts=True),
+    "overheat": _Kind(Amount("degC, else 5 above the limit", 0.0, 200.0), lasts=True),
+    "undervoltage": _Kind(Amount("volt, else 0.6 of nominal", 0.0, 60.0), lasts=True),
+    "overvoltage": _Kind(Amount("volt, else 1.5 of nominal", 0.0, 60.0), lasts=True),
+    "shock": _Kind(),
+    "encoder_fault": _Kind(Amount("degrees that the reading jumps", -360.0, 360.0)),
+    "jam": _Kind(Amount(_SHARE, 0.0, 1.0), lasts=True),
+    "load": _Kind(Amount(_SHARE, 0.0, 1.0, needed=True), lasts=True),
+    "torque_lost": _Kind(),
+    "id_change": _Kind(Amount("the new id", 0, 252, whole=True, needed=True)),
+    "baud_reset": _Kind(),
+    "return_delay_drift": _Kind(Amount("register value, else 250", 1, 254, whole=True)),
+    "limits_drift": _Kind(Amount("the new max_position_limit, else 4095", 1, 4095, whole=True)),
+    "answers_stop": _Kind(lasts=True),
+    "watchdog_trip": _Kind(),
+    "pushed": _Kind(Amount("degrees", -360.0, 360.0, needed=True)),
+    "unplug": _Kind(lasts=True),
+}
+#: What happens to a status packet on its way, by chance.
+ON_REPLIES: Final = frozenset(_REPLY_KINDS)
+#: What happens to an instruction packet on its way, by chance.
+ON_INSTRUCTIONS: Final = frozenset({"drop_instruction", "corrupt_instruction"})
+#: What happens to a servo, or to all, at a moment; `lasts_s` later it is over.
+ON_SERVOS: Final = frozenset(_SERVO_KINDS)
+KINDS: Final = tuple(sorted(ON_REPLIES | ON_INSTRUCTIONS | ON_SERVOS))
+LASTING: Final = frozenset(name for name, kind in _SERVO_KINDS.items() if kind.lasts)
 #: Kinds that are not here have no amount.
 AMOUNTS: Final = {
-    "late_reply": Amount("seconds late", 0.0, 10.0, needed=True),
-    "error_reply": Amount("error byte of the reply, else 1", 1, 255, whole=True),
-    "babble": Amount("bytes of noise, else 8", 1, 1000, whole=True),
-    "overload": Amount("load as a share of the stall torque, else 0.9", 0.0, 1.0),
-    "overheat": Amount("degC, else 5 above the limit", 0.0, 200.0),
-    "undervoltage": Amount("volt, else 0.6 of nominal", 0.0, 60.0),
-    "overvoltage": Amount("volt, else 1.5 of nominal", 0.0, 60.0),
-    "encoder_fault": Amount("degrees that the reading jumps", -360.0, 360.0),
-    "jam": Amount("load as a share of the stall torque", 0.0, 1.0),
-    "load": Amount("load as a share of the stall torque", 0.0, 1.0, needed=True),
-    "id_change": Amount("the new id", 0, 252, whole=True, needed=True),
-    "return_delay_drift": Amount("register value, else 250", 1, 254, whole=True),
-    "limits_drift": Amount("the new max_position_limit, else 4095", 1, 4095, whole=True),
-    "pushed": Amount("degrees", -360.0, 360.0, needed=True),
+    name: kind.amount
+    for name, kind in (_REPLY_KINDS | _SERVO_KINDS).items()
+    if kind.amount is not None
 }
 
 

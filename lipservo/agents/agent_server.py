@@ -10,17 +10,18 @@ import logging
 import socket
 import threading
 import time
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from http import HTTPStatus
 from pathlib import Path
-from typing import ClassVar, Final, Self
+from typing import Final, Self
 from urllib.parse import urlsplit
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
+from lipservo.access.doorway import ACCEPTED, BACKLOG, HEAD_S, MOST_HEADS, Doorway, scaled
 from lipservo.agents.control_session import Commands, ControlSession
 from lipservo.agents.listener import (
     HEALTH_PATHS,
@@ -44,37 +45,29 @@ _POLL_S: Final = 0.01
 _CLOSING_S: Final = 1.0
 #: The thread is given up after this; it dies with the process.
 _JOIN_S: Final = 5.0
-#: Connections that have not said what they want yet, and the clients.
-_MOST_SOCKETS: Final = 64
-#: Clients without a token, or beyond the number that settings allow, which may stop the face; the
-#: oldest makes room.
-_MOST_STOPPERS: Final = 8
-#: Events that the kernel may hold for a client that does not read; by itself it takes megabytes.
-_KERNEL_BYTES: Final = 1 << 16
+#: Clients without a token, or beyond the number that settings allow, which may stop the face, once
+#: they have sent a message; the oldest makes room.
+_MOST_STOPPERS: Final = 16
 _GOING_AWAY, _POLICY_VIOLATION = 1001, 1008
 _LOG: Final = logging.getLogger(__name__)
 #: The library's own words are for its developers, and would name what a client asked for.
 _SILENT: Final = logging.Logger("websockets of agents", logging.CRITICAL + 1)
 
 
-class _BoundedConnection(ServerConnection):
-    """A WebSocket connection with a small send buffer, aborted at once if 64 others are open."""
+def _connections(heads: Doorway, stoppers: Doorway) -> type[ServerConnection]:
+    """Return the class of a server's connections: each waits in `heads` until it is let in."""
 
-    n_open: ClassVar[int] = 0
+    class Connection(ServerConnection):
+        def connection_made(self, transport: asyncio.BaseTransport) -> None:
+            super().connection_made(transport)
+            heads.enter(self.transport)
 
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        _BoundedConnection.n_open += 1
-        transport.get_extra_info("socket").setsockopt(
-            socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL_BYTES
-        )
-        super().connection_made(transport)
-        if self.n_open > _MOST_SOCKETS:
-            assert isinstance(transport, asyncio.WriteTransport)
-            transport.abort()
+        def connection_lost(self, exc: Exception | None) -> None:
+            super().connection_lost(exc)
+            heads.leave(self.transport)
+            stoppers.leave(self.transport)
 
-    def connection_lost(self, exc: Exception | None) -> None:
-        super().connection_lost(exc)
-        _BoundedConnection.n_open -= 1
+    return Connection
 
 
 class AgentServer:
@@ -104,9 +97,9 @@ class AgentServer:
         self._delay_ms = delay_ms
         self._settings = settings or AgentSettings()
         self._streams = OpenStreams(playout, self._settings)
-        # In the order in which they came.
-        self._clients: dict[ServerConnection, None] = {}
-        self._stoppers: dict[ServerConnection, None] = {}
+        self._n_clients = 0
+        self._heads = Doorway(MOST_HEADS, HEAD_S)
+        self._stoppers = Doorway(_MOST_STOPPERS)
         self._commands = Commands(
             control_path,
             say,
@@ -124,7 +117,7 @@ class AgentServer:
         """Return the server's URL and its numbers of clients and refused streams; never wait."""
         return {
             "url": self._url,
-            "n_clients": len(self._clients),
+            "n_clients": self._n_clients,
             "n_streams_refused": self._streams.n_refused,
         }
 
@@ -158,7 +151,8 @@ class AgentServer:
             self._attend,
             sock=self._listener,
             process_request=self._admit,
-            create_connection=_BoundedConnection,
+            create_connection=_connections(self._heads, self._stoppers),
+            backlog=scaled(ACCEPTED),
             compression=None,
             server_header=None,
             max_size=self._settings.most_message_bytes,
@@ -167,13 +161,14 @@ class AgentServer:
             close_timeout=0.5 * _CLOSING_S,  # with the pings less than ten seconds
             logger=_SILENT,
         )
+        self._listener.listen(BACKLOG)
         _LOG.info("voice agents: %s", self._url)
         self._started.set()
         telling = self._loop.create_task(self._tell())
         await self._stopping.wait()
         telling.cancel()
         self._streams.end_all()
-        await _close(server, [*self._clients, *self._stoppers])
+        await _close(server)
 
     def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
         try:
@@ -195,7 +190,7 @@ class AgentServer:
         """Return whether a request gets full, stop-only or no access; ValueError if malformed."""
         peer = (connection.remote_address or ("",))[0]
         opening = request_of(request.path, request.headers.raw_items(), peer)
-        return handshake(opening, self._settings, len(self._clients))
+        return handshake(opening, self._settings, self._n_clients)
 
     async def _attend(self, connection: ServerConnection) -> None:
         """Serve one client until it disconnects, or disconnect it because it reads too slowly."""
@@ -207,12 +202,10 @@ class AgentServer:
             session = StreamSession(outbox, self._streams, self._playout, self._delay_ms)
         else:
             session = ControlSession(outbox, self._commands, self._streams, may_only_stop)
-        among = self._clients if may_only_stop is None else self._stoppers
-        if among is self._stoppers and len(among) >= _MOST_STOPPERS:
-            oldest = next(iter(among))  # its stop was sent long ago
-            del among[oldest]
-            oldest.transport.abort()
-        among[connection] = None
+        is_client = may_only_stop is None
+        if is_client:
+            self._heads.leave(connection.transport)
+        self._n_clients += is_client
         sending = asyncio.ensure_future(_send(connection, outbox))
         working = [
             asyncio.ensure_future(each)
@@ -222,7 +215,7 @@ class AgentServer:
             # Not the end of sending: who has gone may have sent more, its `end` for one.
             await asyncio.wait(working, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            among.pop(connection, None)
+            self._n_clients -= is_client
             is_slow = outbox.overflowed.is_set()
             session.leave()
             for task in (*working, sending):
@@ -254,6 +247,8 @@ class AgentServer:
             return
         except ConnectionClosed:
             return
+        if self._heads.leave(connection.transport):
+            self._stoppers.enter(connection.transport)
         yield first
         with contextlib.suppress(ConnectionClosed):
             async for message in connection:
@@ -289,9 +284,10 @@ async def _send(connection: ServerConnection, outbox: Outbox) -> None:
             await connection.send(await outbox.take())
 
 
-async def _close(server: Server, clients: Iterable[ServerConnection]) -> None:
+async def _close(server: Server) -> None:
     """Close the clients' connections, then the server; wait at most 2 s for each of the two."""
-    ends = [asyncio.ensure_future(each.close(_GOING_AWAY, "shutting_down")) for each in clients]
+    open_ones = server.connections
+    ends = [asyncio.ensure_future(each.close(_GOING_AWAY, "shutting_down")) for each in open_ones]
     if ends:
         await asyncio.wait(ends, timeout=2.0 * _CLOSING_S)
     server.close()

@@ -18,9 +18,11 @@ from urllib.parse import urlsplit
 from lipservo_client.local_token import is_loopback, tcp_sockets
 
 from lipservo.access.admission import Policy, Refusal, Request, merged_headers, refusal
+from lipservo.access.doorway import BACKLOG
 from lipsync.errors import UserError, shown
 
-_BACKLOG: Final = 16
+#: Of what is sent, the kernel holds so much for a client that does not read; by itself megabytes.
+_KERNEL_BYTES: Final = 1 << 16
 _HIGHEST_PORT: Final = 65_535
 _PROC: Final = Path("/proc")
 STREAM_PATH, CONTROL_PATH = "/stream", "/control"
@@ -89,7 +91,8 @@ def bind_listener(spec: str, token: str | None) -> socket.socket:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         address = socket.getaddrinfo(host, port, listener.family, socket.SOCK_STREAM)[0][4]
         listener.bind(address)
-        listener.listen(_BACKLOG)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL_BYTES)
+        listener.listen(BACKLOG)
     except OSError as error:
         listener.close()
         if error.errno == errno.EADDRINUSE:

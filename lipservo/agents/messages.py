@@ -35,8 +35,6 @@ PROTOCOL: Final = 2
 #: Where a stream's samples are played: by the face's own loudspeaker, or by who sends them.
 Playback = Literal["server", "client"]
 Name = Annotated[str, Field(min_length=1, max_length=128)]
-#: As long as somebody wants to hear, and far below a message's bound.
-_LONGEST_TEXT: Final = 20_000
 #: Positions are within a stream: three hours of one are more than any has.
 _LONGEST_S: Final = 10_000.0
 #: A face is at rest and limp within seconds; after a pulled plug within half a minute.
@@ -269,7 +267,7 @@ class Say(_Command):
     """Speak a text with the face's own voice; `started`, then `finished` or `dropped` follow."""
 
     type: Literal["say"]
-    text: Annotated[str, Field(min_length=1, max_length=_LONGEST_TEXT)]
+    text: Annotated[str, Field(min_length=1, max_length=LONGEST_TEXT)]
 
 
 class Play(_Command):

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import urlencode
 
+from firmware_bridge.process.logs import LOG_JSON
 from lipservo.agents.listener import bind_listener, url_of
 from lipsync.errors import UserError
 
@@ -56,6 +57,17 @@ def address_of(listener: socket.socket, token: str | None = None, page: str = ""
     elif token is not None:
         address += "/"
     return address if token is None else f"{address}?{urlencode({'token': token})}"
+
+
+def address_line(listener: socket.socket, token: str | None, page: str = "") -> str:
+    """Return the line that tells where the dashboard is: with the token only in a terminal.
+
+    Elsewhere it is a log, which others may read.
+    """
+    if token is None or (sys.stderr.isatty() and not os.environ.get(LOG_JSON)):
+        return f"dashboard: {address_of(listener, token, page)}"
+    hint = "with its token, which is in no log: docs/hardware.md"
+    return f"dashboard: {address_of(listener, None, page)} ({hint})"
 
 
 @contextlib.contextmanager

@@ -34,7 +34,7 @@ from firmware_bridge.process.control_client import (
     watch,
 )
 from firmware_bridge.process.runtime_folder import ControlError
-from firmware_bridge.stopping import ServoSwitch
+from firmware_bridge.stopping import ServoSwitch, StopLevel
 from lipservo.dashboard.live_frames import NO_LAYOUT, RATE_HZ, BoardReader, Moment, encode
 from lipservo.runtime.servos.assembly import load_settings
 from lipservo.runtime.speech.passing_wish import with_expiry
@@ -84,14 +84,17 @@ class FaceLink:
         token: str | None = None,
         control_path: Path | None = None,
         clock: Callable[[], float] = time.monotonic,
+        let_go: Callable[[], NothingDrivenError] | None = None,
     ) -> None:
         """Create the link; nothing is connected yet. find: returns the face's control socket.
 
         It is called in a thread, and may raise UserError, ControlError. token: what the face's
         agent server requires; None: the token is found if the face runs on this computer.
-        control_path: the control socket, if it is known.
+        control_path: the control socket, if it is known. let_go: ends a face that takes no stop,
+        and says what its servos confirmed; None: only the face can let them go.
         """
         self._find = find
+        self._let_go = let_go
         self._token = token
         self._clock = clock
         self.control_path = control_path
@@ -175,6 +178,18 @@ class FaceLink:
         if self._locating is None or self._locating.done():
             self._locating = asyncio.create_task(self._located())
         return await asyncio.shield(self._locating)
+
+    async def without_answer(self, error: Exception, level: StopLevel) -> NothingDrivenError:
+        """Have the servos let go of a face that `error` kept from a stop; return what they confirm.
+
+        Raises FaceError `not_answering` where only the face can let them go, and for a freeze.
+        """
+        if isinstance(error, NothingDrivenError):
+            if error.is_limp or self._let_go is None or level is StopLevel.FREEZE:
+                return error
+        elif self._let_go is None or level is StopLevel.FREEZE:
+            raise error if isinstance(error, FaceError) else not_answering(error) from error
+        return await asyncio.get_running_loop().run_in_executor(self._finding, self._let_go)
 
     @contextlib.contextmanager
     def waiting_for_end(self, wait_s: float) -> Iterator[float]:

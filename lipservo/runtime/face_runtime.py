@@ -14,6 +14,7 @@ from firmware_bridge.loop.bridge import Bridge, face_status
 from firmware_bridge.loop.life_cycle import LifeCycle
 from firmware_bridge.loop.targets import MemoryTargetChannel
 from firmware_bridge.process.logs import LOG_JSON
+from firmware_bridge.process.operating_system import ServiceNotice
 from firmware_bridge.stopping import StopReport
 from lipservo.runtime.face_speech import FaceSpeech
 from lipservo.runtime.requested_face import RequestedFace
@@ -106,6 +107,7 @@ def run_face(
                 serving = voice_agents(listener, speech.side, requested)
                 run.serve(stack.enter_context(serving))
             life.start()
+            run.notice.ready()
             zero_s = street.start(clock.now())
             playout = source if isinstance(source, Playout) and not endless else None
             end = _End(zero_s + length_s + delay.total_s, playout)
@@ -167,12 +169,13 @@ class _End:
 
 
 class _Run:
-    """A run in progress: its command queue, its status, and the observers of its ticks."""
+    """A run: its command queue, its status, its notices to systemd, the observers of its ticks."""
 
     def __init__(self, requested: RequestedFace, speech: FaceSpeech) -> None:
         self._requested = requested
         self._speech = speech
         self.commands = requested.commands()
+        self.notice = ServiceNotice()
         self._listens_on: str | None = None
 
     def serve(self, url: str | None) -> None:
@@ -231,7 +234,9 @@ class _Run:
     def observe(self, _tick: StreetTick) -> None:
         """Pass settings changed since the last tick from the command queue to the speech side.
 
-        Called once a tick, as for every `TickObserver`.
+        Called once a tick, as for every `TickObserver`; systemd hears that ticks go on, those of a
+        stopped face that waits among them.
         """
+        self.notice.alive()
         if changes := self.commands.take_changes():
             self._speech.side.change(changes)

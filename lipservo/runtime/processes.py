@@ -13,13 +13,19 @@ from typing import TYPE_CHECKING, Final
 from firmware_bridge.errors import BusError
 from firmware_bridge.loop.report import TickReport
 from firmware_bridge.process.control_socket import ControlSocket
-from firmware_bridge.process.lifeline import Lifeline
+from firmware_bridge.process.lifeline import Began, Lifeline, NotStarted, Ready
 from firmware_bridge.process.logs import face_logs
 from firmware_bridge.stop_signals import SignalCounter
 from firmware_bridge.stopping import ExitStatus, StopRequest
 from lipservo.runtime.requested_face import RequestedFace
 from lipservo.runtime.run_request import RunRequest, request_json
-from lipservo.runtime.servos.driven_face import DrivenFace, DriveOptions, Supervised, driven_face
+from lipservo.runtime.servos.driven_face import (
+    DrivenFace,
+    DriveOptions,
+    Supervised,
+    driven_face,
+    guarded,
+)
 from lipservo.runtime.status.face_status import Status, whole_status
 from lipservo.runtime.status.live_board import LiveBoard, ServoBoard
 from lipservo.runtime.status.status_board import StatusBoard
@@ -105,7 +111,7 @@ def run_bridge_process(
                 _drive(driven, handed.lifeline, observers)
         except BusError as error:
             if driven is None or not driven.bridge.failure:
-                handed.lifeline.not_started(" ".join(str(error).split()))
+                handed.lifeline.tell(NotStarted(" ".join(str(error).split())))
                 raise
             _LOG.warning("%s", error)
             return ExitStatus.CRITICAL_SERVO_FAILED
@@ -128,7 +134,7 @@ def _drive(
             observe(report)
         if not began and driven.bridge.settled:
             began = True
-            lifeline.ready()
+            lifeline.tell(Ready())
 
 
 def run_speech_process(
@@ -175,7 +181,7 @@ def run_speech_process(
         else:
             _LOG.info("%s goes on at %.1f s", source.name, start_s)
             side.begin(zero_s if request.voice is None else clock.now())
-        handed.lifeline.began(zero_s)
+        handed.lifeline.tell(Began(zero_s))
         listener = None if agents is None else socket.socket(fileno=agents)
         serving = voice_agents(listener, side, requested)
         url = stack.enter_context(serving)
@@ -263,7 +269,7 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
         board = stack.enter_context(StatusBoard.create())
         live = stack.enter_context(requested.live_board())
         path, commands = requested.control_path, requested.commands(board.add_settings)
-        listener = ControlSocket.bind(path, about, commands, board.describe_stopped, live.fileno())
+        listener = ControlSocket(path, about, commands, board.describe_stopped, live.fileno())
         stack.enter_context(listener)
         record = StopRecord(
             stop_record_path(settings.name, port, os.environ),
@@ -284,6 +290,8 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
         shared += ["--board", "{board}", "--live", "{live}", "--channel", "{channel}"]
         bridge = [*command, "bridge-process", *shared, "--control", "{control}"]
         of_bridge = {"{control}": listener.fileno(), "{channel}": reader.fileno()}
+        for number, alive in enumerate(stack.enter_context(guarded(settings))):
+            of_bridge[f"{{guard {number}}}"] = alive  # held until it ends
         speech = [*command, "speech-process", *shared]
         of_speech = {"{channel}": writer.fileno()}
         if agents is not None:
@@ -291,10 +299,14 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
             of_speech["{agents}"] = agents.fileno()
         ours = {"{board}": board.fileno(), "{live}": live.fileno()}
         supervisor = Supervisor(
+            # Without a processor: a bridge whose servos get no goals lets go of them after 5 s, a
+            # person who stops it meanwhile does so at the port; speech is waited for, a minute.
             Child(
-                "bridge", bridge, {**of_bridge, **ours}, HeartbeatTimeouts(start_s=30.0, run_s=1.0)
+                "bridge", bridge, {**of_bridge, **ours}, HeartbeatTimeouts(30.0, 1.0, patience=5.0)
             ),
-            Child("speech", speech, {**of_speech, **ours}, HeartbeatTimeouts(60.0, 3.0)),
+            Child(
+                "speech", speech, {**of_speech, **ours}, HeartbeatTimeouts(60.0, 3.0, patience=20.0)
+            ),
             listener,
             SupervisedServos(
                 {name: can.of(index) for index, name in enumerate(settings.servos)}, release

@@ -28,7 +28,7 @@ from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
 from lipsync.audio.source import AudioSource, Loudspeaker, SilenceAfter, SilentSource
 from lipsync.errors import UserError
 from lipsync.phonemes import PhonemeEvent
-from lipsync.spoken_text import LONGEST_LABEL, SpokenText, SpokenUnit
+from lipsync.spoken_text import LONGEST_LABEL, LONGEST_TEXT, SpokenText, SpokenUnit
 
 if TYPE_CHECKING:
     from lipservo_client.vendors import TimedUnit
@@ -181,11 +181,13 @@ def spoken_text(
     """Return speech of a text for the queue; its first sentence is synthesised before returning.
 
     language: empty: the speaker's. playout: plays it later. speaker: the synthesiser and voice.
-    name: of the streams, one for each sentence. Raises SynthesisError and PluginError.
+    name: of the streams, one for each sentence. Raises SynthesisError, also for a text of more than
+    `LONGEST_TEXT` characters, and PluginError.
     """
-    from lipsync.text_to_speech.synthesis import Voice
+    from lipsync.text_to_speech.synthesis import Voice, checked_text
     from lipsync.text_to_speech.synthesizers import speak_in_pieces, synthesizer_for
 
+    checked_text(text, LONGEST_TEXT)
     voice = Voice(language or speaker.language or _LANGUAGE, speaker.voice)
     sentences = speak_in_pieces(synthesizer_for(speaker.synthesizer), text, voice)
 

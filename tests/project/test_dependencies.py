@@ -94,7 +94,7 @@ def test_everything_declared_is_imported():
     assert set().union(*MANDATORY.values(), *for_users) - used == set()
 
 
-_FOR_US = ("lipservo[dev]", "lipservo[docs]")
+_FOR_US = ("lipservo[dev]", "lipservo[docs]", "lipservo[mutants]")
 
 
 def test_the_program_needs_every_package_of_the_card():

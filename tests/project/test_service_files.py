@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from every_command import every_command
+from places import ROOT
 
 from firmware_bridge.process.port_holders import END_OF_HUNG
 from firmware_bridge.process.runtime_folder import SERVICE_FOLDER
@@ -46,6 +47,39 @@ def test_systemd_has_nothing_to_say_against_the_unit(tmp_path):
     )
 
     assert (done.returncode, done.stderr) == (0, "")
+
+
+#: Of `systemd-analyze security`, from 0 to 10: what it calls OK ends at 4.
+MOST_EXPOSURE = 4.0
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd here")
+def test_a_face_can_do_little_else_than_move_servos_and_speak():
+    unit = ROOT / "config" / "lipservo.service"
+    done = subprocess.run(
+        ["systemd-analyze", "security", "--offline=true", "--no-pager", str(unit)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    if "unrecognized option" in done.stderr:
+        pytest.skip("systemd before 250 judges running units only")
+    (level,) = re.findall(r"exposure level for lipservo.service: ([0-9.]+)", done.stdout)
+
+    assert float(level) <= MOST_EXPOSURE
+
+
+def test_the_unit_leaves_a_face_what_it_needs():
+    """Real-time scheduling, its state, sounds of the page, and every device that it drives."""
+    devices = re.findall(r"^DeviceAllow=char-(\w+) rw$", UNIT, re.MULTILINE)
+
+    assert SETTINGS["DevicePolicy"] == "closed"
+    assert {"ttyUSB", "ttyACM", "ttyAMA", "i2c", "gpiochip", "alsa"} <= set(devices)
+    assert int(SETTINGS["LimitRTPRIO"]) >= 50
+    assert "RestrictRealtime" not in SETTINGS
+    assert "MemoryDenyWriteExecute" not in SETTINGS, "a voice may be a program that compiles"
+    assert "PrivateUsers" not in SETTINGS, "a stop says which user asked for it"
+    assert {"AF_UNIX", "AF_INET", "AF_INET6"} == set(SETTINGS["RestrictAddressFamilies"].split())
+    state = f"/var/lib/{SETTINGS['StateDirectory']}"
+    assert f"LIPSERVO_STATE={state}" in SETTINGS["Environment"].split()
 
 
 SETTINGS = dict(re.findall(r"^(\w+)=(.*)$", UNIT, re.MULTILINE))

@@ -9,6 +9,7 @@ from firmware_bridge.loop.life_cycle import LifeCycle, LifeCycleLinks
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.process.commands import CommandQueue, command_answer
+from firmware_bridge.process.lifeline import Failed, Started, Stopped, Switched
 from firmware_bridge.stopping import StopLevel, StopRequest
 
 RATE_HZ = 30.0
@@ -49,18 +50,16 @@ class SupervisorEnd:
     def beat(self):
         self.n_beats += 1
 
-    def stopped(self, level, *, ends=False, requested_by=""):
-        del ends, requested_by
-        self.stops.append(level)
-
-    def started(self):
-        self.stops.append(None)
-
-    def failed(self, index, reason):
-        self.failures[index] = reason
-
-    def switched(self, index, *, on):
-        self.switches.append((index, on))
+    def tell(self, message):
+        match message:
+            case Stopped(level):
+                self.stops.append(level)
+            case Started():
+                self.stops.append(None)
+            case Failed(index, reason):
+                self.failures[index] = reason
+            case Switched(index, on):
+                self.switches.append((index, on))
 
 
 def speech_deg(time_s, n):

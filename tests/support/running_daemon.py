@@ -37,7 +37,10 @@ def own_folder(monkeypatch):
 
 @contextlib.contextmanager
 def running(port, folder, *arguments, errors=None):
-    """A `lipservo daemon` whose servos are driven."""
+    """A `lipservo daemon` whose servos are driven; port None: they are in its memory.
+
+    `systemd`: where it tells a service manager how it is.
+    """
     notify, said = folder / "notify.sock", folder / "said.txt"
     with (
         socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd,
@@ -47,7 +50,7 @@ def running(port, folder, *arguments, errors=None):
         systemd.bind(str(notify))
         systemd.settimeout(PATIENCE_S)
         with subprocess.Popen(
-            [*LIPSERVO, "daemon", "--port", port, *arguments],
+            [*LIPSERVO, "daemon", *(() if port is None else ("--port", port)), *arguments],
             stdout=out,
             stderr=log if errors is None else errors,
             env={
@@ -56,7 +59,7 @@ def running(port, folder, *arguments, errors=None):
                 "LIPSERVO_STATE": str(folder / "state"),
             },
         ) as process:
-            process.said, process.out = said, folder / "out.txt"
+            process.said, process.out, process.systemd = said, folder / "out.txt", systemd
             try:
                 try:
                     assert systemd.recv(100) == b"READY=1"

@@ -75,7 +75,7 @@ class SupervisedFace:
         self.clock = self.servos.clock
         self.bridge = SimulatedChild("bridge", self.clock, HeartbeatTimeouts(30.0, 1.0))
         self.speech = SimulatedChild("speech", self.clock, HeartbeatTimeouts(60.0, 3.0))
-        self.control = ControlSocket.bind(path)
+        self.control = ControlSocket(path)
         self.path = path
         self.unplugged, self.capabilities = False, capabilities
         self.supervisor = Supervisor(

@@ -16,7 +16,7 @@ from lipservo_lab.study.sheets import CLIPS, Key, Size, Study, write_study
 
 from lipservo.agents.listener import bind_listener
 from lipservo.dashboard.web.access_layer import App
-from lipservo.dashboard.web.serving import bounded, server_of
+from lipservo.dashboard.web.serving import server_of
 
 METHODS = ("recorded", "ears", "rhubarb", "still")
 #: 40 clips a rater: 24 rated, 4 pairs, 8 read; with a sound check and two checks 39 items.
@@ -78,7 +78,7 @@ def served_study(
 @contextmanager
 def served_app(app: App) -> Iterator[str]:
     """An application on a real socket, in a thread: its address."""
-    listener = bounded(bind_listener("127.0.0.1:0", "secret"))
+    listener = bind_listener("127.0.0.1:0", "secret")
     ready = threading.Event()
     server = server_of(app, ready.set)
     thread = threading.Thread(target=server.run, args=([listener],), daemon=True)

@@ -31,6 +31,7 @@ from lipservo.dashboard.web.access_layer import (
     App,
     Message,
     Receive,
+    RequestLimit,
     Scope,
     Send,
     answer_bytes,
@@ -183,7 +184,7 @@ def study_app(desk: StudyDesk, folder: Path, token: str) -> App:
         *(Route(f"/{name}", _file_of_page(name)) for name in ("study.js", "study.css")),
         Route("/", _file_of_page("index.html")),
     ]
-    return _TokenLayer(Starlette(routes=routes), token)
+    return RequestLimit(_TokenLayer(Starlette(routes=routes), token))
 
 
 def _file_of_page(name: str) -> Callable[[Request], Awaitable[Response]]:

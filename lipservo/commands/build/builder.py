@@ -137,7 +137,7 @@ def _first_hour(output: Path, ports: Sequence[str], sim: str | None, *, open_pag
     token = read_token(None if token_file is None else str(token_file))
     made = FirstHour(output, next(iter(ports), None), token_file, simulated=sim is not None)
     with closing(made) as hour, bound_dashboard(None, token) as bound:
-        link = FaceLink(hour.control_path)
+        link = FaceLink(hour.control_path, let_go=hour.let_go)
         serve_page(bound, link, token, open_page=open_page, hour=hour)
 
 

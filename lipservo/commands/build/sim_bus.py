@@ -75,6 +75,7 @@ def sim_bus(
     from firmware_bridge.bus_kinds import bus_kind
     from firmware_bridge.errors import BusError
     from firmware_bridge.process.operating_system import run_on_time
+    from firmware_bridge.simulator.request import SimulationRequest
     from lipservo.runtime.servos.assembly import load_settings
 
     face = None if config is None else load_settings(config)[0]
@@ -83,17 +84,8 @@ def sim_bus(
     simulator = (bus_kind(kind) if face is None else face.bus_kind).simulator()
     script = None if faults is None else _script(faults)
     try:
-        host = simulator.serve(
-            None if face is None else face.wiring,
-            link,
-            n_servos=servos,
-            model=model,
-            first_id=first_id,
-            baud_rate=baud_rate,
-            faults=script,
-            chain_stops=chain_stops,
-            log=log,
-        )
+        request = SimulationRequest(servos, first_id, model, baud_rate, script, log, chain_stops)
+        host = simulator.serve(None if face is None else face.wiring, link, request)
     except BusError as error:
         raise UserError(str(error)) from error
     except ValueError as error:

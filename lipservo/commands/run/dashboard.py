@@ -80,7 +80,7 @@ def serve_page(
     bound: the listening socket. token: that browsers must send; None: not needed on this computer.
     model: file of the face model; None: the shipped one. hour: the setup of a new face, or None.
     """
-    from lipservo.dashboard.child import address_of
+    from lipservo.dashboard.child import address_line, address_of
     from lipservo.dashboard.web.access_layer import OneTimeCode
     from lipservo.dashboard.web.serving import serve
 
@@ -89,8 +89,7 @@ def serve_page(
 
     def ready() -> None:
         if not quiet:
-            line = f"dashboard: {address_of(bound, token, path)}"
-            MESSAGES.print(line)
+            MESSAGES.print(address_line(bound, token, path))
         if open_page and _has_a_screen():
             import webbrowser
 

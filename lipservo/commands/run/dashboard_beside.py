@@ -41,14 +41,14 @@ def dashboard_beside(
     from lipservo.commands.run.dashboard import check_dashboard
 
     check_dashboard()
-    from lipservo.dashboard.child import address_of, bound_dashboard, dashboard_child
+    from lipservo.dashboard.child import address_line, bound_dashboard, dashboard_child
 
     file = None if token_file is None else str(token_file)
     token = read_token(file)
     path = request.control or socket_path(load_settings(request.config)[0].name)
     with bound_dashboard(listen, token) as listener:
         if not request.quiet:
-            MESSAGES.print(f"dashboard: {address_of(listener, token)}")
+            MESSAGES.print(address_line(listener, token))
         with dashboard_child(path, listener, file, model=request.model, open_page=open_page):
             yield
 

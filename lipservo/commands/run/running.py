@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable
+from errno import EPROTO
 from pathlib import Path
 from typing import Any
 
@@ -69,5 +70,5 @@ def _answered(face: RunningFace, ask_one: Callable[[RunningFace], Answer]) -> An
         return {"error": "hangs: does not answer"}
     except PermissionError:
         return {"error": "may not be queried; use sudo"}
-    except OSError:
-        return {"error": "has just ended"}
+    except OSError as error:
+        return {"error": str(error.strerror) if error.errno == EPROTO else "has just ended"}

@@ -116,9 +116,11 @@ def read_through(
     from lipservo_client.blocking_face import Face
     from lipservo_client.protocol import FaceError
 
+    from firmware_bridge.process.control_client import printable
+
     token = read_token(None if token_file is None else str(token_file))
     try:
         with Face(url, token) as face:
             return tell(face)
     except FaceError as error:
-        raise UserError(f"--through {url}: {error}") from error
+        raise UserError(f"--through {url}: {printable(str(error))}") from error

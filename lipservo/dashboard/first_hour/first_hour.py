@@ -26,6 +26,7 @@ from firmware_bridge.process.runtime_folder import (
 from lipservo.dashboard.face_link import NothingDrivenError
 from lipservo.dashboard.first_hour.step_process import StepProcess
 from lipservo.runtime.servos.assembly import load_settings
+from lipservo.runtime.servos.letting_go import release
 from lipservo.runtime.servos.new_face import (
     FoundJoint,
     WiredJoint,
@@ -44,6 +45,8 @@ from lipsync.output_file import write_whole
 
 #: Servos are held for a person only while a page looks so often.
 PRESENCE_S: Final = 15.0
+#: A step that has not taken a stop gets so long to end by itself.
+_POLITE_S: Final = 3.0
 _FOR_A_PERSON: Final = frozenset({"limits", "jog", "by_eye"})
 #: Of a rehearsal: a jaw, both corners and a pout are a mouth.
 _SIMULATED: Final = ("--servos", "4", "--first-id", "11", "--baud-rate", "1000000")
@@ -145,13 +148,21 @@ class FirstHour:
             return path
         if step is not None and step.runs:
             raise UserError(f"'{step.step.replace('_', ' ')}' cannot be stopped yet")
-        if step is None or step.let_go:
-            raise NothingDrivenError("No step runs: no servo is driven now.", is_limp=True)
-        raise NothingDrivenError(
-            "No step runs, so no servo is driven now. The last step ended without a word of its "
-            "servos: where one still holds, switch their supply off.",
-            is_limp=False,
-        )
+        raise self._nothing_driven()
+
+    def let_go(self) -> NothingDrivenError:
+        """Let go of the servos of a step that is dead, or hangs; return what they have confirmed.
+
+        A step that runs is ended, softly where it hears. Blocks for some seconds.
+        """
+        step = self._step
+        if step is not None and step.runs:
+            step.end(within_s=_POLITE_S)
+            step.wait()
+        with self._lock:
+            if step is not None and step is self._step and not (step.runs or step.let_go):
+                self._release(step)
+            return self._nothing_driven()
 
     # ---- what a person does ----
 
@@ -320,6 +331,25 @@ class FirstHour:
 
     # ---- parts ----
 
+    def _nothing_driven(self) -> NothingDrivenError:
+        words, step = "No step runs: no servo is driven now.", self._step
+        if step is not None and step.released:
+            words += f" {step.released}."
+        if step is None or step.let_go:
+            return NothingDrivenError(words, is_limp=True)
+        words += " The last step ended without a word of its servos: switch their supply off."
+        return NothingDrivenError(words, is_limp=False)
+
+    def _release(self, step: StepProcess) -> None:
+        """Switch torque off at the port of a step that has ended without a word of its servos."""
+        settings, _ = self._settings()
+        port = self._port or (None if settings is None else settings.servo_port)
+        if port is None:
+            return  # in memory: nothing holds
+        outcome = release(port, None if settings is None else settings.at_port(port))
+        is_confirmed = outcome.is_confirmed and not outcome.released
+        step.take_release(outcome.text("limp"), is_confirmed=is_confirmed)
+
     def _settings(self) -> tuple[FaceSettings | None, str | None]:
         """Return (settings, None), (None, None) without a YAML, or (None, why it is unreadable)."""
         stamp = _stamp(self.path)
@@ -405,6 +435,8 @@ class FirstHour:
     def _over(self, step: StepProcess) -> None:
         """Store the results of `step`; called in the step's own thread when it has ended."""
         with self._lock:
+            if step.was_killed:  # so it was to let go of its servos, and nobody else has the port
+                self._release(step)
             self._robot_s[step.step] = self._robot_s.get(step.step, 0.0) + step.seconds
             if (found := step.events.get("found")) is not None:
                 self._found = dict(found)

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 import os
 import signal
 import subprocess
@@ -18,6 +19,8 @@ _MOST_NOTES: Final = 40
 #: Of a line that a step writes; one that is longer is none of ours.
 _LONGEST_LINE: Final = 1 << 18
 _LONGEST_NOTE: Final = 500
+#: Lines of a complaint with several: the first of them, and the last, which says what to do.
+_MOST_SHOWN: Final = 2
 #: Easing to rest, and letting go of servos that answer late, take a few seconds at most.
 END_S: Final = 15.0
 _LOOK_S: Final = 0.2
@@ -34,7 +37,8 @@ class StepProcess:
 
     step: its name. events: the newest of each kind, by name. notes: its messages, the newest last.
     error: why it failed, one line; None: it runs, or ended well. was_left: it was ended because no
-    page was open. let_go: whether its servos confirmed torque off as it ended.
+    page was open. was_killed: it did not end softly. let_go: whether its servos confirmed torque
+    off as it ended, or in `take_release`, whose words are `released`.
     """
 
     def __init__(
@@ -56,7 +60,8 @@ class StepProcess:
         self.events: dict[str, Mapping[str, Any]] = {}
         self.notes: deque[str] = deque(maxlen=_MOST_NOTES)
         self.error: str | None = None
-        self.was_left = self.let_go = False
+        self.was_left = self.was_killed = self.let_go = False
+        self.released = ""
         self.began_s = time.monotonic()
         self.seconds = 0.0
         self._request = json.dumps(request)
@@ -64,7 +69,8 @@ class StepProcess:
         self._process: subprocess.Popen[bytes] | None = None
         self._is_over = threading.Event()
         self._must_end = threading.Event()
-        self._has_complained = False
+        #: Lines of the program's last complaint: the cause first, advice at the end.
+        self._complaint: list[str] = []
         # The thread lives as long as the process: the kernel ends a child when the thread that
         # started it ends.
         threading.Thread(target=self._run, name=f"step {step}", daemon=True).start()
@@ -87,9 +93,19 @@ class StepProcess:
                 # Past its buffer, so that nothing waits in it; shorter than a pipe takes at once.
                 os.write(process.stdin.fileno(), json.dumps(order).encode() + b"\n")
 
-    def end(self) -> None:
-        """Request a soft end, to rest and torque off; the process is killed after `end_s`."""
+    def end(self, within_s: float = math.inf) -> None:
+        """Request a soft end, to rest and torque off.
+
+        The process is killed after `end_s`, or `within_s` if that is less.
+        """
+        self._end_s = min(self._end_s, within_s)
         self._must_end.set()
+
+    def take_release(self, words: str, *, is_confirmed: bool) -> None:
+        """Store what became of the servos after a process that died without a word of them."""
+        self.released, self.let_go = words, is_confirmed
+        if self.was_killed:
+            self.error = f"the step hung and was killed; {words}"
 
     def wait(self) -> None:
         """Wait, after `end`, until the process has ended; `end_s` and 2 s at most."""
@@ -112,6 +128,7 @@ class StepProcess:
             self._process = process
             signalled = self._follow(process)
         status = process.returncode
+        self.was_killed = signalled and status == -signal.SIGKILL
         self.let_go = status in (0, ExitStatus.STOPPED_EARLY) or status > _BY_SIGNAL
         self._over(self._why(status, signalled=signalled))
 
@@ -149,15 +166,16 @@ class StepProcess:
         self._is_over.set()
 
     def _why(self, status: int, *, signalled: bool) -> str | None:
-        if signalled and status == -signal.SIGKILL:
+        if self.was_killed:
             return (
                 f"the step did not end within {self._end_s:g} s and was killed: its servos may "
                 "still hold; switch their supply off"
             )
-        if status in (0, ExitStatus.STOPPED_EARLY) or (signalled and not self._has_complained):
+        if status in (0, ExitStatus.STOPPED_EARLY) or (signalled and not self._complaint):
             return None  # a person's stop is no error: what servos confirmed is told beside STOP
-        if self._has_complained:
-            return self.notes[-1]
+        if self._complaint:
+            cause, rest = self._complaint[:_MOST_SHOWN], self._complaint[_MOST_SHOWN:]
+            return "; ".join([*cause, *(["..."] if len(rest) > 1 else []), *rest[-1:]])
         last = f": {self.notes[-1]}" if self.notes else ""
         how = f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
         return f"the step {how}{last}"
@@ -179,5 +197,7 @@ class StepProcess:
     def _note(self, line: bytes) -> None:
         text = line.decode("utf-8", "replace").strip()[:_LONGEST_NOTE]
         if text:
-            self._has_complained = text.startswith(_COMPLAINS)
-            self.notes.append(text.removeprefix(_COMPLAINS))
+            said = text.removeprefix(_COMPLAINS)
+            before = self._complaint[: _MOST_NOTES - 1] if text.startswith(_COMPLAINS) else None
+            self._complaint = [] if before is None else [*before, said]
+            self.notes.append(said)

@@ -7,6 +7,7 @@ itself, and the page that a browser on this computer gets without the token. The
 
 import json
 import secrets
+from collections import Counter
 from collections.abc import Awaitable, Callable, Mapping, MutableMapping, Sequence
 from functools import cache
 from http import HTTPStatus
@@ -26,6 +27,7 @@ from lipservo.access.admission import (
     refusal,
     request_of_scope,
 )
+from lipservo.access.doorway import scaled
 
 Scope = MutableMapping[str, Any]
 Message = MutableMapping[str, Any]
@@ -71,6 +73,7 @@ color:#fff;cursor:pointer}#face-stop small{display:block;font-size:1rem}
 #: A sound file (`MOST_BYTES` of lipservo/dashboard/sound_lines.py) with what a form adds; the rest.
 _MOST_FILE_BYTES: Final = 51_000_000
 _MOST_BODY_BYTES: Final = 1 << 20
+_MOST_REQUESTS: Final = 256
 #: What scripts of a listed origin may send (CORS): https://fetch.spec.whatwg.org/#http-cors-protocol
 _PREFLIGHT_HEADERS: Final = (
     (b"access-control-allow-methods", b"GET, POST, PATCH, DELETE"),
@@ -142,6 +145,32 @@ class OneTimeCode:
             return False
         self._is_used = True
         return True
+
+
+class RequestLimit:
+    """An ASGI application that passes 256 requests and WebSockets at a time to another.
+
+    It refuses further ones, and those of a peer (an IP address) that has half of them.
+    """
+
+    def __init__(self, app: App) -> None:
+        """Wrap `app`."""
+        self.app = app
+        self._most = scaled(_MOST_REQUESTS)
+        self._open: Counter[str] = Counter()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request to the application within, or answer 503."""
+        peer = (scope.get("client") or ("",))[0]
+        if 2 * self._open[peer] >= self._most or self._open.total() >= self._most:
+            busy, status = {"error": "too many requests at a time"}, HTTPStatus.SERVICE_UNAVAILABLE
+            await answer_json(send, status, busy, is_websocket=scope["type"] == "websocket")
+            return
+        self._open[peer] += 1
+        try:
+            await self.app(scope, receive, send)
+        finally:
+            self._open -= Counter((peer,))  # drops who has none
 
 
 class AccessLayer:

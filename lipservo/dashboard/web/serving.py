@@ -3,6 +3,7 @@
 Its layers, from the outermost: the route of stops, the access policy, the API and the pages.
 """
 
+import asyncio
 import contextlib
 import os
 import socket
@@ -13,23 +14,32 @@ from typing import Final
 
 import uvicorn
 from fastapi import FastAPI
+from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
+from lipservo.access.doorway import ACCEPTED, BACKLOG, HEAD_S, MOST_HEADS, Doorway, scaled
 from lipservo.dashboard.face_link import FaceLink
 from lipservo.dashboard.first_hour.first_hour import FirstHour
-from lipservo.dashboard.web.access_layer import AccessLayer, App, OneTimeCode, Receive, Scope, Send
+from lipservo.dashboard.web.access_layer import (
+    AccessLayer,
+    App,
+    OneTimeCode,
+    Receive,
+    RequestLimit,
+    Scope,
+    Send,
+)
 from lipservo.dashboard.web.api import make_api
-from lipservo.dashboard.web.stop_route import StopRoute
+from lipservo.dashboard.web.stop_route import StopRoute, is_stop
 from lipsync.face.model import load_face
 
 #: What the API answers; everything else is a page.
 _OF_THE_API: Final = ("/api", "/docs", "/openapi.json", "/metrics", "/static")
-#: Frames that the kernel may hold for a client that does not read; by itself it takes megabytes.
-_KERNEL_BYTES: Final = 1 << 16
 #: A client is asked so often whether it is there, and has so long to answer.
 _PING_S: Final = 4.0
 _MOST_MESSAGE_BYTES: Final = 1 << 20
-_MOST_CONNECTIONS: Final = 256
+#: Stops that are being answered; the oldest, which was sent long ago, makes room.
+_MOST_STOPS: Final = 32
 _CLOSING_S: Final = 1.0
 
 
@@ -88,11 +98,50 @@ def make_app(
 def with_access(
     app: App, link: FaceLink, token: str | None, code: OneTimeCode | None = None
 ) -> App:
-    """Return `app` wrapped in the access policy, and that in the route that answers stops.
+    """Return `app` within the access policy, a limit of requests, and the route of stops.
 
     token, code: as for `make_app`.
     """
-    return StopRoute(AccessLayer(app, token, lambda: link.origins, code), link, token)
+    admitted = AccessLayer(app, token, lambda: link.origins, code)
+    return StopRoute(RequestLimit(admitted), link, token)
+
+
+def _http_connections(heads: Doorway, stops: Doorway) -> type[asyncio.Protocol]:
+    """Return the class of a server's HTTP connections.
+
+    Each waits in `heads` for the head of its next request, or the body of a stop, and in `stops`
+    for the answer to a stop. `RequestLimit` bounds those that wait for another answer.
+    """
+
+    class Connection(H11Protocol):
+        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+            super().connection_made(transport)
+            heads.enter(transport)
+
+        def data_received(self, data: bytes) -> None:
+            super().data_received(data)
+            self._wait()
+
+        def on_response_complete(self) -> None:
+            super().on_response_complete()
+            self._wait()
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            super().connection_lost(exc)
+            heads.leave(self.transport)
+            stops.leave(self.transport)
+
+        def _wait(self) -> None:
+            cycle, room = self.cycle, None
+            if cycle is None or cycle.response_complete:
+                # What has become a WebSocket sends no further head.
+                room = heads if self.transport.get_protocol() is self else None
+            elif is_stop(cycle.scope):
+                room = heads if cycle.more_body else stops
+            for each in (heads, stops):
+                each.enter(self.transport) if each is room else each.leave(self.transport)
+
+    return Connection
 
 
 class _BoundedSocket(WebSocketsSansIOProtocol):
@@ -118,13 +167,7 @@ def serve(
     token, model, code, hour: as for `make_app`. Raises ModelError.
     """
     app = make_app(link, token, model, code, hour)
-    server_of(app, on_ready).run([bounded(listener)])
-
-
-def bounded(listener: socket.socket) -> socket.socket:
-    """Limit the kernel's send buffer of each connection to 64 KiB, and return the listener."""
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL_BYTES)
-    return listener
+    server_of(app, on_ready).run([listener])
 
 
 def server_of(
@@ -142,7 +185,9 @@ def server_of(
         ws_ping_interval=ping_s,
         ws_ping_timeout=ping_s,
         ws_per_message_deflate=False,
-        limit_concurrency=_MOST_CONNECTIONS,
+        http=_http_connections(Doorway(MOST_HEADS, HEAD_S), Doorway(_MOST_STOPS)),
+        loop="asyncio",  # of which is known how many connections it accepts before it reads
+        backlog=scaled(ACCEPTED),
         timeout_graceful_shutdown=round(_CLOSING_S),
         log_config=None,
         access_log=False,
@@ -160,5 +205,7 @@ class _ReadyServer(uvicorn.Server):
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets=sockets)
+        for listener in sockets or ():
+            listener.listen(BACKLOG)
         if self.started:
             self._on_ready()

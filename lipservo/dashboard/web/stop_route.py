@@ -5,9 +5,9 @@ it to the face's control socket (`control_client.send_stop`), in the event loop.
 search, status or disk, so that nothing else in the dashboard can delay it.
 """
 
-import asyncio
 import json
 import logging
+from collections.abc import Mapping
 from functools import partial
 from http import HTTPStatus
 from typing import Any, Final
@@ -19,15 +19,13 @@ from firmware_bridge.process.control_client import send_stop
 from firmware_bridge.stopping import StopLevel
 from lipservo.access.admission import Policy, Refusal, Request, refusal, request_of_scope
 from lipservo.agents.control_session import stop_answer
-from lipservo.dashboard.face_link import FaceLink, NothingDrivenError, not_answering
+from lipservo.dashboard.face_link import FaceLink, NothingDrivenError
 from lipservo.dashboard.web.access_layer import App, Receive, Scope, Send, answer_json, cors_headers
 from lipservo.dashboard.web.api_models import StopBody, first_error, status_of
 
 PATH: Final = "/api/stop"
-#: A body is {"level": "soft", "wait_s": 15, "end": false} at most; a client that sends it slower
-#: holds only itself up, and not for longer.
+#: A body is {"level": "soft", "wait_s": 15, "end": false} at most.
 _LONGEST_BODY: Final = 1024
-_BODY_S: Final = 5.0
 _AT_ONCE: Final = StopBody()
 
 
@@ -37,6 +35,11 @@ class _BadBodyError(Exception):
     def __init__(self, status: HTTPStatus, text: str) -> None:
         super().__init__(text)
         self.status = status
+
+
+def is_stop(scope: Mapping[str, Any]) -> bool:
+    """Return whether an ASGI scope is of a request to stop the face."""
+    return (scope["type"], scope.get("path"), scope.get("method")) == ("http", PATH, "POST")
 
 
 class StopRoute:
@@ -50,8 +53,7 @@ class StopRoute:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a stop; pass every other request to the application within."""
-        is_stop = scope["type"] == "http" and scope["path"] == PATH and scope["method"] == "POST"
-        if not is_stop:
+        if not is_stop(scope):
             await self.app(scope, receive, send)
             return
         policy = Policy(self._token, self._link.origins)
@@ -108,14 +110,12 @@ async def stop_face(link: FaceLink, stop: StopBody) -> dict[str, Any]:
     try:
         if path is None:
             path = await link.located()
-    except NothingDrivenError as error:
-        return {"accepted": None, "nothing_driven": str(error), "is_limp": error.is_limp}
-    try:
         with link.waiting_for_end(stop.wait_s) as wait_s:
             again = partial(send_stop, path, level, end=stop.end)
             answer, report = await stop_answer(sent, again, wait_s)
-    except OSError as error:
-        raise not_answering(error) from error
+    except (OSError, FaceError, NothingDrivenError) as error:
+        done = await link.without_answer(error, level)
+        return {"accepted": None, "nothing_driven": str(done), "is_limp": done.is_limp}
     if "error" in answer:
         raise FaceError("refused", str(answer["error"]))
     return {"accepted": answer.get("accepted"), **({"report": report} if stop.wait_s else {})}
@@ -123,22 +123,16 @@ async def stop_face(link: FaceLink, stop: StopBody) -> dict[str, Any]:
 
 async def _parsed(receive: Receive) -> StopBody:
     """Return the parsed body of a stop, a soft stop for an empty one. Raises _BadBodyError."""
-    body = b""
-    try:
-        async with asyncio.timeout(_BODY_S):
-            while True:
-                message = await receive()
-                if message["type"] == "http.disconnect":
-                    raise _BadBodyError(HTTPStatus.BAD_REQUEST, "the client has gone")
-                body += message.get("body", b"")
-                if len(body) > _LONGEST_BODY:
-                    long = f"the body is longer than {_LONGEST_BODY} bytes"
-                    raise _BadBodyError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, long)
-                if not message.get("more_body"):
-                    break
-    except TimeoutError:
-        slow = f"the body did not come within {_BODY_S:g} s"
-        raise _BadBodyError(HTTPStatus.REQUEST_TIMEOUT, slow) from None
+    body, is_whole = b"", False
+    while not is_whole:  # the server drops who sends it too slowly
+        message = await receive()
+        if message["type"] == "http.disconnect":
+            raise _BadBodyError(HTTPStatus.BAD_REQUEST, "the client has gone")
+        body += message.get("body", b"")
+        if len(body) > _LONGEST_BODY:
+            long = f"the body is longer than {_LONGEST_BODY} bytes"
+            raise _BadBodyError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, long)
+        is_whole = not message.get("more_body")
     if not body:
         return _AT_ONCE
     try:

@@ -20,6 +20,7 @@ from firmware_bridge.loop.targets import TargetChannel
 from firmware_bridge.process.commands import CommandQueue
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.logs import face_logs
+from firmware_bridge.process.port_guard import port_guard
 from firmware_bridge.process.runtime_folder import socket_path
 from firmware_bridge.stopping import StopRequest
 from lipservo.health.health_log import health_log
@@ -124,8 +125,32 @@ def driven_face(
         given_up=None if watched is None else watched.given_up,
         switched_off=() if watched is None else watched.switched_off,
     )
-    with bus, face_life(settings.name, settings.servo_port, bridge, clock, how) as life:
-        yield DrivenFace(bus, bridge, life)
+    with ExitStack() as stack:
+        if watched is None and not how.dry_run:
+            stack.enter_context(guarded(settings))
+        stack.enter_context(bus)
+        life = face_life(settings.name, settings.servo_port, bridge, clock, how)
+        yield DrivenFace(bus, bridge, stack.enter_context(life))
+
+
+@contextmanager
+def guarded(settings: FaceSettings) -> Iterator[list[int]]:
+    """Have a guard at each port of a face, which lets its servos go once the face is dead.
+
+    Yield the descriptors that each process of the face must hold.
+    """
+    with ExitStack() as stack:
+        yield [
+            stack.enter_context(
+                port_guard(
+                    settings.name,
+                    one.bus,
+                    {joint.servo_id: joint.name for joint in one.joints()},
+                )
+            )
+            for one in settings.alone.values()
+            if one.servo_port is not None
+        ]
 
 
 @contextmanager
@@ -148,11 +173,11 @@ def face_life(
     with ExitStack() as stack:
         if watched is None:
             stack.enter_context(face_logs(name, quiet=options.quiet))
-            listener = stack.enter_context(ControlSocket.bind(path, *answers))
+            listener = stack.enter_context(ControlSocket(path, *answers))
             for line in bridge.capabilities.warnings():
                 _LOG.warning("%s", line)
         else:
-            listener = ControlSocket.adopt(watched.control_fd, path, *answers)
+            listener = ControlSocket(path, *answers, watched.control_fd)
             stack.enter_context(listener)
             words = bridge.capabilities.released_words
             for index, reason in watched.given_up.items():

@@ -18,12 +18,13 @@ class BridgeSide:
     `FaceState`, or the supervisor's state while no bridge runs; stopped: a person's stop that is in
     force, and stopped_by: its requester; stop_report: the servos' report of that stop
     (`StopReport`), None before it; can_start: whether a person can start the face now; plugged:
-    whether the port exists; torque_on: whether a servo is driven; servos: the state of each, by
-    name; troubles: a line for each servo that is not driven; jogged: joints that a person jogs;
-    health: readings of each servo (`ServoHealth`), None for one never received; capabilities: what
-    the bus can do (`BusCapabilities`); pulses: of each hobby servo, by name, its limits and its
-    last pulse; n_ticks to n_rejected_targets: the counts of `BridgeStatus`; *_total: how often the
-    gate changed a goal, over all servos; bridge_pid: the process that drives them.
+    whether the port exists; torque_on: whether any servo is known to hold, False: every one is
+    known to be off; servos: the state of each, by name; troubles: a line for each servo that is not
+    driven; jogged: joints that a person jogs; health: readings of each servo (`ServoHealth`), None
+    for one never received; capabilities: what the bus can do (`BusCapabilities`); pulses: of each
+    hobby servo, by name, its limits and the pulse it gets; n_ticks to n_rejected_targets: the
+    counts of `BridgeStatus`; *_total: how often the gate changed a goal, over all servos;
+    bridge_pid: the process that drives them.
     """
 
     name: str = ""
@@ -42,7 +43,7 @@ class BridgeSide:
     jogged: Sequence[str] = ()
     health: Sequence[Mapping[str, object]] = ()
     capabilities: Mapping[str, object] = field(default_factory=dict)
-    pulses: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    pulses: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
     n_ticks: int | None = None
     n_late: int | None = None
     n_stale: int | None = None

@@ -27,7 +27,7 @@ SETTINGS = {"strength": Setting(1.0, 0.0, 1.5), "smoothness": Setting(0.0, 0.0, 
 def served(path, commands):
     """A face that answers; what was ordered is in the list."""
     ordered, over = [], threading.Event()
-    with ControlSocket.bind(path, {"name": "tom"}, commands) as control:
+    with ControlSocket(path, {"name": "tom"}, commands) as control:
 
         def loop():
             while not over.wait(0.001):

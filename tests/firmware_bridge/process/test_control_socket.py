@@ -63,7 +63,7 @@ def served(control):
 
 def test_a_face_answers_how_it_is_and_who_it_is(tmp_path):
     path = tmp_path / "face.sock"
-    with ControlSocket.bind(path, {"name": "tom", "port": "/dev/x"}) as control, served(control):
+    with ControlSocket(path, {"name": "tom", "port": "/dev/x"}) as control, served(control):
         assert ask(path, "status", PATIENCE_S) == {"n_ticks": 7, "name": "tom", "port": "/dev/x"}
         assert "error" in ask(path, "dance", PATIENCE_S)
 
@@ -72,7 +72,7 @@ def test_who_watches_may_read_what_the_face_writes_and_write_nothing(tmp_path):
     path = tmp_path / "face.sock"
     written = os.memfd_create("of the face")
     os.write(written, b"before")
-    face = ControlSocket.bind(path, {"name": "tom"}, watched_fd=written)
+    face = ControlSocket(path, {"name": "tom"}, watched_fd=written)
     with face as control, served(control):
         handed = watch(path, PATIENCE_S)
     os.pwrite(written, b"later!", 0)
@@ -87,7 +87,7 @@ def test_who_watches_may_read_what_the_face_writes_and_write_nothing(tmp_path):
 def test_a_face_that_cannot_be_watched_says_so(tmp_path):
     path = tmp_path / "face.sock"
     with (
-        ControlSocket.bind(path) as control,
+        ControlSocket(path) as control,
         served(control),
         pytest.raises(ControlError, match="cannot be watched"),
     ):
@@ -97,7 +97,7 @@ def test_a_face_that_cannot_be_watched_says_so(tmp_path):
 @pytest.mark.parametrize("level", [StopLevel.SOFT, StopLevel.LIMP])
 def test_who_asks_for_a_stop_hears_that_it_is_accepted_and_how_it_ended(tmp_path, level):
     path = tmp_path / "face.sock"
-    with ControlSocket.bind(path) as control, served(control) as heard:
+    with ControlSocket(path) as control, served(control) as heard:
         answer, report = stop_and_wait(path, level, PATIENCE_S, PATIENCE_S)
 
     assert heard == [level]
@@ -118,7 +118,7 @@ def test_who_asks_for_a_stop_hears_that_it_is_accepted_and_how_it_ended(tmp_path
 def test_who_sets_something_hears_what_became_of_it(tmp_path, name, value, answer):
     path = tmp_path / "face.sock"
     commands = CommandQueue({"strength": Setting(1.0, 0.0, 1.5)})
-    with ControlSocket.bind(path, {"name": "tom"}, commands) as control, served(control) as heard:
+    with ControlSocket(path, {"name": "tom"}, commands) as control, served(control) as heard:
         assert change_setting(path, name, value) == answer
         for broken in ("set", "set strength", "set strength much"):
             assert "error" in ask(path, broken, PATIENCE_S)
@@ -129,7 +129,7 @@ def test_who_sets_something_hears_what_became_of_it(tmp_path, name, value, answe
 
 def test_a_stop_that_somebody_else_wrote_into_the_queue_comes_out_as_well(tmp_path):
     commands = CommandQueue()
-    with ControlSocket.bind(tmp_path / "face.sock", commands=commands) as control:
+    with ControlSocket(tmp_path / "face.sock", commands=commands) as control:
         commands.stop(StopLevel.LIMP, "an agent")
 
         assert control.poll() == StopRequest(StopLevel.LIMP, "an agent")
@@ -139,13 +139,13 @@ def test_a_stop_that_somebody_else_wrote_into_the_queue_comes_out_as_well(tmp_pa
 def test_what_waits_in_the_socket_outlives_the_process_that_served_it(tmp_path):
     """A bridge dies with a stop unheard, and another with one accepted; the third ends the face."""
     path = tmp_path / "face.sock"
-    with ControlSocket.bind(path) as supervisor:
+    with ControlSocket(path) as supervisor:
         with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as waiting:
             waiting.connect(str(path))
             waiting.send(b"limp")
-            first = ControlSocket.adopt(os.dup(supervisor.fileno()), path)
+            first = ControlSocket(path, listener_fd=os.dup(supervisor.fileno()))
             first.__exit__()
-            with ControlSocket.adopt(os.dup(supervisor.fileno()), path) as second:
+            with ControlSocket(path, listener_fd=os.dup(supervisor.fileno())) as second:
                 assert second.poll().level is StopLevel.LIMP
                 second.answer(dict)
             assert json.loads(waiting.recv(1000)) == {"accepted": "limp"}
@@ -161,7 +161,7 @@ def test_what_waits_in_the_socket_outlives_the_process_that_served_it(tmp_path):
 
 def test_a_client_whose_face_dies_in_between_asks_the_next_one(tmp_path):
     path = tmp_path / "face.sock"
-    with ControlSocket.bind(path) as supervisor:
+    with ControlSocket(path) as supervisor:
         answers = []
         client = threading.Thread(
             target=lambda: answers.append(
@@ -169,7 +169,7 @@ def test_a_client_whose_face_dies_in_between_asks_the_next_one(tmp_path):
             )
         )
         client.start()
-        with ControlSocket.adopt(os.dup(supervisor.fileno()), path) as bridge:
+        with ControlSocket(path, listener_fd=os.dup(supervisor.fileno())) as bridge:
             while bridge.poll() is None:
                 pass
             bridge.answer(dict)
@@ -182,9 +182,9 @@ def test_a_client_whose_face_dies_in_between_asks_the_next_one(tmp_path):
 
 def test_a_second_face_leaves_the_socket_of_the_first_alone(tmp_path):
     path = tmp_path / "face.sock"
-    with ControlSocket.bind(path) as control, served(control):
+    with ControlSocket(path) as control, served(control):
         with pytest.raises(ControlError, match="listens there already"):
-            ControlSocket.bind(path)
+            ControlSocket(path)
 
         assert ask(path, "status", PATIENCE_S) == {"n_ticks": 7}
     assert not path.exists()
@@ -196,19 +196,19 @@ def test_a_dead_socket_makes_room_and_a_file_does_not(tmp_path):
         dead.bind(str(path))
     file.write_text("mine")
 
-    with ControlSocket.bind(path):
+    with ControlSocket(path):
         pass
     with pytest.raises(ControlError, match="is no socket and stays"):
-        ControlSocket.bind(file)
+        ControlSocket(file)
     assert file.read_text() == "mine"
 
 
 def test_the_end_removes_its_own_socket_only(tmp_path):
     """Somebody has put another one in its place."""
     path = tmp_path / "face.sock"
-    with ControlSocket.bind(path):
+    with ControlSocket(path):
         path.unlink()
-        other = ControlSocket.bind(path)
+        other = ControlSocket(path)
 
     assert path.exists()
     other.__exit__()
@@ -217,7 +217,7 @@ def test_the_end_removes_its_own_socket_only(tmp_path):
 
 def test_owner_and_group_may_connect_and_nobody_else(tmp_path):
     path = tmp_path / "face.sock"
-    with ControlSocket.bind(path):
+    with ControlSocket(path):
         assert stat.S_IMODE(path.stat().st_mode) == 0o660
 
 
@@ -226,7 +226,7 @@ def test_owner_and_group_may_connect_and_nobody_else(tmp_path):
 )
 def test_an_impossible_place_is_one_line(tmp_path, name):
     with pytest.raises(ControlError) as raised:
-        ControlSocket.bind(tmp_path / name)
+        ControlSocket(tmp_path / name)
 
     assert str(tmp_path) in str(raised.value)
     assert "\n" not in str(raised.value)
@@ -236,7 +236,7 @@ def test_an_impossible_place_is_one_line(tmp_path, name):
 
 def test_clients_that_say_nothing_do_not_shut_others_out(tmp_path):
     path = tmp_path / "face.sock"
-    with ControlSocket.bind(path) as control, served(control):
+    with ControlSocket(path) as control, served(control):
         idle = [socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) for _ in range(60)]
         for each in idle:
             each.connect(str(path))
@@ -252,7 +252,7 @@ def test_running_faces_are_found_by_name_and_dead_ones_are_cleared_away(own_fold
     stale = path.with_name("old-123.sock")
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as dead:
         dead.bind(str(stale))
-    with ControlSocket.bind(path) as control, served(control):
+    with ControlSocket(path) as control, served(control):
         ours = [each for each in running_faces() if each.path.parent == path.parent]
 
     assert [(each.name, each.pid) for each in ours] == [("my_face_1", os.getpid())]
@@ -297,7 +297,7 @@ def test_the_group_of_a_service_may_stop_it_and_a_stranger_may_not(tmp_path, gro
         if each.stat().st_mode & 0o011 != 0o011:
             each.chmod(0o755)
     path = folder / "face.sock"
-    with ControlSocket.bind(path) as control:
+    with ControlSocket(path) as control:
         os.chown(path, 0, group)
         context = multiprocessing.get_context("fork")
         answers = context.Queue()

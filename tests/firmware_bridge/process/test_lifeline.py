@@ -11,7 +11,9 @@ from firmware_bridge.process.lifeline import (
     Began,
     Failed,
     Lifeline,
+    NotStarted,
     Ready,
+    Started,
     Stopped,
     Switched,
     lifeline_pair,
@@ -30,24 +32,23 @@ def test_beats_are_counted_by_their_time_and_the_rest_is_heard_in_its_order():
     for _ in range(1_000):
         now_s[0] += 0.01
         line.beat()
-    line.began(1.5)
-    line.ready()
-    line.failed(3, "überlastet")
-    line.switched(7, on=False)
-    line.switched(300, on=True)
-    line.stopped(StopLevel.FREEZE)
-    said = []
-    while new := watch.read():
-        said += new
-
-    assert said == [
+    told = [
         Began(1.5),
         Ready(),
         Failed(3, "überlastet"),
         Switched(7, on=False),
         Switched(300, on=True),
-        Stopped(StopLevel.FREEZE),
+        Stopped(StopLevel.FREEZE, ends=True, requested_by="a test"),
+        Started(),
+        NotStarted("no answer"),
     ]
+    for message in told:
+        line.tell(message)
+    said = []
+    while new := watch.read():
+        said += new
+
+    assert said == told
     assert 20.0 - 0.05 <= watch.beat_s <= 20.0
     line.close()
     watch.close()
@@ -60,7 +61,7 @@ def test_a_supervisor_that_does_not_read_loses_beats_and_never_a_stop():
     for _ in range(5_000):  # more than the socket holds
         now_s[0] += 0.1
         line.beat()
-    line.stopped(StopLevel.LIMP)
+    line.tell(Stopped(StopLevel.LIMP))
     said = []
     for _ in range(100):
         now_s[0] += 0.1
@@ -93,7 +94,7 @@ def test_what_no_lifeline_says_is_left_out(messages):
     end, watch = lifeline_pair()
     for message in messages:
         end.send(message)
-    end.send(b"R")
+    end.send(b'["Ready"]')
 
     assert watch.read()[-1:] == [Ready()]
     end.close()
@@ -129,3 +130,13 @@ def test_a_log_that_nobody_reads_stops_nobody_and_says_what_was_lost():
     log.close(TIMEOUT_S)
     os.close(reading)
     os.close(writing)
+
+
+def test_a_reason_of_any_length_arrives_cut_off():
+    end, watch = lifeline_pair()
+    line = Lifeline(end)
+    line.tell(Failed(1, "ü" * 100_000))
+
+    assert watch.read() == [Failed(1, "ü" * 400)]
+    line.close()
+    watch.close()

@@ -109,7 +109,9 @@ def daemon(tmp_path_factory):
             wait_for(lambda: list((session / "lipservo").glob("*.sock")))
             (process.control,) = (session / "lipservo").glob("*.sock")
             wait_for(lambda: "dashboard: http" in printed.read_text())
-            process.page = re.search(r"dashboard: (http\S+)", printed.read_text())[1]
+            address = re.search(r"dashboard: (http\S+)", printed.read_text())[1]
+            token = (session / "lipservo" / "token").read_text().strip()
+            process.page = f"{address}/?token={token}"
             process.agents = ask(process.control, "status", PATIENCE_S)["listens_on"]
             process.session = session
             wait_for(lambda: is_up(process.page))

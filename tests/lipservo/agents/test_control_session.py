@@ -307,6 +307,27 @@ def test_a_stop_passes_two_files_after_its_message_and_needs_no_thread(monkeypat
     assert len(calls) <= 6, calls
 
 
+def test_a_client_is_answered_once_the_face_has_taken_its_stop_and_not_before():
+    may_answer = threading.Event()
+
+    def answer(word):
+        may_answer.wait(60.0)
+        return {"accepted": word}
+
+    async def stopped(ear):
+        outbox = Outbox()
+        await session_at(ear.path, outbox).hear('{"type": "stop", "id": 1, "level": "limp"}')
+        result = asyncio.ensure_future(outbox.take())
+        await asyncio.to_thread(until, lambda: ear.words == ["limp"])
+        await asyncio.sleep(0.05)
+        is_early = result.done()
+        may_answer.set()
+        return is_early, json.loads(await result)["result"]
+
+    with Ear(answer) as ear:
+        assert asyncio.run(stopped(ear)) == (False, {"accepted": "limp"})
+
+
 def test_a_stop_waits_for_no_pending_command_and_no_stop_for_another():
     """The face takes every word and answers none: the ninth stop goes out as the first did."""
 

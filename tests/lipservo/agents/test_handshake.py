@@ -1,18 +1,24 @@
 """Connections to the agent server: full access, a stop alone, or none; over real HTTP too."""
 
 import asyncio
+import contextlib
 import json
+import select
 import socket
+import threading
 import urllib.error
 import urllib.request
 
 import pytest
+from lipservo_lab.bench.stops.idle_connections import OPENINGS, IdleCrowd
+from lipservo_lab.bench.stops.stop_clients import stop_by_control
 from voice_agents.served_face import ServedFace, client, tone, until
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from firmware_bridge.stopping import StopLevel
 from lipservo.access.admission import Policy
+from lipservo.agents import agent_server
 from lipservo.agents.listener import AgentSettings, handshake, request_of
 
 LOCKED = AgentSettings(policy=Policy("open sesame"))
@@ -148,7 +154,10 @@ def test_clients_that_may_only_stop_take_no_room_from_others_nor_from_each_other
     with ServedFace(AgentSettings(policy=LOCKED.policy, most_connections=1)) as face:
 
         async def crowd():
-            idle = [await connect(f"{face.url}/control") for _ in range(12)]
+            idle = [await connect(f"{face.url}/control") for _ in range(20)]
+            for each in idle:
+                await each.send('{"type": "status"}')
+                await each.recv()
             async with client(face, **bearer) as agent:
                 assert (await agent.start())["type"] == "ready"
                 async with client(face, "/control") as late:
@@ -164,7 +173,7 @@ def test_clients_that_may_only_stop_take_no_room_from_others_nor_from_each_other
                     await each.close()
             return gone
 
-        assert asyncio.run(crowd()) == 5
+        assert asyncio.run(crowd()) == 20 + 1 - 12
 
 
 def test_more_clients_than_allowed_are_turned_away():
@@ -233,18 +242,66 @@ def is_healthy(face):
         return False
 
 
-def test_connections_that_ask_for_nothing_are_bounded_and_others_come_in():
-    with ServedFace() as face:
+def test_of_connections_that_ask_for_nothing_the_oldest_make_room(monkeypatch):
+    monkeypatch.setattr(agent_server, "MOST_HEADS", 64)
+    with ServedFace() as face, contextlib.ExitStack() as stack:
         host, port = face.url.removeprefix("ws://").split(":")
-        idle = [socket.create_connection((host, int(port)), 10.0) for _ in range(80)]
-        n_cut = 0
-        for each in idle[64:]:
-            try:
-                n_cut += each.recv(1) == b""
-            except ConnectionResetError:
-                n_cut += 1
-        for each in idle:
-            each.close()
+        idle = [
+            stack.enter_context(socket.create_connection((host, int(port)), 20.0))
+            for _ in range(60)
+        ]
+        assert fetch(face.url.replace("ws", "http"))[0] == 200
+        for each in idle[:13]:
+            with contextlib.suppress(ConnectionResetError):
+                assert each.recv(1) == b""
+        assert select.select(idle[13:], [], [], 0.0) == ([], [], [])
 
-        assert n_cut == 16
-        until(lambda: is_healthy(face))
+
+@pytest.mark.parametrize("n", range(len(OPENINGS["agents"])))
+def test_who_does_not_finish_in_time_is_dropped_whatever_was_sent(n, monkeypatch):
+    monkeypatch.setattr(agent_server, "HEAD_S", 0.3)
+    with ServedFace(LOCKED) as face:
+        host, port = face.url.removeprefix("ws://").split(":")
+        with socket.create_connection((host, int(port)), 20.0) as client:
+            client.sendall(OPENINGS["agents"][n].sent)
+            with contextlib.suppress(ConnectionResetError):
+                while client.recv(1000):
+                    pass
+    assert face.stops == []
+
+
+def test_who_has_connected_to_stop_may_wait_to_do_so(monkeypatch):
+    monkeypatch.setattr(agent_server, "HEAD_S", 0.3)
+    with ServedFace(LOCKED) as face:
+
+        async def talk():
+            async with client(face, "/control") as agent:
+                await agent.say("status")
+                await agent.next("error")
+                with pytest.raises(ConnectionClosed):  # one that came after, and says nothing
+                    await (await connect(f"{face.url}/control")).recv()
+                await agent.say("stop", level="limp")
+                return await agent.next("result", "error")
+
+        assert asyncio.run(talk())["result"]["accepted"] == "limp"
+
+
+@pytest.mark.parametrize("n_peers", [10, 1])
+def test_every_stop_gets_in_beside_three_hundred_idle_clients(n_peers, monkeypatch):
+    monkeypatch.setattr(agent_server, "HEAD_S", 2.0)
+    over = threading.Event()
+    with ServedFace(LOCKED) as face:
+        host, port = face.url.removeprefix("ws://").split(":")
+        crowd = IdleCrowd((host, int(port)), n_peers, OPENINGS["agents"])
+        thread = threading.Thread(target=crowd.run, args=(over.is_set,), daemon=True)
+        thread.start()
+        try:
+            n_stops = 0
+            while n_stops < 20 or crowd.n_came < 400:  # they are dropped, and come again
+                answer = json.loads(stop_by_control(face.url, "limp", 20.0))
+                assert (answer["type"], answer["result"]["accepted"]) == ("result", "limp")
+                n_stops += 1
+                until(lambda n=n_stops: len(face.stops) >= n)
+        finally:
+            over.set()
+            thread.join(30.0)

@@ -123,7 +123,7 @@ def listening(name, settings):
             control.answer(dict)
 
     path = socket_path(name)
-    with ControlSocket.bind(path, {"name": name}, CommandQueue(settings)) as control:
+    with ControlSocket(path, {"name": name}, CommandQueue(settings)) as control:
         thread = threading.Thread(target=loop, args=(control,))
         thread.start()
         try:

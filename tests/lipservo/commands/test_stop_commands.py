@@ -5,6 +5,7 @@ import os
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
@@ -59,7 +60,7 @@ def face(name, unconfirmed=None, status=SERVOS):
                         {"confirmed": ["jaw"], "unconfirmed": dict(unconfirmed or {})}
                     )
 
-    with ControlSocket.bind(path, {"name": name, "port": f"/dev/{name}"}) as control:
+    with ControlSocket(path, {"name": name, "port": f"/dev/{name}"}) as control:
         thread = threading.Thread(target=loop, args=(control,))
         thread.start()
         try:
@@ -144,6 +145,24 @@ def test_root_looks_only_into_folders_that_belong_to_the_user_in_their_name(own_
             assert [found for found in searched_folders() if found == each] == expected
 
 
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can make the folder of another user")
+@pytest.mark.parametrize("kind", ["session", "temporary"])
+def test_a_folder_with_our_number_that_somebody_else_has_made_is_not_looked_into(
+    own_folder, monkeypatch, kind
+):
+    monkeypatch.setattr(tempfile, "tempdir", str(own_folder))
+    if kind == "temporary":
+        monkeypatch.delenv("XDG_RUNTIME_DIR")
+        folder = own_folder / f"lipservo-{os.geteuid()}"
+    else:
+        folder = own_folder / "lipservo"
+    folder.mkdir(mode=0o700)
+
+    assert folder in searched_folders()
+    os.chown(folder, 4242, 4242)
+    assert folder not in searched_folders()
+
+
 def test_a_job_with_a_runtime_folder_of_its_own_neither_finds_nor_stops_other_faces(
     own_folder, monkeypatch
 ):
@@ -166,7 +185,7 @@ def test_a_port_is_never_opened_because_an_answer_names_it(port):
     path = runtime_folder() / "liar-1.sock"
 
     def lie():
-        with ControlSocket.bind(path, {"name": "liar", "port": port}) as control:
+        with ControlSocket(path, {"name": "liar", "port": port}) as control:
             while control.poll() is None:
                 pass
             control.answer(dict)
@@ -209,7 +228,7 @@ def answering(name, status):
             control.poll()
             control.answer(lambda: status)
 
-    with ControlSocket.bind(path, {"name": name}) as control:
+    with ControlSocket(path, {"name": name}) as control:
         thread = threading.Thread(target=loop, args=(control,))
         thread.start()
         try:

@@ -124,6 +124,10 @@ def shoot(pids):
         os.kill(pid, signal.SIGKILL)
 
 
+def children_of(pid):
+    return [int(each) for each in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
 def test_a_second_program_at_one_maestro_is_refused_and_the_first_goes_on(tmp_path, monkeypatch):
     own_folder(monkeypatch)
     with simulated("maestro", tmp_path) as jaw:
@@ -188,10 +192,21 @@ def test_a_supervisor_that_is_shot_takes_the_face_with_it(jaw):
         wait_for(jaw.is_off)
 
 
-def test_when_all_are_shot_it_goes_on_until_limp_without_a_face(jaw):
-    """There is no watchdog; the printed table says so."""
+def test_when_all_are_shot_its_guard_lets_it_go_and_says_so(jaw):
     with jaw.driven() as daemon:
         shoot([daemon.pid, child(daemon, "bridge"), child(daemon, "speech")])
+        daemon.wait(PATIENCE_S)
+    wait_for(jaw.is_off)
+    wait_for(lambda: "its processes have died; its guard at" in log(daemon))
+
+    said = "torque off confirmed by all 1 servos" if jaw.bus == "feetech" else PULSES_OFF
+    assert said in log(daemon).splitlines()[-1]
+
+
+def test_limp_without_a_face_lets_go_what_nobody_else_has(jaw):
+    """Even the guard is dead."""
+    with jaw.driven() as daemon:
+        shoot([daemon.pid, *children_of(daemon.pid)])
         daemon.wait(PATIENCE_S)
     assert not jaw.is_off()
 

@@ -22,6 +22,7 @@ from lipservo.settings.sections import SoundSettings
 from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
 from lipsync.audio.source import SoundError
+from lipsync.text_to_speech.synthesis import SynthesisError
 
 RATE_HZ = 16_000
 PATIENCE_S = 30.0
@@ -205,6 +206,12 @@ def test_the_text_of_a_voice_that_tells_no_times_is_told_with_its_sound(face, qu
     assert [word.label for word in stream.started_words[0].words] == ["Good", "morning"]
     queue.add(spoken, "text")
     face.play(lambda: face.finished() == ["text"])
+
+
+def test_a_text_longer_than_an_agent_may_send_is_refused_whole_and_nothing_is_made(face):
+    never = Speaker("command", "false")
+    with pytest.raises(SynthesisError, match=r"of 30000 characters is too long.*at most 20000"):
+        spoken_text("a" * 30_000, "", face.playout, never)
 
 
 def test_words_of_a_file_are_told_where_it_is_taken_up(face, tmp_path):

@@ -240,3 +240,21 @@ def test_a_face_that_hears_nothing_at_all_is_let_go_by_force(daemon, command):
     assert torque(daemon.port) == [0] * 10
     assert daemon.wait(PATIENCE_S) != 0
     wait_for(lambda: not alive(bridge))
+
+
+def test_systemd_hears_that_a_face_with_servos_in_memory_is_up_and_goes_on_stopped(
+    tmp_path, monkeypatch
+):
+    """The unit restarts what never says READY, and what is silent for 20 s."""
+    own_folder(monkeypatch)
+    with running(None, tmp_path, "--config", "face_jaw", "--listen", "none") as daemon:
+        assert daemon.systemd.recv(100) == b"WATCHDOG=1"
+        assert run("stop", "--control", str(daemon.control)).returncode == 0
+        assert ask(daemon.control, "status", PATIENCE_S)["state"] == "stopped"
+        daemon.systemd.setblocking(False)
+        with contextlib.suppress(BlockingIOError):  # said before the stop
+            while daemon.systemd.recv(100):
+                pass
+        daemon.systemd.settimeout(PATIENCE_S)
+
+        assert daemon.systemd.recv(100) == b"WATCHDOG=1"

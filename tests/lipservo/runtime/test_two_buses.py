@@ -26,6 +26,7 @@ from running_daemon import (
 )
 
 from firmware_bridge.process.control_client import ask
+from firmware_bridge.process.port_holders import with_children
 from lipservo.runtime.servos.sim_process import simulated_port
 
 # Real processes in real time.
@@ -121,14 +122,34 @@ def test_a_supervisor_that_is_shot_leaves_both_buses_let_go(head):
     assert is_let_go(head)
 
 
-def test_when_all_are_shot_limp_ends_it_at_both_ports(head):
+def shoot_all(daemon, *others):
+    pids = [daemon.pid, child(daemon, "bridge"), child(daemon, "speech"), *others]
+    for number in (signal.SIGSTOP, signal.SIGKILL):
+        for pid in pids:
+            os.kill(pid, number)
+    daemon.wait(PATIENCE_S)
+
+
+def guards_of(daemon):
+    """One at each port."""
+    children = [pid for pid in with_children([daemon.pid]) if pid != daemon.pid]
+    return [
+        pid for pid in children if b"lipservo-guard" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    ]
+
+
+def test_when_all_are_shot_their_guards_let_both_buses_go(head):
     with driven(head) as daemon:
-        pids = [daemon.pid, child(daemon, "bridge"), child(daemon, "speech")]
-        for pid in pids:
-            os.kill(pid, signal.SIGSTOP)
-        for pid in pids:
-            os.kill(pid, signal.SIGKILL)
-        daemon.wait(PATIENCE_S)
+        guards = guards_of(daemon)
+        shoot_all(daemon)
+        wait_for(lambda: not any(alive(pid) for pid in guards))
+        assert "torque off confirmed by all 3 servos" in daemon.said.read_text()
+    assert is_let_go(head)
+
+
+def test_when_even_the_guards_are_shot_limp_ends_it_at_both_ports(head):
+    with driven(head) as daemon:
+        shoot_all(daemon, *guards_of(daemon))
     assert not lips_are_off(head)
     assert neck_torque(head) == [1, 1, 1]
 

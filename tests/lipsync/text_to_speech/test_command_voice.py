@@ -160,6 +160,28 @@ def test_a_program_ends_with_the_face_however_that_ends(tmp_path, how):
     wait_until_gone(int(pid.read_text()))
 
 
+SPEAKER_ASIDE = """
+import os, threading, time
+from lipsync.text_to_speech import voice_process
+voice_process.LONGEST_S = 600.0
+def speak():
+{speaker}
+threading.Thread(target=speak, daemon=True).start()
+while not (os.path.exists("{pid}") and open("{pid}").read().strip()):
+    time.sleep(0.01)
+"""
+
+
+def test_the_end_of_a_face_does_not_wait_for_a_sentence_that_is_being_made(tmp_path):
+    """As `say` ends at a signal, while its queue reads ahead in a thread of its own."""
+    pid = tmp_path / "pid"
+    speaker = "\n".join(f"    {line}" for line in SPEAKER.splitlines())
+    script = SPEAKER_ASIDE.replace("{speaker}", speaker).replace("{pid}", str(pid))
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=4 * PATIENCE_S)
+
+    wait_until_gone(int(pid.read_text()))
+
+
 def make_sound(folder):
     path = folder / "sound.wav"
     soundfile.write(path, np.full(1600, 0.1), 16_000)

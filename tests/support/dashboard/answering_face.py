@@ -19,7 +19,7 @@ class AnsweringFace:
     def __enter__(self):
         about = {"name": self.name, "port": None}
         watched_fd = self.board.fileno()
-        self._control = ControlSocket.bind(self.path, about, self.commands, watched_fd=watched_fd)
+        self._control = ControlSocket(self.path, about, self.commands, watched_fd=watched_fd)
         self._thread.start()
         return self
 

@@ -7,15 +7,18 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import httpx
 from places import ROOT, short_folder
+
+from firmware_bridge.process.port_holders import with_children
 
 PATIENCE_S = 120.0
 
 
 class Server:
-    """address: with the token, as it was printed. process: the server's."""
+    """address: with the token, as a terminal shows it. process: the server's."""
 
     def __init__(self, address, process):
         self.address, self.process = address, process
@@ -25,6 +28,13 @@ class Server:
 
     def state(self):
         return self.client.get("/api/first-hour").json()
+
+    def step_pid(self):
+        """The process of the step that runs, which is the server's only child of that name."""
+        pids = with_children([self.process.pid])
+        commands = {pid: Path(f"/proc/{pid}/cmdline").read_bytes() for pid in pids}
+        (pid,) = (pid for pid, command in commands.items() if b"builder-process" in command)
+        return pid
 
     def post(self, path, **body):
         return self.client.post(f"/api/first-hour/{path}", json=body)
@@ -61,7 +71,8 @@ def served(path, *options):
             )
             # Nobody reads the rest, and a pipe that is full would hold the server up.
             threading.Thread(target=process.stderr.read, daemon=True).start()
-            server = Server(address, process)
+            token = (folder / "token").read_text().strip()
+            server = Server(f"{address}?token={token}", process)
             with contextlib.closing(server.client):
                 yield server
         finally:

@@ -11,7 +11,7 @@ from watched_face import WatchedFace
 from lipservo.agents.listener import bind_listener
 from lipservo.dashboard.face_link import FaceLink
 from lipservo.dashboard.web.api import make_api
-from lipservo.dashboard.web.serving import bounded, server_of, with_access
+from lipservo.dashboard.web.serving import server_of, with_access
 
 
 class Dashboard:
@@ -53,7 +53,7 @@ def served_for(find, token=None, ping_s=4.0, code=None):
             yield
 
     api.router.lifespan_context = running
-    listener = bounded(bind_listener("127.0.0.1:0", None))
+    listener = bind_listener("127.0.0.1:0", None)
     ready = threading.Event()
     server = server_of(with_access(api, link, token, code), ready.set, ping_s)
     thread = threading.Thread(target=server.run, args=([listener],), daemon=True)

@@ -109,7 +109,7 @@ class ServedFace:
         self.url = self.server.status()["url"]
 
     def __enter__(self):
-        self._control = ControlSocket.bind(self.path, commands=self.commands)
+        self._control = ControlSocket(self.path, commands=self.commands)
         self._thread.start()
         self.server.__enter__()
         return self

@@ -171,7 +171,7 @@ def bridge_process(folder: Path, port: str, baud_rate: int) -> Iterator[Measured
         names = tuple(f"joint_{n + 1}" for n in range(N_SERVOS))
         layout = BoardLayout("bench", str(face), names, FACE_STATES, (), 1, RATE_HZ)
         live = stack.enter_context(LiveBoard.create(layout))
-        control = stack.enter_context(ControlSocket.bind(folder / "bench.sock"))
+        control = stack.enter_context(ControlSocket(folder / "bench.sock"))
         writer, reader = (stack.enter_context(end) for end in channel_pair())
         end, lifeline = lifeline_pair()
         stack.callback(lifeline.close)

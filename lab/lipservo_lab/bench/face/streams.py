@@ -159,7 +159,7 @@ def watched_face() -> Iterator[tuple[BenchedFace, str, Callable[[], int]]]:
         bus = stack.enter_context(DynamixelBus(servos, lambda: open_port(port, _BAUD_RATE)))
         board = stack.enter_context(LiveBoard.create(layout))
         about = {"name": "bench", "port": port}
-        control = ControlSocket.bind(folder / "bench.sock", about, watched_fd=board.fileno())
+        control = ControlSocket(folder / "bench.sock", about, watched_fd=board.fileno())
         stack.enter_context(control)
         channel = MemoryTargetChannel()
         bridge = Bridge(bus, joints, channel, BridgeSettings(RATE_HZ, tolerant=True))

@@ -16,22 +16,21 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 import lipservo
-from firmware_bridge.dynamixel.control_table import PULSES_PER_TURN
 from firmware_bridge.dynamixel.mounting import MountedServo, mounted_servos
-from firmware_bridge.simulator.chain import SimulatedChain, chain_for
 from firmware_bridge.simulator.ports import PtyHost
-from lipservo.settings.settings import load_shipped_face
+from lipservo.settings.settings import FaceSettings, load_face, load_shipped_face
+from lipservo_lab.bench.stops.faces_on_buses import face_yaml, logged_servos
+from lipservo_lab.bench.stops.logged_device import LoggedDevice
 
 FACE: Final = "face_four"
 CLIP: Final = Path(lipservo.__file__).parent / "clips" / "welcome.flac"
 
-_BAUD_RATE: Final = 1_000_000
 _LOOK_S: Final = 0.005
 _TAIL: Final = 2000
 #: Loaded here, since a process between fork and exec must not load anything.
@@ -43,23 +42,25 @@ _PRIORITY: Final = 50
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What was seen of the servos at one monotonic time: torque and places in pulses, (n,)."""
+    """What was seen of the servos at one monotonic time: torque, and shafts in degrees, (n,)."""
 
     time_s: float
     torque: NDArray[np.bool_]
-    position: NDArray[np.float64]
+    shafts_deg: NDArray[np.float64]
 
 
 @dataclass(slots=True)
 class RobotAtPort:
-    """The chain, the port that leads to it, and the processes started here; see `robot_at_port`.
+    """The servos, the port that leads to them, and the processes started here; see `robot_at_port`.
 
-    session: the folder in which its processes look for running faces. environment: variables that
-    its processes get besides.
+    device: the servos and their log; chain: the simulator itself. config: the face, as processes
+    are told it. session: the folder in which its processes look for running
+    faces. environment: variables that its processes get besides.
     """
 
-    chain: SimulatedChain
-    servos: list[MountedServo]
+    device: LoggedDevice
+    config: str
+    settings: FaceSettings
     folder: Path
     session: Path
     environment: dict[str, str] = field(default_factory=dict)
@@ -87,15 +88,25 @@ class RobotAtPort:
         return self.output[-_TAIL:]
 
     @property
+    def chain(self) -> Any:
+        """The simulator of the servos: of Dynamixels a `SimulatedChain`."""
+        return self.device.device
+
+    @property
+    def servos(self) -> list[MountedServo]:
+        """The Dynamixels of the face, as they are mounted."""
+        return mounted_servos(self.settings.wiring)
+
+    @property
     def torque(self) -> NDArray[np.bool_]:
-        """Which servos hold now.
+        """Which servos hold now; of hobby servos: get pulses.
 
         Returns
         -------
         NDArray[np.bool_]
             (n_servos,).
         """
-        return self.chain.motors.torque_on.copy()
+        return np.array(self.device.truth.on)
 
     @property
     def controls(self) -> list[Path]:
@@ -111,7 +122,7 @@ class RobotAtPort:
         """Watch the servos for a while."""
         until_s = time.monotonic() + seconds
         while (now_s := time.monotonic()) < until_s:
-            self.seen.append(Look(now_s, self.torque, self.chain.motors.position.copy()))
+            self.seen.append(Look(now_s, self.torque, self.device.truth.shafts_deg()))
             time.sleep(_LOOK_S)
 
     def look_until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
@@ -150,23 +161,28 @@ class RobotAtPort:
         NDArray[np.float64]
             (n_servos,) degrees.
         """
-        places = np.array([each.position for each in self.seen if each.time_s >= since_s])
-        return np.asarray(np.ptp(places, axis=0) / PULSES_PER_TURN * 360.0)
+        places = np.array([each.shafts_deg for each in self.seen if each.time_s >= since_s])
+        return np.asarray(np.ptp(places, axis=0))
 
-    def start(self, *arguments: str, stdin: int = subprocess.DEVNULL) -> subprocess.Popen[bytes]:
+    def start(
+        self, *arguments: str, stdin: int = subprocess.DEVNULL, output: int | None = None
+    ) -> subprocess.Popen[bytes]:
         """A `lipservo` process, whose faces are found by none but those of this session."""
-        return self.start_python("-m", "lipservo", *arguments, stdin=stdin)
+        return self.start_python("-m", "lipservo", *arguments, stdin=stdin, output=output)
 
     def start_python(
-        self, *arguments: str, stdin: int = subprocess.DEVNULL
+        self, *arguments: str, stdin: int = subprocess.DEVNULL, output: int | None = None
     ) -> subprocess.Popen[bytes]:
-        """A process of this interpreter in the same surroundings; the kernel ends it with us."""
+        """A process of this interpreter in the same surroundings; the kernel ends it with us.
+
+        output: what it writes goes there; None: to the log.
+        """
         with self.log.open("ab") as file:
             process = subprocess.Popen(
                 [sys.executable, "-P", *arguments],
                 stdin=stdin,
-                stdout=file,
-                stderr=file,
+                stdout=file if output is None else output,
+                stderr=file if output is None else output,
                 env=self._surroundings(),
                 preexec_fn=_die_with_us,
             )
@@ -211,21 +227,32 @@ def kill_all(process: subprocess.Popen[bytes]) -> None:
 
 
 @contextlib.contextmanager
-def robot_at_port(face: str = FACE, session: Path | None = None) -> Iterator[RobotAtPort]:
+def robot_at_port(
+    bus: str = "dynamixel",
+    session: Path | None = None,
+    *,
+    critical: bool = False,
+    face: str = FACE,
+) -> Iterator[RobotAtPort]:
     """The servos of a shipped face, limp in neutral; what was started is gone afterwards.
 
-    session: of another robot, beside which this one stands; None: its own.
+    bus: which kind of servos it has. session: of another robot, beside which this one stands; None:
+    its own. critical: its first servo is; nothing goes on without it. face: which shipped one.
     """
-    servos = mounted_servos(load_shipped_face(face).wiring)
     with tempfile.TemporaryDirectory(prefix="lipservo-robot-") as name:
         folder = Path(name)
         (folder / "tmp").mkdir()
         if session is None:
             session = folder / "session"
             session.mkdir(mode=0o700)
-        robot = RobotAtPort(chain_for(servos, _BAUD_RATE), servos, folder, session)
+        config, settings = face, load_shipped_face(face)
+        if bus != "dynamixel" or critical:
+            file = folder / "face.yaml"
+            file.write_text(face_yaml(settings, bus, critical=critical))
+            config, settings = str(file), load_face(file)
+        robot = RobotAtPort(logged_servos(settings.wiring), config, settings, folder, session)
         robot.log.touch()
-        host = PtyHost(robot.chain, robot.port)
+        host = PtyHost(robot.device, robot.port)
         over = threading.Event()
         serving = threading.Thread(target=_serve, args=(host, over), daemon=True)
         serving.start()

@@ -127,35 +127,39 @@ class RunningFace:
 @contextlib.contextmanager
 def running_face(
     *,
+    bus: str = "dynamixel",
     page: bool = False,
     agents: bool = False,
     n_others: int = 0,
     tracer: ModuleType | None = None,
+    face: str = FACE,
+    sound: Path = CLIP,
 ) -> Iterator[RunningFace]:
     """A face that speaks and drives all its servos, in folders of its own.
 
-    page, agents: with these doors. n_others: faces beside it that rest, started before it, so that
-    they come first where faces are listed. tracer: a module in place of the troubles, put into its
-    processes. Raises RuntimeError where one does not start.
+    bus: of its servos. page, agents: with these doors. n_others: faces beside it that rest, started
+    before it, so that they come first where faces are listed. tracer: a module in place of the
+    troubles, put into its processes. face: shipped; sound: what it speaks. Raises RuntimeError
+    where one does not start.
     """
     with ExitStack() as stack:
-        robot = stack.enter_context(robot_at_port())
+        robot = stack.enter_context(robot_at_port(bus, face=face))
         others = []
         for _ in range(n_others):
             beside = stack.enter_context(robot_at_port(session=robot.session))
             others.append(_started(beside, "--listen", "none"))
         if tracer is not None:
             robot.environment[traced.ROOT_VARIABLE] = str(_ROOT)
-        options = ["--wav", str(CLIP), "--listen", "127.0.0.1:0" if agents else "none"]
+        options = ["--wav", str(sound), "--listen", "127.0.0.1:0" if agents else "none"]
         if page:
             options += ["--dashboard", "--dashboard-listen", "127.0.0.1:0"]
-        face = _started(robot, *options, module=tracer or injected)
-        face.others = others
-        face.at = _addresses(face, page=page, agents=agents)
+        running = _started(robot, *options, module=tracer or injected)
+        running.others = others
+        running.at = _addresses(running, page=page, agents=agents)
         with contextlib.suppress(FileNotFoundError):
-            face.token = (robot.runtime / _TOKEN).read_text().strip()
+            running.token = (robot.runtime / _TOKEN).read_text().strip()
         robot.look(1.0)  # into the soft start and the first words
-        yield face
+        yield running
 
 
 def start_daemon(
@@ -168,7 +172,7 @@ def start_daemon(
     robot.environment[injected.FOLDER_VARIABLE] = str(inject)
     paths = (str(inject), os.environ.get("PYTHONPATH", ""))
     robot.environment["PYTHONPATH"] = os.pathsep.join(each for each in paths if each)
-    where = ["--config", FACE, "--port", str(robot.port)]
+    where = ["--config", robot.config, "--port", str(robot.port)]
     return robot.start("daemon", *where, *options)
 
 

@@ -339,7 +339,7 @@ def _wait_for_moment(
         return
     robot.look(0.7 if command.own_servos or command.name in ("run", "daemon") else 0.1)
     if case.moment is Moment.UNPLUGGED:
-        robot.chain.unplug()
+        robot.device.unplug()
         robot.look(0.3)
     elif case.moment is Moment.DEAF:
         robot.chain.servos[0].ignore_until(float("inf"))
@@ -350,7 +350,7 @@ def _works(command: Command, robot: RobotAtPort) -> bool:
     if command.own_servos:
         return bool(robot.controls)
     if not command.arms:
-        return robot.chain.servos[0]["return_delay_time"] == 0
+        return bool(robot.chain.servos[0]["return_delay_time"] == 0)
     torque = robot.torque
     return bool(torque.any() if command.name == "new-face" else torque.all())
 

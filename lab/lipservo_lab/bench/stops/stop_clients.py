@@ -49,11 +49,17 @@ class StopClient(StrEnum):
     API = "api"  # POST /api/stop that waits for the end
     CONTROL = "control"  # /control of the agent server
     CONNECT = "connect"  # a process: lipservo.connect().stop()
+    NOBODY = "nobody"  # none: the face itself must let go, with all its processes dead
 
     @property
     def loads_s(self) -> float:
         """How long it may take before it can request anything."""
-        return LOADS_S if self in (StopClient.COMMAND, StopClient.CONNECT) else 0.0
+        is_loaded = (StopClient.COMMAND, StopClient.CONNECT, StopClient.NOBODY)
+        return LOADS_S if self in is_loaded else 0.0
+
+
+#: Those who request something.
+CLIENTS: Final = tuple(each for each in StopClient if each is not StopClient.NOBODY)
 
 
 #: Which of a daemon's doors a client needs, for the fewest processes in each case.
@@ -101,6 +107,8 @@ def request_stop_by(
         case StopClient.CONNECT:
             requested.process = robot.start_python("-c", _CONNECT, at.agents, level.value)
             return requested
+        case StopClient.NOBODY:
+            return requested
         case StopClient.SOCKET:
             work = partial(request_stop, at.control, level.value, _LONGEST_S)
         case StopClient.SIGNAL:
@@ -112,7 +120,7 @@ def request_stop_by(
         case StopClient.API:
             work = partial(post_stop, at.page, level, _API_WAIT_S, _LONGEST_S)
         case StopClient.CONTROL:
-            work = partial(_stop_by_control, at.agents, level)
+            work = partial(stop_by_control, at.agents, level)
     _in_thread(work, requested.answers)
     return requested
 
@@ -168,12 +176,13 @@ def press_stop(page: str, level: str, post: Callable[..., tuple[int, object]] = 
     return 0
 
 
-def _stop_by_control(agents: str, level: str) -> str | bytes:
+def stop_by_control(agents: str, level: str, timeout_s: float = _LONGEST_S) -> str | bytes:
+    """Send a stop to `/control` of voice agents, without a token: the first message that comes."""
     from websockets.sync.client import connect
 
-    with connect(f"{agents}/control", open_timeout=_LONGEST_S) as client:
+    with connect(f"{agents}/control", open_timeout=timeout_s) as client:
         client.send(json.dumps({"type": "stop", "id": 1, "level": level}))
-        return client.recv(_LONGEST_S)
+        return client.recv(timeout_s)
 
 
 def _signal(daemon: subprocess.Popen[bytes], *, twice: bool) -> None:

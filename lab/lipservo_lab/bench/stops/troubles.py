@@ -50,6 +50,7 @@ class Trouble(StrEnum):
     START_AGAIN = "start_again"  # a stopped face has just been started
     START_AFTER_STOP = "start_after_stop"  # a start comes while it stops
     START_AT_ONCE = "start_at_once"  # another client sends a start in the same moment
+    EVERYBODY_KILLED = "everybody_killed"  # bridge and supervisor at once, by kill -9
 
 
 #: The conditions of this campaign from its beginning, each at three moments.
@@ -103,8 +104,8 @@ def _begin(trouble: Trouble, face: RunningFace, undo: ExitStack) -> None:
         _switch_on(face, _INJECTED[trouble], undo)
     match trouble:
         case Trouble.UNPLUGGED:
-            robot.chain.unplug()
-            undo.callback(robot.chain.plug_in)
+            robot.device.unplug()
+            undo.callback(robot.device.plug_in)
         case Trouble.HUNG_BRIDGE:
             os.kill(face.child("bridge"), signal.SIGSTOP)
         case Trouble.DEAD_SPEECH:
@@ -112,11 +113,15 @@ def _begin(trouble: Trouble, face: RunningFace, undo: ExitStack) -> None:
         case Trouble.FROZEN:
             face.request("freeze")
         case Trouble.DURING_REPLUG:
-            robot.chain.unplug()
+            robot.device.unplug()
             robot.look(1.0)
-            robot.chain.plug_in()
+            robot.device.plug_in()
         case Trouble.DURING_RESTART:
             os.kill(face.child("bridge"), signal.SIGKILL)
+        case Trouble.EVERYBODY_KILLED:
+            for pid in (face.daemon.pid, face.child("bridge")):
+                os.kill(pid, signal.SIGKILL)
+            face.daemon.wait()
         case Trouble.SECOND_FACE:
             second = start_daemon(robot, "--listen", "none")
             if not robot.look_until(lambda: second.poll() is not None, START_S):
@@ -136,7 +141,7 @@ def _begin(trouble: Trouble, face: RunningFace, undo: ExitStack) -> None:
             servo.ignore_until(float("inf"))
             robot.look(0.3)
         case Trouble.OTHER_UNPLUGGED:
-            face.others[0].robot.chain.unplug()
+            face.others[0].robot.device.unplug()
             robot.look(0.5)
         case Trouble.OTHER_HUNG:
             other = face.others[0].daemon.pid

@@ -155,29 +155,47 @@ def faults(
             help="Signals to every command that moves servos instead, on real processes, 8 s each.",
         ),
     ] = False,
+    starved: Annotated[
+        bool,
+        typer.Option(
+            "--starved", help="A face that gets a tenth of a processor instead; needs root."
+        ),
+    ] = False,
+    minutes: Annotated[
+        float, typer.Option(min=1.0, help="How long --starved starves it; then 40 starts.")
+    ] = 20.0,
+    only: Annotated[
+        str,
+        typer.Option(help="Of --stops only: stops, freezes, statements, restarts or idle."),
+    ] = "",
     bus: Annotated[str, typer.Option(help="Which kind of bus.")] = "dynamixel",
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Play every kind of fault against bridge and bus, on a virtual clock.
 
-    With --stops or --signals: how faces and commands end, on real processes at simulated servos.
+    With --stops, --signals or --starved: how faces and commands end, on real processes at simulated
+    servos; with --stops also whether what they say of torque is so.
     Exit status 1 when anything happened that must not.
     """
     from lipservo_lab.bench.fault_figures import (
+        STOP_PARTS,
         campaign_figures,
         signal_campaign_figures,
+        starved_figures,
         stop_campaign_figures,
     )
     from lipservo_lab.campaigns.fault_campaign import CAMPAIGN_BUSES
 
-    if stops + signals + whole > 1:
-        raise UserError("--stops, --signals and --whole: give one of them")
-    if bus not in CAMPAIGN_BUSES or (bus != "dynamixel" and (stops or signals)):
+    if stops + signals + starved + whole > 1:
+        raise UserError("--stops, --signals, --starved and --whole: give one of them")
+    if bus not in CAMPAIGN_BUSES or (bus != "dynamixel" and (stops or signals or starved)):
         raise UserError(
-            f"--bus {bus}: use one of {', '.join(CAMPAIGN_BUSES)}; --stops and --signals are of "
-            "dynamixel"
+            f"--bus {bus}: use one of {', '.join(CAMPAIGN_BUSES)}; --stops, --signals and "
+            "--starved are of dynamixel"
         )
+    if only and not (stops and only in STOP_PARTS):
+        raise UserError(f"--only {only}: goes with --stops; one of {', '.join(STOP_PARTS)}")
     began_s = time.perf_counter()
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
         steps = progress.add_task("cases", total=None)
@@ -186,9 +204,11 @@ def faults(
             progress.update(steps, completed=n_done, total=n_cases)
 
         if stops:
-            figures, broken = stop_campaign_figures(every, advance)
+            figures, broken = stop_campaign_figures(every, advance, only)
         elif signals:
             figures, broken = signal_campaign_figures(every, advance)
+        elif starved:
+            figures, broken = starved_figures(minutes, advance)
         else:
             figures, broken = campaign_figures(every, advance, bus=bus, whole=whole)
     for line in broken:

@@ -210,7 +210,7 @@ def serve(
     for library in ("starlette", "uvicorn"):
         check_extra(library, "serving a study")
     from lipservo.dashboard.child import address_of, bound_dashboard
-    from lipservo.dashboard.web.serving import bounded, server_of
+    from lipservo.dashboard.web.serving import server_of
     from lipservo_lab.study.answers import AnswerFile
     from lipservo_lab.study.serving import StudyDesk, minutes_of, study_app, study_token
     from lipservo_lab.study.sheets import ANSWERS_FILE, StudyError, missing_clips, read_study
@@ -241,7 +241,7 @@ def serve(
         app = study_app(StudyDesk(study, answers, minutes_of(study)), folder, token)
         # Ctrl-C is how it ends; the server raises it again when every request is answered.
         with contextlib.suppress(KeyboardInterrupt):
-            server_of(app, ready).run([bounded(listener)])
+            server_of(app, ready).run([listener])
         if not quiet:
             done = sum(
                 len(each.answers) == len(study.sheets[each.sheet])

@@ -109,10 +109,6 @@ class FirstHour extends HTMLElement {
       });
       return { section, host };
     });
-    // A step that cannot be stopped over its socket, as none drives servos yet, is ended.
-    window.addEventListener("face-stop", () => {
-      if (this.hour.state?.works && !this.hour.state.drives) this.hour.post("end");
-    });
     this.spent = document.createElement("p");
     this.spent.className = "hint spent";
     this.append(this.spent);

@@ -3,6 +3,8 @@
 import json
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -174,6 +176,35 @@ def test_a_step_that_nobody_wants_is_ended():
 
     assert ended == [step]
     assert not step.runs
+
+
+COMPLAINTS = {
+    "cause and advice": (
+        ["id 11 is in mode 3, not 5", "`doctor` examines it"],
+        "id 11 is in mode 3, not 5; `doctor` examines it",
+    ),
+    "many": (
+        [*(f"id {n} is silent" for n in range(60)), "see docs"],
+        "id 0 is silent; id 1 is silent; ...; see docs",
+    ),
+}
+
+
+@pytest.mark.parametrize(("lines", "shown"), COMPLAINTS.values(), ids=COMPLAINTS)
+def test_why_a_step_failed_is_its_cause_and_then_the_advice(monkeypatch, lines, shown):
+    said = "".join(f"lipservo: {line}\n" for line in lines)
+    said = f"busy\nlipservo: not that\nbusy\n{said}"
+    script = f"import sys; sys.stderr.write({said!r}); sys.exit(1)"
+    real = subprocess.Popen
+    monkeypatch.setattr(
+        "lipservo.dashboard.first_hour.step_process.subprocess.Popen",
+        lambda _command, **how: real([sys.executable, "-c", script], **how),
+    )
+
+    step = StepProcess("find", {})
+    step.wait()
+
+    assert step.error == shown
 
 
 def test_a_step_that_hangs_when_it_should_end_is_killed_and_says_what_may_still_hold():

@@ -95,3 +95,33 @@ def test_a_port_that_goes_away_ends_the_step_in_one_line_and_writes_nothing(serv
     assert state["step"]["error"]
     assert "Traceback" not in " ".join(state["step"]["notes"])
     assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_stop_lets_go_of_the_servos_of_a_step_that_is_dead_or_hangs(server, servos, how):
+    held(server)
+    os.kill(server.step_pid(), how)
+    if how is signal.SIGKILL:
+        server.until(lambda state: state["works"] is None)
+
+    stopped = server.client.post("/api/stop", json={"level": "soft", "wait_s": 15}).json()
+
+    assert torque(servos.port, IDS) == [0, 0]
+    assert (stopped["accepted"], stopped["is_limp"]) == (None, True)
+    assert "limp, confirmed by all 2 servos" in stopped["nothing_driven"]
+    error = server.until(lambda state: state["works"] is None)["step"]["error"]
+    assert "signal 9" in error if how is signal.SIGKILL else "limp, confirmed by all 2" in error
+    assert server.post("start", step="limits").status_code == 200
+
+
+def test_a_stop_that_finds_no_servo_to_let_go_of_says_what_is_wrong(server, servos):
+    held(server)
+    os.kill(server.step_pid(), signal.SIGKILL)
+    servos.process.terminate()
+    servos.process.wait()
+
+    stopped = server.client.post("/api/stop", json={"level": "limp", "wait_s": 0}).json()
+
+    assert stopped["is_limp"] is False
+    assert servos.port in stopped["nothing_driven"]
+    assert "switch their supply off" in stopped["nothing_driven"]

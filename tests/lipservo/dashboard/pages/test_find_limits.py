@@ -27,7 +27,8 @@ def config(tmp_path):
 @pytest.fixture
 def page(browser, config):
     command = [sys.executable, "-m", "lipservo", "jog", "--dashboard", "--config", str(config)]
-    environment = {**os.environ, "LIPSERVO_RUNTIME": str(short_folder())}
+    runtime = short_folder()
+    environment = {**os.environ, "LIPSERVO_RUNTIME": str(runtime)}
     with subprocess.Popen(
         command, cwd=ROOT, stderr=subprocess.PIPE, text=True, env=environment
     ) as process:
@@ -38,8 +39,8 @@ def page(browser, config):
                 if (found := re.search(r"dashboard: (http\S+)", line))
             )
             made = browser.new_page()
-            made.goto(address)
-            made.goto(address.split("/?")[0] + "/servos")
+            made.goto(f"{address}/?token={(runtime / 'token').read_text().strip()}")
+            made.goto(f"{address}/servos")
             made.wait_for_function(
                 "window.dashboard?.status && window.dashboard.frame", timeout=60_000
             )

@@ -14,10 +14,11 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture
 def locked(chromium):
-    """A face, and the address of its dashboard as it is printed."""
+    """A face, and the address of its dashboard as it is printed in a terminal."""
     del chromium
     folder = short_folder()
-    environment = {**os.environ, "XDG_RUNTIME_DIR": str(short_folder())}
+    session = short_folder()
+    environment = {**os.environ, "XDG_RUNTIME_DIR": str(session)}
     with ActedFace(folder) as face:
         command = [sys.executable, "-m", "lipservo", "dashboard", "--control", str(face.path)]
         with subprocess.Popen(
@@ -30,7 +31,8 @@ def locked(chromium):
                 for line in process.stderr:
                     if found := re.search(r"dashboard: (http\S+)", line):
                         break
-                yield face, found[1]
+                token = (session / "lipservo" / "token").read_text().strip()
+                yield face, f"{found[1]}/?token={token}"
             finally:
                 process.terminate()
 

@@ -17,7 +17,6 @@ from watched_face import WatchedFace
 
 from lipservo.dashboard import sound_lines as uploads
 from lipservo.dashboard.face_link import FaceLink, NothingDrivenError
-from lipservo.dashboard.web import stop_route
 from lipservo.dashboard.web.serving import with_access
 from lipservo.dashboard.web.stop_route import StopRoute
 
@@ -214,9 +213,7 @@ class SlowBody:
         self.sent.append(message)
 
 
-def test_a_body_that_does_not_come_holds_up_no_other_stop(app, face, monkeypatch):
-    monkeypatch.setattr(stop_route, "_BODY_S", 3600.0)
-
+def test_a_body_that_does_not_come_holds_up_no_other_stop(app, face):
     async def both():
         slow = SlowBody()
         waiting = asyncio.ensure_future(app(scope(), slow.receive, slow.send))
@@ -228,18 +225,6 @@ def test_a_body_that_does_not_come_holds_up_no_other_stop(app, face, monkeypatch
 
     assert asyncio.run(both()) == ((200, {"accepted": "limp"}), True)
     wait_for(lambda: face.said == ["limp"])
-
-
-def test_a_body_that_comes_too_slowly_stops_nothing(app, face, monkeypatch):
-    monkeypatch.setattr(stop_route, "_BODY_S", 0.01)
-
-    async def given_up():
-        slow = SlowBody()
-        await app(scope(), slow.receive, slow.send)
-        return slow.sent[0]["status"]
-
-    assert asyncio.run(given_up()) == 408
-    assert face.said == []
 
 
 def test_the_bridge_that_is_replaced_is_sent_the_stop_again():
@@ -268,6 +253,38 @@ def test_the_bridge_that_is_replaced_is_sent_the_stop_again():
 
     assert words == [b"soft", b"soft"]
     assert (status, answer["report"]["confirmed"]) == (200, ["jaw"])
+
+
+def test_a_client_is_answered_once_the_face_has_taken_its_stop_and_not_before():
+    path = short_folder() / "tom.sock"
+    words, may_answer = [], threading.Event()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
+        listener.bind(str(path))
+        listener.listen()
+
+        def face():
+            client, _ = listener.accept()
+            with client:
+                words.append(client.recv(100))
+                may_answer.wait(60.0)
+                client.send(b'{"accepted": "limp"}')
+
+        thread = threading.Thread(target=face, daemon=True)
+        thread.start()
+
+        async def stopped():
+            link = FaceLink(lambda: path, control_path=path)
+            answer = asyncio.ensure_future(posted(StopRoute(None, link, None), b'{"level":"limp"}'))
+            await asyncio.to_thread(wait_for, lambda: words == [b"limp"])
+            await asyncio.sleep(0.05)
+            is_early = answer.done()
+            may_answer.set()
+            got = await answer
+            link.close()
+            return is_early, got
+
+        assert asyncio.run(stopped()) == (False, (200, {"accepted": "limp"}))
+        thread.join(20.0)
 
 
 def test_a_stop_passes_a_busy_loop_a_full_pool_and_a_slow_upload(tmp_path, monkeypatch):

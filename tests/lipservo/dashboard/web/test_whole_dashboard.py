@@ -42,13 +42,13 @@ def frames(address, n, headers):
 @pytest.mark.slow
 def test_a_face_is_seen_stopped_and_goes_on_without_its_page(daemon):
     wait_for(lambda: "dashboard: http://" in log(daemon))
-    printed = re.search(r"dashboard: (http://\S+)", log(daemon))[1]
-    address, token = printed.split("/?token=")
+    address = re.search(r"dashboard: (http://\S+)", log(daemon))[1]
+    token = (daemon.control.parent / "token").read_text().strip()
     bearer = {"authorization": f"Bearer {token}"}
     with httpx.Client(base_url=address, headers=bearer, timeout=60.0, trust_env=False) as client:
         assert httpx.get(f"{address}/api/health", timeout=60.0, trust_env=False).status_code == 401
         with httpx.Client(follow_redirects=True, timeout=60.0, trust_env=False) as browser:
-            assert browser.get(printed).status_code == 200
+            assert browser.get(f"{address}/?token={token}").status_code == 200
             assert "token" not in str(browser.get(address).url)
         wait_for(lambda: client.get("/api/health").json()["up"])
         wait_for(lambda: all_driven(daemon))
@@ -84,6 +84,7 @@ def test_a_face_is_seen_stopped_and_goes_on_without_its_page(daemon):
     daemon.terminate()
     daemon.wait(60.0)
     assert children(daemon.pid, b"dashboard") == []
+    assert token not in log(daemon)
 
 
 def children(parent, word):

@@ -9,7 +9,7 @@ from firmware_bridge.loop.servo_table import SERVO_TABLE, ServoEvent
 from firmware_bridge.process.supervisor_table import SUPERVISOR_TABLE, Phase, SupervisorEvent
 
 PAGE = ROOT / "docs" / "architecture.md"
-BEGIN = "<!-- state tables: tests/support/state_tables.py writes them -->"
+BEGIN = "<!-- state tables: tests/support/servos/state_tables.py writes them -->"
 END = "<!-- end of the state tables -->"
 #: Title, table, states, events; in the order of the page.
 _MACHINES = (

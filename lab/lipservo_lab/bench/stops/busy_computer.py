@@ -1,0 +1,103 @@
+"""A tenth of a processor for some processes, by a control group, and what the kernel says of them.
+
+Not by processes that run before all others: those would starve the kernel's own threads too, which
+carry the bytes of serial ports.
+"""
+
+import contextlib
+import os
+import random
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from lipsync.errors import UserError
+
+#: At a tenth a group's processes wait for nine tenths of each period once they have had theirs:
+#: from 18 ms to .9 s on end, another period every few seconds.
+_PERIODS_US: Final = (20_000, 100_000, 300_000, 1_000_000)
+_CHANGES_S: Final = 3.0
+#: Its weight against other processes, so that these take no part of the share: of a hundred.
+_WEIGHTS: Final = {"cpu.weight": "10000", "cpu.shares": "102400"}
+_TICKS_S: Final = os.sysconf("SC_CLK_TCK")
+_GROUPS: Final = Path("/sys/fs/cgroup")
+
+
+class ProcessorShare:
+    """A control group whose processes get a share of one processor in all, in long pieces.
+
+    share: of 1; a change takes effect with the next period.
+    """
+
+    def __init__(self, folder: Path, share: float) -> None:
+        self.share = share
+        self._folder = folder
+        self._chance = random.Random(0)
+        self._changes_s = 0.0
+
+    def keep(self, pid: int) -> None:
+        """Put a process into the group, with ordinary scheduling, and change the period if due."""
+        with contextlib.suppress(OSError):
+            for thread in os.listdir(f"/proc/{pid}/task"):  # others are not counted, or not let in
+                os.sched_setscheduler(int(thread), os.SCHED_OTHER, os.sched_param(0))
+            (self._folder / "cgroup.procs").write_text(str(pid))
+        if time.monotonic() >= self._changes_s:
+            self._changes_s = time.monotonic() + _CHANGES_S
+            self.set_period(self._chance.choice(_PERIODS_US))
+
+    def set_period(self, period_us: int) -> None:
+        """Share out periods of this length from now on. Raises OSError."""
+        quota_us = round(self.share * period_us)
+        if (self._folder / "cpu.max").exists():
+            (self._folder / "cpu.max").write_text(f"{quota_us} {period_us}")
+            return
+        (self._folder / "cpu.cfs_quota_us").write_text("-1")
+        (self._folder / "cpu.cfs_period_us").write_text(str(period_us))
+        (self._folder / "cpu.cfs_quota_us").write_text(str(quota_us))
+
+
+@contextlib.contextmanager
+def processor_share(kind: str, share: float) -> Iterator[ProcessorShare]:
+    """A group without processes; to leave once they have ended. Raises UserError if refused."""
+    first = _GROUPS / "cpu"
+    folder = (first if first.exists() else _GROUPS) / f"lipservo-bench-{kind}-{os.getpid()}"
+    try:
+        if not first.exists():
+            (_GROUPS / "cgroup.subtree_control").write_text("+cpu")
+        folder.mkdir()
+        group = ProcessorShare(folder, share)
+        group.set_period(_PERIODS_US[0])
+        for name, weight in _WEIGHTS.items():
+            if (folder / name).exists():
+                (folder / name).write_text(weight)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            folder.rmdir()
+        raise UserError(
+            f"--starved: needs a control group that limits processors, thus root: {error}"
+        ) from error
+    try:
+        yield group
+    finally:
+        with contextlib.suppress(OSError):
+            folder.rmdir()
+
+
+def processor_s(pid: int) -> float:
+    """How long a process has run so far; 0 where it has ended."""
+    fields = _stat(pid)
+    return (int(fields[11]) + int(fields[12])) / _TICKS_S if fields else 0.0
+
+
+def state_of(pid: int) -> str:
+    """One letter: R, S, T and so on; empty where it has ended."""
+    fields = _stat(pid)
+    return "" if not fields or fields[0] in "ZX" else fields[0]
+
+
+def _stat(pid: int) -> list[str]:
+    """The fields from the state on."""
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{pid}/stat").read_text(errors="replace").rpartition(")")[2].split()
+    return []

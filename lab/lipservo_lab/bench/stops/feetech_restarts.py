@@ -1,0 +1,116 @@
+"""Feetech servos that restart while they move: how fast a shaft goes within a second of it.
+
+A goal switches torque on in a limp servo, and a restart forgets every bound, so that the next goal
+after a short one would be run to at full speed. The real bus drives simulated servos on a virtual
+clock.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+from typing import Final
+
+import numpy as np
+
+from firmware_bridge.bus import Array
+from firmware_bridge.clock import ManualClock, ticks
+from firmware_bridge.dynamixel.control_table import PULSES_PER_DEG
+from firmware_bridge.feetech.bus import FeetechBus
+from firmware_bridge.feetech.control_table import servo_models
+from firmware_bridge.feetech.simulator import SimulatedChain, chain_for
+from firmware_bridge.joints import Joint
+from firmware_bridge.loop.bridge import Bridge
+from firmware_bridge.loop.report import BridgeSettings
+from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
+from firmware_bridge.serial_servos.mounting import MountedServo
+from firmware_bridge.simulator.ports import MemoryTransport
+
+#: A servo whose torque has just come on may go no faster.
+SOFT_START_DEG_S: Final = 60.0
+#: A shaft may be so much faster than the bound.
+MOST_OVER: Final = 1.1
+#: How long a restart may take; a servo that takes longer is noticed as silent.
+RESTARTS_S: Final = (0.01, 0.02, 0.04, 0.06, 0.08, 0.095, 0.105, 0.15, 0.2, 0.3, 0.5)
+_MODELS: Final = ("STS3215", "SCS0009")
+#: At so many moments of the motion to and fro.
+_N_MOMENTS: Final = 3
+_N_SERVOS: Final = 4
+_BAUD_RATE: Final = 1_000_000
+_RATE_HZ: Final = 50.0
+_FROM_S: Final = 4.0
+_WATCH_S: Final = 1.0
+_AMPLITUDE_DEG, _MOTION_HZ = 20.0, 1.5
+_STEP_S: Final = 0.005
+
+
+@dataclass(frozen=True, slots=True)
+class Restart:
+    """One servo's power fails for a moment. stiff: it comes back with torque on."""
+
+    model: str
+    at_s: float
+    lasts_s: float
+    stiff: bool
+
+
+def restarts() -> Iterator[Restart]:
+    """All that are tried."""
+    moments_s = _FROM_S + np.arange(_N_MOMENTS) / _N_MOMENTS / _MOTION_HZ
+    for model, at_s, lasts_s, stiff in product(
+        _MODELS, moments_s.tolist(), RESTARTS_S, (False, True)
+    ):
+        yield Restart(model, at_s, lasts_s, stiff)
+
+
+def over_bound(case: Restart) -> float:
+    """The fastest motion within a second of a restart, over the soft start's bound."""
+    return fastest_deg_s(case) / SOFT_START_DEG_S
+
+
+def fastest_deg_s(case: Restart) -> float:
+    """How fast the shaft of the servo that restarted went within a second of it, degrees a second.
+
+    From its restart on, so that a motion before it does not count.
+    """
+    joints = [Joint(f"joint_{n}", n, -40.0, 40.0, 260.0) for n in range(1, _N_SERVOS + 1)]
+    model = servo_models()[case.model]
+    servos = [MountedServo(joint, model, 1) for joint in joints]
+    clock, channel = ManualClock(), MemoryTargetChannel()
+    chain = chain_for(servos, _BAUD_RATE, wakes_up_stiff=case.stiff)
+    places: list[tuple[float, float]] = []
+
+    def note(time_s: float, position: Array) -> None:
+        places.append((time_s, float(position[1])))
+
+    chain.motors.motion = note
+    bus = FeetechBus(
+        servos,
+        lambda: MemoryTransport(chain, clock, _BAUD_RATE),
+        strict=False,
+        period_s=1.0 / _RATE_HZ,
+    )
+    has_restarted = False
+    with bus:
+        bridge = Bridge(bus, joints, channel, BridgeSettings(_RATE_HZ, tolerant=True))
+        bridge.start()
+        for time_s, late in ticks(clock, _RATE_HZ):
+            if time_s > case.at_s + case.lasts_s + _WATCH_S:
+                break
+            if not has_restarted and time_s >= case.at_s:
+                has_restarted = True
+                _restart(chain, 1, clock.now(), case.lasts_s)
+                places.clear()
+            angle = 2.0 * np.pi * _MOTION_HZ * time_s
+            wanted_deg = _AMPLITUDE_DEG * np.sin(angle + np.arange(_N_SERVOS))
+            channel.publish(ServoTargets(time_s + 0.01, wanted_deg))
+            bridge.tick(time_s, late)
+        until_s = case.at_s + _WATCH_S
+        seen = np.array([place for time_s, place in places if time_s <= until_s])
+    return float(np.abs(np.diff(seen)).max(initial=0.0)) / PULSES_PER_DEG / _STEP_S
+
+
+def _restart(chain: SimulatedChain, index: int, now_s: float, lasts_s: float) -> None:
+    chain.advance(now_s)
+    servo = chain.servos[index]
+    servo.power_up()
+    servo.silent_until_s = now_s + lasts_s

@@ -1,0 +1,248 @@
+"""Real `lipservo` processes at logged servos, and all that they say, with the times they said it.
+
+What is said: each key of a status, each line on standard output and error, each answer on the
+control socket, each exit status.
+"""
+
+import contextlib
+import json
+import os
+import re
+import subprocess
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from lipservo_lab.bench.stops.claims import Statement
+from lipservo_lab.bench.stops.raw_control import Answer, connected, receive, request
+from lipservo_lab.bench.stops.robot_at_port import RobotAtPort, children_of, robot_at_port
+
+#: A status is asked for this often, whatever happens.
+_POLL_S: Final = 0.12
+_ANSWER_S: Final = 2.0
+_LOOK_S: Final = 0.02
+#: Twice as long as a face needs on a busy computer.
+_COMES_S: Final = 60.0
+_COMMAND_S: Final = 60.0
+#: A mouth that is drawn with dots; what is said may stand behind it in the same line.
+_DRAWN: Final = re.compile("[\u2800-\u28ff]+ *")
+#: The confirmed end of a stop.
+_END_S: Final = 12.0
+
+
+class HeardFace:
+    """A robot, the processes started at it, and what they have said so far."""
+
+    def __init__(self, robot: RobotAtPort) -> None:
+        """Listen to what is started from now on."""
+        self.robot = robot
+        self.statements: list[Statement] = []
+        self.last_status: Answer = {}
+        self._is_over = threading.Event()
+        self._readers: list[threading.Thread] = []
+        self._poller = threading.Thread(target=self._poll, name="poll", daemon=True)
+        self._poller.start()
+
+    @property
+    def first_servo(self) -> str:
+        """The name of the face's first servo, which is critical where one is."""
+        return next(iter(self.robot.settings.servos))
+
+    @property
+    def last_servo(self) -> str:
+        """The name of the face's last servo."""
+        return list(self.robot.settings.servos)[-1]
+
+    def begin(self, *arguments: str) -> subprocess.Popen[bytes]:
+        """Start `lipservo ARGUMENTS`; each of its lines is heard."""
+        began_s = time.monotonic()
+        end, output = os.pipe()
+        try:
+            process = self.robot.start(*arguments, output=output)
+        finally:
+            os.close(output)
+        reader = threading.Thread(target=self._read, args=(end, began_s), daemon=True)
+        reader.start()
+        self._readers.append(reader)
+        return process
+
+    def begin_face(self, *arguments: str) -> subprocess.Popen[bytes]:
+        """Start `daemon` or `run` at the servos."""
+        command, *options = arguments
+        where = ("--config", self.robot.config, "--port", str(self.robot.port))
+        return self.begin(command, *where, *options)
+
+    def command(self, *arguments: str, of: str = "") -> int:
+        """Run `lipservo ARGUMENTS` to its end; its exit status, which is a statement, too.
+
+        of: of what face, where that makes a difference to what the status means.
+        """
+        began_s = time.monotonic()
+        process = self.begin(*arguments)
+        return self.end_of(process, " ".join((*arguments, of)).rstrip(), began_s)
+
+    def end_of(self, process: subprocess.Popen[bytes], name: str, began_s: float = 0.0) -> int:
+        """Wait for a process's end; its exit status as a statement of `name`.
+
+        Raises TimeoutExpired.
+        """
+        status = process.wait(_COMMAND_S)
+        now_s = time.monotonic()
+        self._note(f"exit {self._short(name)}: {status}", now_s, now_s, {"began_s": began_s})
+        return status
+
+    def word(self, word: str, *, until_end: bool = False) -> Answer:
+        """Say one word at the control socket, once; {} where nothing answers.
+
+        until_end: the report of the end of a stop is waited for as well.
+        """
+        asked_s = time.monotonic()
+        answer: Answer | None = None
+        with contextlib.suppress(OSError), connected(self.control, asked_s + _END_S) as client:
+            client.send(word.encode())
+            answer = receive(client, asked_s + _ANSWER_S)
+            self._note_all(f"answer to {word.split()[0]}", answer or {}, asked_s)
+            if until_end and answer:
+                end = receive(client, asked_s + _END_S)
+                self._note_all(f"end of {word.split()[0]}", end or {}, time.monotonic())
+        return answer or {}
+
+    @property
+    def control(self) -> Path:
+        """The control socket of the face that was started last. Raises FileNotFoundError."""
+        found = sorted(self.robot.controls, key=lambda each: each.stat().st_ctime)
+        if not found:
+            raise FileNotFoundError("no face has a control socket")
+        return found[-1]
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass; the status is asked for meanwhile."""
+        time.sleep(seconds)
+
+    def until(self, condition: Any, timeout_s: float = _COMES_S) -> bool:
+        """Wait until something is so; whether it came to be."""
+        give_up_s = time.monotonic() + timeout_s
+        while not condition():
+            if time.monotonic() > give_up_s:
+                return False
+            time.sleep(_LOOK_S)
+        return True
+
+    def until_state(self, *states: str, timeout_s: float = _COMES_S) -> bool:
+        """Wait until the status has one of these states."""
+        return self.until(lambda: self.last_status.get("state") in states, timeout_s)
+
+    def until_driven(self, timeout_s: float = _COMES_S) -> bool:
+        """Wait until all servos hold, and the status says so."""
+        held = self.until(lambda: bool(self.robot.torque.all()), timeout_s)
+        return held and self.until_state("driven", timeout_s=timeout_s)
+
+    def until_limp(self, timeout_s: float = _COMES_S) -> bool:
+        """Wait until no servo holds."""
+        return self.until(lambda: not self.robot.torque.any(), timeout_s)
+
+    def child(self, daemon: subprocess.Popen[bytes], name: str) -> int:
+        """The process id of the daemon's `bridge` or `speech`. Raises RuntimeError."""
+        found: list[int] = []
+
+        def is_there() -> bool:
+            for pid in children_of(daemon.pid):
+                with contextlib.suppress(OSError):
+                    if f"{name}-process" in Path(f"/proc/{pid}/cmdline").read_text():
+                        found.append(pid)
+            return bool(found)
+
+        if not self.until(is_there, 20.0):
+            raise RuntimeError(f"no {name} process")
+        return found[0]
+
+    def close(self) -> None:
+        """Stop asking, and read what is left."""
+        self._is_over.set()
+        self._poller.join()
+        for reader in self._readers:
+            reader.join(1.0)
+
+    def _poll(self) -> None:
+        while not self._is_over.wait(_POLL_S):
+            asked_s = time.monotonic()
+            with contextlib.suppress(OSError, ValueError):
+                found = request(self.control, "status", _ANSWER_S)
+                self._note_all("status", found, asked_s)
+                self.last_status = found
+                continue
+            self.last_status = {}
+
+    def _read(self, end: int, began_s: float) -> None:
+        with os.fdopen(end, "rb") as lines:
+            whole: list[str] = []
+            for raw in lines:
+                now_s = time.monotonic()
+                line = _DRAWN.sub("", raw.decode(errors="replace")).rstrip()
+                self._note_line(line, now_s, began_s, whole)
+
+    def _note_line(self, line: str, now_s: float, began_s: float, whole: list[str]) -> None:
+        """Note a line; JSON over many lines is one object."""
+        if line == "{" or (whole and line != "}"):
+            whole.append(line)
+            return
+        if whole or (line.startswith("{") and line.endswith("}")):
+            text = "\n".join([*whole, line])
+            whole.clear()
+            with contextlib.suppress(ValueError):
+                found = json.loads(text)
+                for each in found.get("faces", [found]):
+                    kind = "status" if "state" in each and "pid" in each else "outcome"
+                    self._note_all(kind, each, now_s)
+                return
+        if line.strip():
+            self._note(f"says {line}", now_s, now_s, {"began_s": began_s})
+
+    def _note_all(self, kind: str, found: Mapping[str, Any], asked_s: float) -> None:
+        now_s = time.monotonic()
+        for key, value in flattened(found):
+            self._note(f"{kind} {key}: {value}", asked_s, now_s, found)
+
+    def _note(self, text: str, since_s: float, until_s: float, about: Mapping[str, Any]) -> None:
+        self.statements.append(Statement(text, since_s, until_s, about))
+
+    def _short(self, name: str) -> str:
+        """A command without places of this run."""
+        name = name.replace(str(self.robot.port), "PORT").replace(self.robot.config, "FACE")
+        return name.replace(str(self.robot.folder), "FOLDER")
+
+
+def flattened(found: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
+    """Each value of a JSON object by its path; of a list each item; of health by servo's name."""
+    for key, value in found.items():
+        path = f"{before}{key}"
+        if isinstance(value, Mapping):
+            yield from flattened(value, f"{path}.")
+        elif isinstance(value, list):
+            for item in value:
+                if isinstance(item, Mapping):
+                    name = f".{item['name']}" if "name" in item else ""
+                    rest = {one: other for one, other in item.items() if one != "name"}
+                    yield from flattened(rest, f"{path}{name}.")
+                else:
+                    yield path, json.dumps(item).strip('"') if not isinstance(item, str) else item
+        else:
+            yield path, value if isinstance(value, str) else json.dumps(value)
+
+
+@contextlib.contextmanager
+def heard_face(bus: str, *, critical: bool = False) -> Iterator[HeardFace]:
+    """A robot on a bus at which faces are started and heard; all is gone afterwards."""
+    with robot_at_port(bus, critical=critical) as robot:
+        face = HeardFace(robot)
+        try:
+            yield face
+        finally:
+            for process in robot.processes:
+                for pid in (*children_of(process.pid), process.pid):
+                    with contextlib.suppress(OSError):
+                        if process.poll() is None:
+                            os.kill(pid, 9)
+            face.close()

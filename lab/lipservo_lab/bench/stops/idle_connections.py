@@ -1,0 +1,214 @@
+"""A stop beside connections that take a server's places: how long until the face has it.
+
+As a program, it is the crowd: of clients that send nothing, half a request, a byte a second, or
+all but a body, and that come again when they are dropped.
+"""
+
+import contextlib
+import selectors
+import socket
+import struct
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+from urllib.parse import urlsplit
+
+from lipservo_lab.bench.stops.running_face import RunningFace, running_face
+from lipservo_lab.bench.stops.stop_clients import post_stop, stop_by_control
+
+N_IDLE: Final = 300
+_N_STOPS: Final = 40
+_PAUSE_S: Final = 0.2
+_STANDS: Final = "all of the crowd have come"
+_STANDS_S: Final = 30.0
+_SETTLED_S: Final = 1.0
+#: A stop that is not answered by then, or is refused, counts as this long.
+_LOST_S: Final = 10.0
+_DRIP_S: Final = 1.0
+#: Closes with RST, so that nothing of a dropped connection stays behind.
+_AT_ONCE: Final = struct.pack("ii", 1, 0)
+_HEAD: Final = b"HTTP/1.1\r\nHost: 127.0.0.1\r\n"
+_BODY: Final = b"Content-Length: 40\r\n\r\n{"
+_HANDSHAKE: Final = (
+    b"Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+    b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Opening:
+    """What a connection sends when it has come; drips: and then a byte a second."""
+
+    sent: bytes
+    drips: bool = False
+
+
+#: That leave a connection of the page, of voice agents, open and idle.
+OPENINGS: Final = {
+    "page": (
+        Opening(b""),
+        Opening(b"GET / " + _HEAD),
+        Opening(b"GET / " + _HEAD + b"X: ", drips=True),
+        Opening(b"GET /api/status " + _HEAD + b"\r\n"),
+        Opening(b"POST /api/say " + _HEAD + _BODY),
+        Opening(b"POST /api/stop " + _HEAD + _BODY, drips=True),
+    ),
+    "agents": (
+        Opening(b""),
+        Opening(b"GET /control " + _HEAD),
+        Opening(b"GET /control " + _HEAD + b"X: ", drips=True),
+        Opening(b"GET /control " + _HEAD + _HANDSHAKE),
+    ),
+}
+
+
+class IdleCrowd:
+    """Connections from several addresses of this computer to one server, until it is over."""
+
+    def __init__(
+        self,
+        server: tuple[str, int],
+        n_peers: int,
+        openings: Sequence[Opening],
+        n: int = N_IDLE,
+    ) -> None:
+        """n_peers: 1: all come from 127.0.0.1, where stops come from too; else from others."""
+        self.n_came = 0
+        self._server = server
+        first = 1 if n_peers == 1 else 2
+        self._peers = [f"127.0.0.{first + each}" for each in range(n_peers)]
+        self._openings = openings
+        self._n = n
+
+    def run(self, is_over: Callable[[], bool]) -> None:
+        """Come, stay, and come again, until it is over."""
+        absent = list(range(self._n))
+        drips_s = time.monotonic() + _DRIP_S
+        with selectors.DefaultSelector() as selector:
+            while not is_over():
+                absent = [each for each in absent if not self._came(each, selector)]
+                for key, _ in selector.select(0.05):
+                    if _is_dropped(key.fileobj):
+                        selector.unregister(key.fileobj)
+                        absent.append(key.data)
+                if time.monotonic() > drips_s:
+                    drips_s += _DRIP_S
+                    self._drip(selector)
+            for key in list(selector.get_map().values()):
+                _close(key.fileobj)
+
+    def _came(self, number: int, selector: selectors.BaseSelector) -> bool:
+        end = socket.socket()
+        end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
+        end.settimeout(0.1)
+        try:
+            end.bind((self._peers[number % len(self._peers)], 0))
+            end.connect(self._server)
+            end.sendall(self._openings[number % len(self._openings)].sent)
+        except OSError:
+            end.close()
+            return False
+        end.setblocking(False)
+        selector.register(end, selectors.EVENT_READ, number)
+        self.n_came += 1
+        return True
+
+    def _drip(self, selector: selectors.BaseSelector) -> None:
+        for key in selector.get_map().values():
+            if self._openings[key.data % len(self._openings)].drips:
+                with contextlib.suppress(OSError):
+                    _end_of(key.fileobj).send(b" ")
+
+
+def _end_of(fileobj: object) -> socket.socket:
+    assert isinstance(fileobj, socket.socket)
+    return fileobj
+
+
+def _is_dropped(fileobj: object) -> bool:
+    end = _end_of(fileobj)
+    try:
+        if end.recv(1 << 16):
+            return False
+    except BlockingIOError:
+        return False
+    except OSError:
+        pass
+    end.close()
+    return True
+
+
+def _close(fileobj: object) -> None:
+    _end_of(fileobj).close()
+
+
+def stop_beside_idle() -> dict[str, Any]:
+    """Return `stop_beside_idle_s`, and a row of it for each door and number of peers.
+
+    The worst of many stops of a real daemon, in seconds from the request, made by a new client, to
+    the face's answer.
+    """
+    rows = []
+    with running_face(page=True, agents=True) as face:
+        for door in ("page", "agents"):
+            rows += [_row(face, door, n_peers) for n_peers in (10, 1)]
+    return {
+        "stop_beside_idle_s": max(row["worst_s"] for row in rows),
+        "stop_beside_idle_rows": rows,
+    }
+
+
+def _row(face: RunningFace, door: str, n_peers: int) -> dict[str, Any]:
+    address = getattr(face.at, door)
+    n_before = face.robot.output.count(_STANDS)
+    server = urlsplit(address).netloc
+    crowd = face.robot.start_python("-m", __name__, door, server, str(n_peers))
+    try:
+        if not face.robot.look_until(
+            lambda: face.robot.output.count(_STANDS) > n_before, _STANDS_S
+        ):
+            raise RuntimeError(f"the crowd does not stand: {face.robot.last_output}")
+        face.robot.look(_SETTLED_S)
+        took_s = []
+        for _ in range(_N_STOPS):
+            took_s.append(_stopped_after_s(face, door))
+            face.robot.look(_PAUSE_S)
+    finally:
+        crowd.kill()
+        crowd.wait()
+    lost = sum(each >= _LOST_S for each in took_s)
+    return {"door": door, "peers": n_peers, "worst_s": max(took_s), "lost": lost}
+
+
+def _stopped_after_s(face: RunningFace, door: str) -> float:
+    began_s = time.monotonic()
+    try:
+        if door == "page":
+            status, answer = post_stop(face.at.page, "freeze", 0, _LOST_S)
+            is_taken = status == 200 and "accepted" in answer
+        else:
+            is_taken = '"accepted"' in str(stop_by_control(face.at.agents, "freeze", _LOST_S))
+    except Exception:  # of which kind does not matter: it was not taken
+        return _LOST_S
+    return min(_LOST_S, time.monotonic() - began_s) if is_taken else _LOST_S
+
+
+def _main(door: str, server: str, n_peers: str) -> None:
+    host, port = server.rsplit(":", 1)
+    crowd = IdleCrowd((host, int(port)), int(n_peers), OPENINGS[door])
+    has_told = False
+
+    def is_over() -> bool:
+        nonlocal has_told
+        if crowd.n_came >= N_IDLE and not has_told:
+            has_told = True
+            sys.stderr.write(f"{_STANDS}\n")
+        return False
+
+    crowd.run(is_over)
+
+
+if __name__ == "__main__":
+    _main(*sys.argv[1:])

@@ -1,0 +1,229 @@
+"""A face of sixteen servos that speaks on a tenth of a processor: who is accused, who is killed.
+
+A daemon on simulated servos, which live in this process; bridge and speech get a tenth of a
+processor each. Meanwhile real jams must be named, and processes that are held by SIGSTOP killed:
+first the jams, then the holds. Only while a jam is waited for may speech run more: at a tenth it
+falls silent, the face lets go of its servos, and nothing would have to follow.
+"""
+
+import contextlib
+import os
+import re
+import signal
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from io import TextIOWrapper
+from pathlib import Path
+from typing import Final
+
+from lipservo_lab.bench.speed_figures import repeated
+from lipservo_lab.bench.stops.busy_computer import (
+    ProcessorShare,
+    processor_s,
+    processor_share,
+    state_of,
+)
+from lipservo_lab.bench.stops.robot_at_port import CLIP, children_of
+from lipservo_lab.bench.stops.running_face import RunningFace, running_face
+
+_FACE: Final = "face_head"
+#: Those that speech moves all the time.
+_N_MOUTH: Final = 10
+#: Bars: a jam is named within so much time that the bridge ran; a held process is killed within its
+#: time, and what the supervisor takes to look.
+NAMED_WITHIN_S: Final = 5.0
+_TO_LOOK_S: Final = 0.5
+_HUNG_S: Final = {"bridge": 1.0, "speech": 3.0}
+#: Jams take this share of the minutes; the holds come afterwards, and take the time they take.
+_JAMS_SHARE: Final = 0.6
+#: What each process gets of a processor, and speech while servos must follow it.
+_SHARE, _SPEAKS_SHARE = 0.1, 0.8
+_STEP_S: Final = 0.05
+_PATIENCE_S: Final = 300.0
+_HUNG: Final = "hangs: no heartbeat from it"
+_NAMED: Final = re.compile(r"servo '(\w+)' \(id \d+\) does not (?:follow|move)")
+_CALLED_SILENT: Final = re.compile(r"servo '(\w+)' \(id \d+\) does not (?:answer|take)")
+
+
+@dataclass(slots=True)
+class StarvedOutcome:
+    """What came of it. said: a line for each thing that must not be.
+
+    called_silent: lines that say of healthy servos that they do not answer; no bar.
+    """
+
+    accused: int = 0
+    called_silent: int = 0
+    killed_starved: int = 0
+    jams: int = 0
+    jams_named: int = 0
+    held: int = 0
+    hung_killed: int = 0
+    driven: list[float] = field(default_factory=list)
+    minutes: float = 0.0
+    said: list[str] = field(default_factory=list)
+
+
+class StarvedFace:
+    """A running face whose processes starve, with what its log has said so far."""
+
+    def __init__(
+        self, face: RunningFace, shares: dict[str, ProcessorShare], log: TextIOWrapper
+    ) -> None:
+        self.face = face
+        self.outcome = StarvedOutcome()
+        self._shares = shares
+        #: The bridge needs less than a tenth; with it in its group is a loop that uses up the rest.
+        self._kinds = {face.robot.start_python("-c", "while True: pass").pid: "bridge"}
+        self._log = log
+        self._names = list(face.status()["servos"])
+        self._excused: set[str] = set()
+        self._named_now: set[str] = set()
+        self.named: list[str] = []
+        self._n_hung = 0
+
+    def step(self, seconds: float = _STEP_S) -> None:
+        """Let time pass, keep every process of the face starved, and read the log."""
+        until_s = time.monotonic() + seconds
+        while True:
+            for pid in {*children_of(self.face.daemon.pid), *self._kinds}:
+                if kind := self._kind_of(pid):
+                    self._shares[kind].keep(pid)
+            for line in self._log.readlines():
+                self._read(line)
+            self.outcome.driven.append(float(self.face.robot.torque.mean()))
+            if time.monotonic() >= until_s:
+                return
+            time.sleep(_STEP_S)
+
+    def step_until(self, condition: Callable[[], bool], timeout_s: float = _PATIENCE_S) -> bool:
+        """Let time pass until something is so; whether it came to be."""
+        give_up_s = time.monotonic() + timeout_s
+        while not condition():
+            if time.monotonic() > give_up_s:
+                return False
+            self.step()
+        return True
+
+    def _kind_of(self, pid: int) -> str:
+        """Of bridge and speech, which a process is; empty: not known yet."""
+        if pid not in self._kinds:
+            with contextlib.suppress(OSError):
+                words = Path(f"/proc/{pid}/cmdline").read_text(errors="replace")
+                for each in self._shares:
+                    if f"{each}-process" in words:
+                        self._kinds[pid] = each
+        return self._kinds.get(pid, "")
+
+    def _read(self, line: str) -> None:
+        if _HUNG in line:
+            self._n_hung += 1
+            self.outcome.killed_starved = self._n_hung - self.outcome.held
+            if self.outcome.killed_starved > 0:
+                self.outcome.said.append(f"killed although it was not held: {line.strip()}")
+        self.outcome.called_silent += len(_CALLED_SILENT.findall(line))
+        named = set(_NAMED.findall(line))
+        for name in named - self._named_now:
+            self.named.append(name)
+            if name not in self._excused:
+                self.outcome.accused += 1
+                self.outcome.said.append(f"accused although it was not jammed: {line.strip()}")
+        if named or "driven again" in line:
+            self._named_now = named
+
+    def _is_driven(self, name: str) -> bool:
+        status = self.face.status()
+        self.face.robot.seen.clear()
+        return bool(status.get("servos", {}).get(name) == "driven")
+
+    def jam(self, number: int) -> None:
+        """Jam one servo of the mouth until it is named, and wait until it is driven again."""
+        motors = self.face.robot.chain.motors
+        index = number % _N_MOUTH
+        name = self._names[index]
+        self.outcome.jams += 1
+        self._shares["speech"].share = _SPEAKS_SHARE
+        if not self.step_until(lambda: self._is_driven(name)):
+            self.outcome.said.append(f"{name} was not driven, and could not be jammed")
+            return
+        bridge = self.face.child("bridge")
+        began_s, n_named = processor_s(bridge), len(self.named)
+        self._excused.add(name)
+        motors.jammed[index] = True
+        self.step_until(
+            lambda: name in self.named[n_named:] or processor_s(bridge) > began_s + NAMED_WITHIN_S
+        )
+        took_s = processor_s(bridge) - began_s
+        if name in self.named[n_named:] and took_s <= NAMED_WITHIN_S:
+            self.outcome.jams_named += 1
+        else:
+            self.outcome.said.append(f"{name} was jammed, and not named in {took_s:.1f} s")
+        motors.jammed[index] = False
+        self._shares["speech"].share = _SHARE
+        if self.step_until(lambda: self._is_driven(name)):
+            self._excused.discard(name)
+
+    def hold(self, kind: str) -> None:
+        """Hold a process by SIGSTOP, once it has sent a heartbeat, until it is killed."""
+        if not self.step_until(lambda: self._beats(kind)):
+            self.outcome.held += 1
+            self.outcome.said.append(f"{kind} did not begin, and could not be held")
+            return
+        pid = self.face.child(kind)
+        self.outcome.held += 1
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGSTOP)
+        self.step_until(lambda: state_of(pid) in ("T", ""))
+        held_s = time.monotonic()
+        while state_of(pid) and time.monotonic() < held_s + _HUNG_S[kind] + _TO_LOOK_S:
+            time.sleep(0.01)
+        if state_of(pid):
+            self.outcome.said.append(f"{kind} was held, and not killed within {_HUNG_S[kind]:g} s")
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGCONT)
+        else:
+            self.outcome.hung_killed += 1
+        self.step_until(lambda: pid not in children_of(self.face.daemon.pid))
+
+    def _beats(self, kind: str) -> bool:
+        """Whether the process that runs now has sent a heartbeat."""
+        status = self.face.status()
+        self.face.robot.seen.clear()
+        if kind == "bridge":  # only one that beats is asked, and answers so
+            return status.get("bridge_pid") == self.face.child("bridge")
+        output = self.face.robot.output
+        # The first began before anything was starved; the later ones say where they go on.
+        return output.count("speech runs as process") <= output.count(" goes on at ") + 1
+
+
+def play_starved(minutes: float, advance: Callable[[int, int], None]) -> StarvedOutcome:
+    """Play the campaign, 20 jams and 20 holds in 20 minutes, fewer in less."""
+    each = max(1, round(min(minutes, 20.0)))
+    with _starved_face(minutes) as starved:
+        began_s = time.monotonic()
+        for number in range(each):
+            starved.jam(number)
+            due_s = began_s + 60.0 * minutes * _JAMS_SHARE * (number + 1) / each
+            starved.step(max(0.0, due_s - time.monotonic()))
+            advance(number + 1, 2 * each)
+        for number in range(each):
+            starved.hold(("speech", "bridge")[number % 2])
+            advance(each + number + 1, 2 * each)
+        starved.step(max(0.0, began_s + 60.0 * minutes - time.monotonic()))
+        starved.outcome.minutes = (time.monotonic() - began_s) / 60.0
+        return starved.outcome
+
+
+@contextlib.contextmanager
+def _starved_face(minutes: float) -> Iterator[StarvedFace]:
+    """The face, once it speaks and starves."""
+    with ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory())
+        shares = {each: stack.enter_context(processor_share(each, _SHARE)) for each in _HUNG_S}
+        sound = repeated(CLIP, Path(folder) / "sound.wav", 60.0 * (2.0 * minutes + 10.0))
+        face = stack.enter_context(running_face(face=_FACE, sound=sound))
+        log = stack.enter_context(face.robot.log.open(errors="replace"))
+        yield StarvedFace(face, shares, log)
