@@ -1,10 +1,10 @@
 """Every state of a supervisor x every event, by what was asked for: processes and servos then.
 
 The grid is the machine, told a second time by hand. In a cell: the new state, and what is done:
-start (a bridge), kill (it), off (torque goes off), held (who has torque keeps
-it), told (whoever asked is told the end), why (it waits, and says why), ready, up (systemd knows). A dot: the event means
-nothing; x: nothing can cause it. Behind an event stands what had been asked for when it came, or
-that it comes at the very first start. A face that is let go once more says `stopped` meanwhile.
+start (a bridge), kill (it), off (torque goes off), held (who has torque keeps it), told (whoever
+asked is told the end), why (it waits, and says why), ready, up (systemd knows). A dot: the event
+means nothing; x: nothing can cause it. Behind an event stands what had been asked for when it came,
+or that it comes at the very first start. A face that is let go once more says `stopped` meanwhile.
 """
 
 import contextlib
