@@ -109,6 +109,25 @@ class BusServo(Strict):
         """
         return 0.0
 
+    def within_reach(self, reach_deg: float, fastest_deg_s: float) -> Self:
+        """Return this, of a servo that reaches `reach_deg` to each side; ValueError if it cannot.
+
+        fastest_deg_s: its speed without load.
+        """
+        for name, angle in (("min_deg", self.min_deg), ("max_deg", self.max_deg)):
+            servo_deg = self.sign * (angle + self.zero_offset_deg)
+            if not -reach_deg <= servo_deg < reach_deg:
+                raise ValueError(
+                    f"{name} puts the servo at {servo_deg:g} deg; "
+                    f"it reaches -{reach_deg:g}..{reach_deg:g}"
+                )
+        if self.max_speed_deg_s > fastest_deg_s:
+            raise ValueError(
+                f"max_speed_deg_s {self.max_speed_deg_s:g} is more than an {self.make} makes "
+                f"without load, {fastest_deg_s:g}"
+            )
+        return self
+
     @model_validator(mode="after")
     def _neutral_is_within_reach(self) -> Self:
         if not self.min_deg <= 0.0 <= self.max_deg:

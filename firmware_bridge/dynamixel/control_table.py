@@ -4,7 +4,7 @@ That file has the facts with their sources; nothing here is specific to a model.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from types import MappingProxyType
@@ -173,16 +173,7 @@ def _model(name: str, raw: Mapping[str, Any]) -> ServoModel:
             continue
         shared = register(each)
         low, high = raw["ranges"].get(each, (shared.low, shared.high))
-        registers[each] = Register(
-            shared.name,
-            shared.address,
-            shared.size,
-            shared.signed,
-            shared.writable,
-            shared.in_eeprom,
-            low,
-            high,
-        )
+        registers[each] = replace(shared, low=low, high=high)
     power = raw["at_nominal_voltage"]
     return ServoModel(
         name=name,

@@ -29,13 +29,7 @@ ServoId = Annotated[int, within(0, 252)]
 Milliamperes = Annotated[float, within(10.0, 5_000.0)]
 BaudRate = Annotated[int, AfterValidator(_check_baud_rate)]
 ServoModel = Literal[
-    "XL330-M077",
-    "XL330-M288",
-    "XC330-M288",
-    "XC330-T288",
-    "XL430-W250",
-    "XM430-W210",
-    "XM430-W350",
+    "XL330-M077", "XL330-M288", "XC330-M288", "XC330-T288", "XL430-W250", "XM430-W210", "XM430-W350"
 ]
 
 
@@ -96,20 +90,7 @@ class DynamixelServo(BusServo, _Keys):
 
     @model_validator(mode="after")
     def _the_servo_can_do_it(self) -> Self:
-        # Half a turn to each side is all that position control reaches (mode 3, one turn).
-        for name, angle in (("min_deg", self.min_deg), ("max_deg", self.max_deg)):
-            servo_deg = self.sign * (angle + self.zero_offset_deg)
-            if not -180.0 <= servo_deg < 180.0:
-                raise ValueError(
-                    f"{name} puts the servo at {servo_deg:g} deg; it reaches -180..180"
-                )
-        fastest = self.facts.no_load_deg_s
-        if self.max_speed_deg_s > fastest:
-            raise ValueError(
-                f"max_speed_deg_s {self.max_speed_deg_s:g} is more than an {self.model} makes "
-                f"without load, {fastest:g}"
-            )
-        return self
+        return self.within_reach(180.0, self.facts.no_load_deg_s)
 
     @model_validator(mode="after")
     def _the_servo_can_limit_its_current(self) -> Self:

@@ -43,18 +43,4 @@ class FeetechServo(BusServo, _Keys):
 
     @model_validator(mode="after")
     def _the_servo_can_do_it(self) -> Self:
-        reach_deg = self.facts.dialect.reach_deg / 2
-        for name, angle in (("min_deg", self.min_deg), ("max_deg", self.max_deg)):
-            servo_deg = self.sign * (angle + self.zero_offset_deg)
-            if not -reach_deg <= servo_deg < reach_deg:
-                raise ValueError(
-                    f"{name} puts the servo at {servo_deg:g} deg; it reaches "
-                    f"-{reach_deg:g}..{reach_deg:g}"
-                )
-        fastest = self.facts.fastest_deg_s
-        if self.max_speed_deg_s > fastest:
-            raise ValueError(
-                f"max_speed_deg_s {self.max_speed_deg_s:g} is more than any {self.model} makes "
-                f"without load, {fastest:g}"
-            )
-        return self
+        return self.within_reach(self.facts.dialect.reach_deg / 2, self.facts.fastest_deg_s)

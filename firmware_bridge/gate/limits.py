@@ -244,10 +244,8 @@ class Limiter:
         self._longest_step_s = _LONGEST_STEP_PERIODS * period_s
         self._sent_deg = np.zeros(n_joints)
         self._sent_at_s = 0.0
-        self._range_hits = np.zeros(n_joints, dtype=np.int64)
-        self._rate_hits = np.zeros(n_joints, dtype=np.int64)
-        self._rejected = np.zeros(n_joints, dtype=np.int64)
-        self._prevented = np.zeros(n_joints, dtype=np.int64)
+        self._totals = np.zeros((4, n_joints), dtype=np.int64)
+        self._range_hits, self._rate_hits, self._rejected, self._prevented = self._totals
         self._no_joint = np.zeros(n_joints, dtype=np.bool_)
         self._no_joint.flags.writeable = False  # handed out again and again
         accelerations = np.array([joint.max_acceleration_deg_s2 for joint in joints])
@@ -272,12 +270,7 @@ class Limiter:
     @property
     def counts(self) -> GateCounts:
         """How often each kind of limit changed a goal so far."""
-        return GateCounts(
-            self._range_hits.copy(),
-            self._rate_hits.copy(),
-            self._rejected.copy(),
-            self._prevented.copy(),
-        )
+        return GateCounts(*self._totals.copy())
 
     def widen(self, low_deg: Array, high_deg: Array) -> NDArray[np.bool_]:
         """Set the joints' range from now on, for a person who searches the limits of hobby servos.

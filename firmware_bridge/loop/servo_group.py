@@ -103,12 +103,7 @@ class ServoGroup:
     Every method that sends packets may raise PortError.
     """
 
-    def __init__(
-        self,
-        bus: ServoBus,
-        joints: Sequence[Joint],
-        settings: BridgeSettings,
-    ) -> None:
+    def __init__(self, bus: ServoBus, joints: Sequence[Joint], settings: BridgeSettings) -> None:
         """Make limiter, gate and supervision of these joints; send nothing."""
         self._bus = bus
         self._joints = tuple(joints)

@@ -48,22 +48,18 @@ SAME_MOMENT_S = 0.001
 class MemoryTargetChannel:
     """A `TargetChannel` inside one process and one thread: replay, tests, a face on this computer.
 
-    Contains at most `capacity` records; publishing into a full channel drops the oldest.
+    Contains at most `capacity` records; publishing into a full channel drops the oldest. n_dropped:
+    records that were overwritten before they were drained.
     """
 
     def __init__(self, capacity: int = 32) -> None:
         self._records: deque[ServoTargets] = deque(maxlen=capacity)
-        self._n_dropped = 0
-
-    @property
-    def n_dropped(self) -> int:
-        """The number of records that were overwritten before they were drained."""
-        return self._n_dropped
+        self.n_dropped = 0
 
     def publish(self, targets: ServoTargets) -> None:
         """Append one target record; drop the oldest if the channel is full."""
         if len(self._records) == self._records.maxlen:
-            self._n_dropped += 1
+            self.n_dropped += 1
         self._records.append(targets)
 
     def drain(self) -> list[ServoTargets]:
@@ -78,7 +74,7 @@ class TargetTrack:
 
     A record is valid from its time on: it replaces every kept one at or after that time, so a
     speech process that revises, or starts again, is never mixed with its earlier records. Records
-    with the wrong number of joints, or anything not finite, are left out and counted.
+    with the wrong number of joints, or anything not finite, are left out; n_rejected: how many.
     """
 
     def __init__(self, n_servos: int, n_kept: int = 256) -> None:
@@ -87,12 +83,7 @@ class TargetTrack:
         self._n_kept = n_kept
         self._times_s: list[float] = []
         self._positions_deg: list[Array] = []
-        self._n_rejected = 0
-
-    @property
-    def n_rejected(self) -> int:
-        """The number of records left out because they were invalid."""
-        return self._n_rejected
+        self.n_rejected = 0
 
     def push(self, records: Iterable[ServoTargets]) -> None:
         """Insert records in the order they were published; leave out invalid ones."""
@@ -104,7 +95,7 @@ class TargetTrack:
                 and all_set(np.isfinite(positions_deg))
             )
             if not is_valid:
-                self._n_rejected += 1
+                self.n_rejected += 1
                 continue
             times_s = self._times_s
             if not times_s or times_s[-1] < time_s - SAME_MOMENT_S:  # nearly always so
@@ -204,8 +195,7 @@ class SocketTargetChannel:
             try:
                 raw = self._end.recv(_LONGEST_RECORD)
             except OSError:
-                self.closed = True
-                break
+                raw = b""
             if not raw:
                 self.closed = True
                 break

@@ -65,7 +65,7 @@ class ControlSocket:
     """The face's end of its control socket, where clients stop and query it; a context manager.
 
     No method waits. Stops and orders go into its `CommandQueue`, where others may write as well. In
-    each round of the loop: `poll`, act on the returned stop, `answer`.
+    each round of the loop: `poll`, act on the returned stop, `answer`. path: of its file.
     """
 
     def __init__(
@@ -92,13 +92,13 @@ class ControlSocket:
             its file stays at the exit.
 
         """
-        self._path = path
+        self.path = path
         self._bound_inode: tuple[int, int] | None = None
         if listener_fd is None:
             # The kernel lists the socket as it is bound.
-            self._path = path.parent.resolve() / path.name
-            self._listener = _listener_at(self._path)
-            self._bound_inode = inode_of(self._path)
+            self.path = path.parent.resolve() / path.name
+            self._listener = _listener_at(self.path)
+            self._bound_inode = inode_of(self.path)
         else:
             self._listener = socket.socket(fileno=listener_fd)
         self._listener.setblocking(False)
@@ -110,11 +110,6 @@ class ControlSocket:
         self._unanswered: list[tuple[_Client, str]] = []
         self._ready = select.poll()
         self._ready.register(self._listener.fileno(), select.POLLIN)
-
-    @property
-    def path(self) -> Path:
-        """The path of the socket's file."""
-        return self._path
 
     def fileno(self) -> int:
         """Return the descriptor of the listening socket: readable when a client connects."""
@@ -192,8 +187,8 @@ class ControlSocket:
         for client in list(self._clients.values()):
             self._drop(client)
         self._listener.close()
-        if self._bound_inode is not None and self._bound_inode == inode_of(self._path):
-            self._path.unlink(missing_ok=True)
+        if self._bound_inode is not None and self._bound_inode == inode_of(self.path):
+            self.path.unlink(missing_ok=True)
 
     def _accept(self) -> None:
         for _ in range(_ACCEPTED_AT_ONCE):

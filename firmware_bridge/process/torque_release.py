@@ -51,11 +51,6 @@ class TorqueRelease:
         self.released: list[int] = []
         self.unconfirmed: dict[int, str] = dict.fromkeys(self._addresses, NOT_SEEN)
 
-    @property
-    def is_open(self) -> bool:
-        """Whether the port is open, and torque off has been sent."""
-        return self._port is not None
-
     def step(self) -> bool:
         """Open the port and send torque off, or poll one servo; return whether the release is over.
 
@@ -189,10 +184,7 @@ class FaceRelease:
 
 
 def release_port(
-    open_port: Callable[[], PortRelease],
-    addresses: Sequence[int] = (),
-    *,
-    timeout_s: float = 0.0,
+    open_port: Callable[[], PortRelease], addresses: Sequence[int] = (), *, timeout_s: float = 0.0
 ) -> TorqueRelease:
     """Send torque off to all servos at a port, poll every servo found, and return the release.
 

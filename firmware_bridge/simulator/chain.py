@@ -9,17 +9,12 @@ from firmware_bridge.bus import Array
 from firmware_bridge.dynamixel.control_table import PULSES_PER_DEG, ServoModel, baud_rates
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.provisioning import wanted_settings
-from firmware_bridge.dynamixel.wire.codec import (
-    BROADCAST_ID,
-    Frame,
-    FrameParser,
-    Instruction,
-)
+from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, Frame, FrameParser, Instruction
 from firmware_bridge.serial_servos.half_duplex import BITS_PER_BYTE
 from firmware_bridge.simulator.faults import Fault, FaultInjector
 from firmware_bridge.simulator.motors import Environment, Motors
 from firmware_bridge.simulator.servo import SimulatedServo
-from firmware_bridge.simulator.wire import Wire, WireCounts, WireRules
+from firmware_bridge.simulator.wire import Wire, WireRules
 
 
 class SpanWanted(NamedTuple):
@@ -130,6 +125,7 @@ class SimulatedChain:
                 servo["return_delay_time"] = 0
         faults = tuple(faults)
         self._wire = Wire(rules or WireRules(), faults, seed)
+        self.counts = self._wire.counts
         self._chain_stops = rules is not None and rules.chain_stops
         self._afflictions = FaultInjector(self.servos, self.motors, faults)
         self._parser = FrameParser()
@@ -141,11 +137,6 @@ class SimulatedChain:
         """Turn a limp servo's shaft by `by_deg` as by hand; with torque on the shaft stays."""
         if 0 <= index < len(self.servos) and not self.motors.torque_on[index]:
             self.motors.position[index] += by_deg * PULSES_PER_DEG
-
-    @property
-    def counts(self) -> WireCounts:
-        """Counts of instructions and bytes on the wire so far."""
-        return self._wire.counts
 
     @property
     def plugged(self) -> bool:

@@ -68,37 +68,32 @@ class MemoryTransport:
     ) -> None:
         """Open the port of the device `chain`. Raises PortGone while that is unplugged."""
         self._chain = chain
-        self._clock = clock
+        self.clock = clock
         self.baud_rate = baud_rate
         self._tap = tap
         self._closed = False
         self._check()
 
-    @property
-    def clock(self) -> Clock:
-        """The clock that the simulation runs on."""
-        return self._clock
-
     def write(self, data: bytes) -> None:
         """Send bytes to the simulated device. Raises PortGone."""
         self._check()
         if self._tap is not None:
-            self._tap(self._clock.now(), data)
-        self._chain.receive(data, self._clock.now(), self.baud_rate)
+            self._tap(self.clock.now(), data)
+        self._chain.receive(data, self.clock.now(), self.baud_rate)
 
     def read(self, deadline_s: float) -> bytes:
         """Advance the clock to the next delivery; return its bytes; b"": none by `deadline_s`."""
         self._check()
-        self._clock.sleep_until(min(self._chain.next_delivery_s, deadline_s))
-        data = self._chain.deliver(self._clock.now())
+        self.clock.sleep_until(min(self._chain.next_delivery_s, deadline_s))
+        data = self._chain.deliver(self.clock.now())
         if not data:
-            self._clock.sleep_until(deadline_s)
+            self.clock.sleep_until(deadline_s)
         return data
 
     def discard_input(self) -> bytes:
         """Return and remove the bytes that have been delivered."""
         self._check()
-        return self._chain.deliver(self._clock.now())
+        return self._chain.deliver(self.clock.now())
 
     def close(self) -> None:
         """Close the port, and drop the device's bytes under way."""
@@ -107,7 +102,7 @@ class MemoryTransport:
             self._chain.deliver(float("inf"))
 
     def _check(self) -> None:
-        self._chain.advance(self._clock.now())
+        self._chain.advance(self.clock.now())
         if self._closed or not self._chain.plugged:
             self._closed = True
             raise PortGone("the simulated port is gone; plug the chain in again")

@@ -222,37 +222,29 @@ class FrameParser:
     """Parser of a byte stream: feed it what arrives, and it returns every whole packet, in order.
 
     A damaged packet costs that packet only: the search goes on at the next header inside it. Noise
-    is skipped. Bounded: it never keeps more than one packet of the longest length. n_bad: damaged
-    packets so far; n_noise: bytes skipped so far.
+    is skipped. Bounded: it never keeps more than one packet of the longest length. pending: bytes
+    that may still become a packet; n_bad: damaged packets so far.
     """
 
     def __init__(self) -> None:
-        self._buffer = b""
+        self.pending = b""
         self.n_bad = 0
-        self.n_noise = 0
-
-    @property
-    def pending(self) -> bytes:
-        """Bytes that may still become a packet."""
-        return self._buffer
 
     def reset(self) -> None:
         """Forget the bytes that have not become a packet."""
-        self._buffer = b""
+        self.pending = b""
 
     def feed(self, data: bytes) -> list[Frame]:
         """Append received bytes; return the packets that they complete."""
-        buffer = self._buffer + data if self._buffer else data
+        buffer = self.pending + data if self.pending else data
         frames: list[Frame] = []
         at = 0
         while True:
             start = buffer.find(HEADER, at)
             if start < 0:
                 kept = _header_begun(buffer, at)
-                self.n_noise += len(buffer) - kept - at
                 at = len(buffer) - kept
                 break
-            self.n_noise += start - at
             at = start
             if len(buffer) - start < 7:
                 break
@@ -273,7 +265,7 @@ class FrameParser:
             else:
                 self.n_bad += 1
                 at = start + len(HEADER)
-        self._buffer = buffer[at:]
+        self.pending = buffer[at:]
         return frames
 
     @staticmethod
