@@ -334,7 +334,7 @@ class FeetechBus:
             (n_servos,): True for servos that confirmed.
         """
         line, cache = self.line, self._cache
-        self._torque.disable_all()
+        self._torque.cancel()
         cache.torque.forget()
         request = codec.torque(self._ids, on=False)
         for _ in range(_LIMP_REPEATS):
@@ -377,7 +377,7 @@ class FeetechBus:
             found = identify_all(line, self._servos, strict=self._strict)
             for n, each in enumerate(found):
                 if each is not None:
-                    self._torque.note_identity(n, each, line.transport.clock.now())
+                    self._torque.take_identity(n, each, line.transport.clock.now())
             self._begin(line)
             self._remarks = tuple(
                 f"{named(self._servos[n].joint)} holds already: its torque was on before the start"
