@@ -2,11 +2,11 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Sequence
-from typing import Any, ClassVar, Final, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Final, Generic, TypeVar
 
 from firmware_bridge.bus_kinds import NOT_SEEN
+from firmware_bridge.serial_servos.half_duplex import HalfDuplex
 from firmware_bridge.serial_servos.mounting import MountedServo, Mounting
-from firmware_bridge.transport import Transport
 
 #: A servo whose torque has just come on goes no faster, and pulls no harder, for a while.
 SOFT_DEG_S: Final = 60.0
@@ -20,27 +20,10 @@ WRITE_TRIES, TRIES = 3, 2
 _STAGGER_S: Final = 0.010
 
 
-class RegisterLine(Protocol):
-    """A line of servos whose registers are read and written, with answers that have `data`."""
-
-    transport: Transport
-    return_delay_s: float
-    baud_rate: int
-
-    def tell(self, request: bytes) -> None:
-        """Send a request that has no answer."""
-
-    def read(self, servo_id: int, address: int, size: int) -> Any:
-        """Read `size` bytes of one servo from `address` on; None: no answer."""
-
-    def write(self, servo_id: int, address: int, data: bytes) -> object:
-        """Write bytes of one servo from `address` on."""
+_Line = TypeVar("_Line", bound=HalfDuplex)
 
 
-_Line = TypeVar("_Line", bound=RegisterLine)
-
-
-def write_verified(line: RegisterLine, servo_id: int, address: int, data: bytes) -> bool:
+def write_verified(line: HalfDuplex, servo_id: int, address: int, data: bytes) -> bool:
     """Write `data` to one servo from a register's `address` on, until a read shows it there.
 
     Return whether it did within three tries. An acknowledgement is not enough: it carries no data,
@@ -113,6 +96,15 @@ class SerialTorqueSwitch(ABC, Generic[_Line]):
     def note(self, index: int, read: bytes, now_s: float) -> None:
         """Take what was read at `now_s` of a servo, from register `torque_enable` on."""
         self._cache.torque.note(index, now_s, on=read[0] != 0)
+
+    @property
+    @abstractmethod
+    def at_full_strength(self) -> bool:
+        """Whether every servo with torque on has its full speed and strength."""
+
+    @abstractmethod
+    def cancel(self) -> None:
+        """End all soft starts, since torque goes off everywhere; sends nothing."""
 
     def take_identity(self, index: int, found: Any, now_s: float) -> None:
         """Store a servo's own settings, read at `now_s`, which are used from now on."""
