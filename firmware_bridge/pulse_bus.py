@@ -196,7 +196,6 @@ class PulseBus:
         self._held = np.zeros(n, dtype=np.bool_)
         self._pulsed = np.zeros(n, dtype=np.bool_)  # by the last write that was accepted
         self._slow = np.zeros(n, dtype=np.bool_)
-        self._fresh = np.zeros(n, dtype=np.bool_)  # on, and not seen to be so yet
         self._on_s = np.full(n, np.inf)
         self._left_on = np.zeros(n, dtype=np.bool_)  # not started by us, and gets pulses
         self._last_us = np.full(n, np.nan)  # sent last, by anybody; the file follows it in place
@@ -347,7 +346,7 @@ class PulseBus:
             self._on_s[index] = max(now_s, self._turn_s)
             self._turn_s = self._on_s[index] + STAGGER_S
             self.torque.forget((index,))
-        self._held[index] = self._slow[index] = self._fresh[index] = True
+        self._held[index] = self._slow[index] = True
         self._kept.follow(self._channels, self._last_us)
         self._sent_s = now_s
         self._send()
@@ -402,7 +401,7 @@ class PulseBus:
 
     def _open(self) -> None:
         self._controller.open()
-        self._held[:] = self._slow[:] = self._fresh[:] = self._is_steady = False
+        self._held[:] = self._slow[:] = self._is_steady = False
         self._wrong = [""] * len(self._wrong)
         self._n_failed[:] = 0
         self._heard_s = self._clock.now()
@@ -482,11 +481,11 @@ class PulseBus:
         self._is_steady = all_set(self._held) and all_set(on) and not any_set(self._slow)
         for index in changed:
             if on[index]:
-                self._ask(index)
+                self._check_first(index)
 
     def _lose_all(self) -> None:
         """Mark all servos off: the controller lost its state. Goals are the last pulses again."""
-        self._held[:] = self._slow[:] = self._fresh[:] = self._is_steady = False
+        self._held[:] = self._slow[:] = self._is_steady = False
         self._on_s[:] = np.inf
         self._pulsed = np.zeros_like(self._held)
         self._left_on[:] = False
@@ -496,28 +495,29 @@ class PulseBus:
         self._goal_us = np.where(np.isnan(self._last_us), self._goal_us, self._last_us)
 
     def _look(self, now_s: float) -> None:
-        """Query the pulse of a newly started servo, else of the next one; if wrong, mark it off."""
+        """Query the pulse of the next servo; mark it off if it has none and should have."""
         on = self._held & (self._on_s <= now_s)
-        fresh = np.flatnonzero(self._fresh & on)
-        self._next = int(fresh[0]) if len(fresh) else (self._next + 1) % len(on)
-        index = self._next
+        self._next = index = (self._next + 1) % len(on)
         sending_us = self._ask(index)
-        if np.isnan(sending_us):
-            return
         if not on[index]:
             if sending_us > 0.0 and not self._held[index] and self._has_sent:
                 self._send()  # it was told to stop, and did not hear
                 self._ask(index)
+        elif sending_us == 0.0:
+            self._held[index] = self._is_steady = False
+
+    def _check_first(self, index: int) -> None:
+        """Query the pulse of a servo just started; one that gets another is not driven."""
+        sending_us = self._ask(index)
+        if np.isnan(sending_us):
             return
-        is_fresh, self._fresh[index] = bool(self._fresh[index]), False
-        is_near = abs(sending_us - self._last_us[index]) <= _NEAR_US
-        if sending_us > 0.0 and (is_near or not is_fresh):
+        if sending_us > 0.0 and abs(sending_us - self._last_us[index]) <= _NEAR_US:
             self._n_failed[index] = 0
             return
         self._held[index] = self._is_steady = False
         self._send()
         self._ask(index)
-        self._n_failed[index] += is_fresh
+        self._n_failed[index] += 1
         if self._n_failed[index] >= _FAILURES:
             self._wrong[index] = (
                 f"was told a pulse of {self._last_us[index]:.0f} us, and the controller sends "

@@ -1,11 +1,10 @@
 """A face full of Feetech servos as one `ServoBus`, and how often it can be written and read."""
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Final, Self
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from firmware_bridge.bus import (
     GOAL_OUT_OF_RANGE,
@@ -16,7 +15,6 @@ from firmware_bridge.bus import (
     all_set,
     any_set,
 )
-from firmware_bridge.errors import PortError
 from firmware_bridge.feetech import codec
 from firmware_bridge.feetech.codec import EMPTY_SIZE, GoalWrite, SpanRead, Status, statuses_in
 from firmware_bridge.feetech.control_table import (
@@ -31,9 +29,9 @@ from firmware_bridge.feetech.mounting import MountedServo, identify_all
 from firmware_bridge.feetech.present_state import PresentState
 from firmware_bridge.feetech.torque import TorqueSwitch
 from firmware_bridge.joints import named
-from firmware_bridge.known_torque import KnownTorque, Torque, unknown_when_lost
+from firmware_bridge.known_torque import Torque, unknown_when_lost
+from firmware_bridge.serial_servos.bus import SerialBus
 from firmware_bridge.serial_servos.half_duplex import BITS_PER_BYTE
-from firmware_bridge.serial_servos.mounting import Mounting
 from firmware_bridge.transport import Transport
 
 #: What computer and adapter add to a question; one USB frame.
@@ -45,9 +43,6 @@ _ASK_ONE, _ASK_ALL = 8, 8
 _SPEED_MARGIN, _SPEED_KEPT = 2.0, 0.9
 #: Where each servo must be asked alone, so many that answer again are asked in one tick.
 _AT_ONCE: Final = 3
-#: Torque off is said this often before it is checked: a lost packet must not keep a face stiff.
-_LIMP_REPEATS: Final = 3
-_ECHO: Final = "the adapter gives back what is sent to the servos; that is swallowed"
 
 
 def cycle_s(n_servos: int, baud_rate: int, dialect: Dialect) -> float:
@@ -81,7 +76,7 @@ def budget(servos: Sequence[MountedServo], baud_rate: int, rate_hz: float) -> st
 
 
 @unknown_when_lost
-class FeetechBus:
+class FeetechBus(SerialBus[Line]):
     """Servos of one dialect on one line, found by their ids, addressed in joint degrees.
 
     A servo that falls silent costs its own samples only. When the port fails every method raises
@@ -93,6 +88,8 @@ class FeetechBus:
     """
 
     capabilities: Final = CAPABILITIES
+    _torque: TorqueSwitch
+    _present: PresentState
 
     def __init__(
         self,
@@ -109,24 +106,18 @@ class FeetechBus:
         withheld moves at most as far as its top speed allows in one period per goal, however late
         the goal comes.
         """
-        self._servos = tuple(servos)
-        self._ids = [servo.joint.servo_id for servo in servos]
-        self._open_transport = open_transport
-        self._strict = strict
+        super().__init__(
+            servos, lambda: Line(open_transport()), PresentState(servos), strict=strict
+        )
         self._period_s = period_s
         self._dialect = dialect = servos[0].model.dialect
-        self._mounting = Mounting(servos)
-        self._present = PresentState(servos)
-        self._cache = self._present.cache
-        self._index = self._cache.index
         self._torque = TorqueSwitch(servos, self._present, self._mounting)
         self._goal = dialect.registers["goal_position"].address
         self._goal_write = self._goals_to(self._ids)
         self._state = self._group(STATE, dialect.state_size)
         self._whole = self._group(CONTROL, STATE - CONTROL + dialect.state_size)
         self._holding = self._group(TORQUE_ENABLE, 1)
-        self._remarks: tuple[str, ...] = ()
-        self._turn = 0
+        self._groups = (self._state, self._whole, self._holding)
         #: Goals sent last and when; who is yet behind, goals having been withheld.
         self._sent = np.full(len(self._ids), np.nan)
         self._sent_s = 0.0
@@ -136,30 +127,12 @@ class FeetechBus:
         )
         #: Registers goal_speed that the goals lately needed.
         self._needed = np.zeros(len(self._ids))
-        self._line: Line | None = None
 
     def _group(self, address: int, size: int) -> Group:
         return Group(self._ids, address, size, sync=self._dialect.sync_read)
 
     def _goals_to(self, ids: Sequence[int]) -> GoalWrite:
         return GoalWrite(ids, self._goal, self._dialect.byte_order)
-
-    @property
-    def torque(self) -> KnownTorque:
-        """What is known of every servo's torque, from reads of its register alone."""
-        return self._cache.torque
-
-    @property
-    def at_full_strength(self) -> bool:
-        """Whether every servo with torque on has its full speed and strength."""
-        return self._torque.at_full_strength
-
-    @property
-    def line(self) -> Line:
-        """The open line. Raises PortError when no line is open."""
-        if self._line is None:
-            raise PortError("the bus is used outside its `with` block, or its port is gone")
-        return self._line
 
     def write_positions(self, positions_deg: Array) -> None:
         """Send every goal inside its servo's range; a limp servo gets none until its torque is on.
@@ -216,15 +189,6 @@ class FeetechBus:
         now = np.abs(goals - self._sent) * (torque.units * margin)
         self._needed = np.fmax(now, self._needed * _SPEED_KEPT)  # of a first goal now is NaN
         return np.minimum(np.maximum(self._needed, torque.slow), torque.top)
-
-    def widen(self, joints: NDArray[np.bool_]) -> None:
-        """Do nothing: only hobby servos accept goals beyond their joints' limits.
-
-        Parameters
-        ----------
-        joints : NDArray[np.bool_]
-            (n_servos,), ignored.
-        """
 
     def read(self) -> Readings:
         """Read torque, goals and positions of all servos; return what was read.
@@ -296,67 +260,20 @@ class FeetechBus:
             index = self._index[status.servo_id]
             cache.heard_s[index] = line.transport.clock.now()
             self._torque.look_after(line, index, status.data)
-            for group in (self._state, self._whole, self._holding):
+            for group in self._groups:
                 if group.leaves_out:
                     group.trust(status.servo_id)
         return cache.health(line.transport.clock.now(), self._present.current_ma)
 
-    def obstacle(self, index: int) -> str:
-        """Return why servo `index` cannot hold its position; empty: it can.
-
-        Read anew before torque comes on: the servo may have been replaced, or set up elsewhere.
-        """
-        return self._torque.obstacle(self.line, index)
-
     def enable_torque(self, index: int) -> str:
-        """Switch one servo's torque on without motion; return why it stays off, "" if confirmed.
-
-        Each read back before the next: identity, position, limits, goal, torque.
-        """
+        """Switch one servo's torque on without motion; return why it stays off, "" if confirmed."""
         self._behind[index] = False
-        return self._torque.enable(self.line, index)
+        return super().enable_torque(index)
 
     def keep_torque(self, index: int) -> bool:
         """Hold a servo whose torque is on at its present position; return whether it confirmed."""
         self._behind[index] = False
-        return self._torque.keep(self.line, index)
-
-    def disable_torque(self, index: int) -> bool:
-        """Switch one servo's torque off; return whether a read confirms it."""
-        return self._torque.disable(self.line, index)
-
-    def disable_all(self) -> NDArray[np.bool_]:
-        """Broadcast torque off three times, then read it from each servo until it confirms.
-
-        Returns
-        -------
-        NDArray[np.bool_]
-            (n_servos,): True for servos that confirmed.
-        """
-        line, cache = self.line, self._cache
-        self._torque.disable_all()
-        cache.torque.forget()
-        request = codec.torque(self._ids, on=False)
-        for _ in range(_LIMP_REPEATS):
-            line.tell(request)
-        confirmed = np.zeros(len(self._ids), dtype=np.bool_)
-        self._holding.reset()  # everybody is asked, also who was silent lately
-        for _ in range(_LIMP_REPEATS):
-            for status in _statuses(self._holding.ask(line)):
-                n = self._index[status.servo_id]
-                confirmed[n] = status.data == b"\0"
-                cache.torque.note(n, line.transport.clock.now(), on=not confirmed[n])
-            if confirmed.all():
-                break
-            line.tell(request)
-        cache.enabled &= ~confirmed
-        return confirmed
-
-    def remarks(self) -> Sequence[str]:
-        """Return what is unusual about adapter and servos, in sentences for a log."""
-        if self._line is not None and self._line.echoes and _ECHO not in self._remarks:
-            self._remarks += (_ECHO,)
-        return self._remarks
+        return super().keep_torque(index)
 
     def reboot(self, index: int) -> None:
         """Switch one servo's torque off, which clears its errors, in place of a restart.
@@ -366,53 +283,20 @@ class FeetechBus:
         self._torque.disable(self.line, index)
         self._present.forget_trouble(index)
 
-    def reopen(self) -> None:
-        """Open the port again with a new handle. Raises PortError."""
-        self._close()
-        self._begin(Line(self._open_transport()))
+    def _identities(self, line: Line) -> Sequence[Any]:
+        return identify_all(line, self._servos, strict=self._strict)
 
-    def __enter__(self) -> Self:
-        line = Line(self._open_transport())
-        try:
-            found = identify_all(line, self._servos, strict=self._strict)
-            for n, each in enumerate(found):
-                if each is not None:
-                    self._torque.note_identity(n, each, line.transport.clock.now())
-            self._begin(line)
-            self._remarks = tuple(
-                f"{named(self._servos[n].joint)} holds already: its torque was on before the start"
-                for n in np.flatnonzero(self.read().torque == Torque.ON).tolist()
-            )
-        except BaseException:
-            self._line = None
-            line.transport.close()
-            raise
-        return self
+    def _first_remarks(self) -> Iterable[str]:
+        return [
+            f"{named(self._servos[n].joint)} holds already: its torque was on before the start"
+            for n in np.flatnonzero(self.read().torque == Torque.ON).tolist()
+        ]
 
-    def __exit__(self, *exc: object) -> None:
-        try:
-            if self._line is not None and self._cache.enabled.any():
-                self.disable_all()
-        except PortError:
-            pass  # nobody to tell; the servos hold
-        finally:
-            self._close()
+    def _all_off(self) -> bytes:
+        return codec.torque(self._ids, on=False)
 
-    def _begin(self, line: Line) -> None:
-        """Use `line` from now on, with the answer deadline that the slowest servo needs.
-
-        Nothing is known of torque then.
-        """
-        self._line = line
-        self._cache.torque.forget()
-        line.return_delay_s = float(self._cache.return_delay_s.max())
-        for group in (self._state, self._whole, self._holding):
-            group.reset()
-
-    def _close(self) -> None:
-        if self._line is not None:
-            self._line.transport.close()
-            self._line = None
+    def _ask_torque(self, line: Line) -> Iterable[Status]:
+        return _statuses(self._holding.ask(line))
 
 
 def _statuses(found: Answers) -> list[Status]:
