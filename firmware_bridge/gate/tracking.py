@@ -172,7 +172,6 @@ class _Travel:
     def forget(self, index: int) -> None:
         """Forget the motion of one servo."""
         self.travelled_deg[:, index] = 0.0
-        self.still[index] = False
 
     def observe(
         self, goals_deg: Array, places_deg: Array, seen_s: float, heard: NDArray[np.bool_] | None

@@ -340,3 +340,26 @@ def test_a_jam_of_before_is_not_held_against_a_servo_that_was_enabled_in_one_lat
 
     for n in range(20):
         assert not monitor.behind(np.zeros(1), feedback(5.1 + 0.3 * n, [0.0])).any()
+
+
+def test_one_servo_that_is_suspended_for_less_long_shortens_nobody_elses():
+    monitor = TrackingMonitor([Joint(each, 1, -40.0, 40.0, 300.0) for each in "ab"], TrackingRule())
+    monitor.suspend_until(0, 4.0)
+    monitor.suspend_until(1, 1.0)
+    first_s = {}
+    for n in range(600):
+        behind = monitor.behind(np.full(2, 20.0), feedback(n * 0.01, np.zeros(2)))
+        for index in np.flatnonzero(behind).tolist():
+            first_s.setdefault(index, n * 0.01)
+
+    assert first_s == pytest.approx({0: 4.5, 1: 1.5}, abs=0.02)
+
+
+def test_the_reason_is_the_distance_where_it_is_too_far_and_the_travel_where_it_is_near():
+    monitor = TrackingMonitor(ONE_JOINT, TrackingRule())
+    for n in range(100):
+        monitor.behind(np.array([16.0]), feedback(n * 0.01, [0.0]))
+
+    assert monitor.reason(0) == "does not follow, 16 deg off for 0.5 s: jammed or weak"
+    monitor.behind(np.array([16.0]), feedback(1.0, [1.5]))
+    assert "does not move: its goals travelled" in monitor.reason(0)
