@@ -80,6 +80,22 @@ class KnownTorque:
         states.flags.writeable = False
         self.states = states
 
+    def off_since(self, since_s: float) -> NDArray[np.bool_]:
+        """Return which servos are known to be off by evidence that came at `since_s` or later.
+
+        Parameters
+        ----------
+        since_s : float
+            Monotonic seconds.
+
+        Returns
+        -------
+        NDArray[np.bool_]
+            (n,).
+        """
+        off: NDArray[np.bool_] = (self.at_s >= since_s) & (self.states == _OFF)
+        return off
+
     @property
     def any_on(self) -> bool | None:
         """Whether any servo is on; None: none is known to be, and not every one to be off."""

@@ -24,6 +24,7 @@ def test_before_any_evidence_nothing_is_known():
 
     assert torque.as_json() == [None, None]
     assert torque.states.tolist() == [Torque.UNKNOWN, Torque.UNKNOWN]
+    assert not torque.off_since(-1e9).any()
 
 
 def test_what_a_servo_confirmed_is_known_of_it_alone_and_since_when():
@@ -55,6 +56,17 @@ def test_a_face_holds_lies_limp_or_nobody_knows(states):
 
     assert torque.any_on is (True if True in states else None if None in states else False)
     assert torque.all_on == (states == (True, True))
+
+
+def test_off_counts_only_by_evidence_that_is_no_older_than_the_question():
+    torque = known(False, False, True)
+    torque.note(LIP, 3.0, on=False)
+
+    assert torque.off_since(1.0).tolist() == [True, True, False]
+    assert torque.off_since(3.0).tolist() == [False, True, False]
+    assert torque.off_since(3.1).tolist() == [False, False, False]
+    torque.forget([LIP])
+    assert torque.off_since(0.0).tolist() == [True, False, False]
 
 
 @pytest.mark.parametrize("change", ["note", "forget", "forget all", "take"])

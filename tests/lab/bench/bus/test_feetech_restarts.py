@@ -1,6 +1,6 @@
 """The measure of how fast a Feetech servo goes after a restart."""
 
-from lipservo_lab.bench.stops.feetech_restarts import (
+from lipservo_lab.bench.bus.feetech_restarts import (
     MOST_OVER,
     RESTARTS_S,
     Restart,

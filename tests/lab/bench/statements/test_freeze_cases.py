@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 from lipservo_lab.bench.stops.faces_on_buses import BUSES
-from lipservo_lab.bench.stops.freeze_cases import (
+from lipservo_lab.bench.statements.freeze_cases import (
     FreezeCase,
     FreezeOutcome,
     Frozen,

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from lipservo_lab.bench.stops.claims import Statement
+from lipservo_lab.bench.statements.claims import Statement
 from lipservo_lab.bench.stops.raw_control import Answer, connected, receive, request
 from lipservo_lab.bench.stops.robot_at_port import RobotAtPort, children_of, robot_at_port
 

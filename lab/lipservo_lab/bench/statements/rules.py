@@ -9,7 +9,7 @@ FACE is the face's name.
 import re
 from typing import Final
 
-from lipservo_lab.bench.stops.claims import (
+from lipservo_lab.bench.statements.claims import (
     AtLeast,
     Claim,
     Count,
