@@ -162,6 +162,8 @@ def cause(face, state, event):
         face.fall_silent()
     elif event == "hardware error":
         face.hear()
+        if state == "driven":  # one that does not let go by itself
+            face.servo["shutdown"] = 0
         face.servo.latch(SHOCK_ERROR)
     elif event == "too hot":
         face.warm(0.0)
@@ -234,6 +236,7 @@ def test_in_every_state_an_event_does_what_the_grid_says_and_no_more(state, even
         state_then = next((each for each in seen if each != state), state)
 
         assert state_then == then
+        assert then != "failed" or SUBJECT in face.bridge.given_up
         assert face.n_restarts - n_restarts == does.count("again")
         if "off" in does:
             face.tick(0.1)
