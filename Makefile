@@ -73,7 +73,7 @@ campaign: $(VENV)/.installed-dev
 	$(BIN)/lipservo bench endurance
 
 mutants: $(VENV)/.installed-mutants
-	$(BIN)/python tests/support/mutants.py
+	$(BIN)/python tests/support/mutants/mutants.py
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .

@@ -50,7 +50,8 @@ class Wiring:
     settings: the bus section of the YAML, a `BusKind.settings`; servos: the servos' entries, each a
     `BusKind.servo`, in the order of `joints`. rate_hz: ticks a second. kept: the file with the
     positions sent last, for a bus whose servos cannot report theirs; None: no file. capabilities:
-    of servos in memory that simulate others; None: their kind's.
+    of servos in memory that simulate others; None: their kind's. may_jump: a person agreed that
+    servos whose position nobody knows jump to neutral (0 degrees) when they start.
     """
 
     settings: Any
@@ -59,6 +60,7 @@ class Wiring:
     rate_hz: float
     kept: Path | None = None
     capabilities: BusCapabilities | None = None
+    may_jump: bool = False
 
 
 class Severity(IntEnum):
@@ -144,13 +146,6 @@ class BusKind:
     def slowness(self, _wiring: Wiring, _rate_hz: float) -> str | None:
         """Return why the bus cannot do this many ticks a second, and the remedy; None if it can."""
         return None
-
-    def allow_first_start(self, _wiring: Wiring) -> None:
-        """Record a person's consent that servos of unknown position jump to neutral at their start.
-
-        Does nothing for a kind whose servos report their positions. Neutral: 0 degrees in every
-        joint.
-        """
 
     def is_at(self, _port: str) -> bool:
         """Return whether the USB device at a port identifies itself as of this kind."""

@@ -82,7 +82,7 @@ class KnownTorque:
 
     @property
     def any_on(self) -> bool | None:
-        """Whether any servo is on; False: every servo is off; None: that is not known."""
+        """Whether any servo is on; None: none is known to be, and not every one to be off."""
         states = self.states.tobytes()
         if _ON in states:
             return True

@@ -114,10 +114,6 @@ class KeptPulses:
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             return {}
 
-    def allow_neutral(self, servos: Sequence[PulseServo]) -> None:
-        """Write the neutral pulse for servos without any: a person allows them to jump there."""
-        self.write({each.address: each.neutral_us for each in servos} | dict(self.read()))
-
     def follow(self, channels: Sequence[int], sent_us: Array) -> None:
         """Start a thread that writes `sent_us` to the file about once a second, until `close`.
 
@@ -167,9 +163,10 @@ class KeptPulses:
 class PulseBus:
     """All hobby servos of one face behind one controller, as a `ServoBus`.
 
-    `torque`: a servo is on once a pulse was sent to it and accepted, or where the controller says
-    that it sends one; off where the controller says that it sends none. While it waits for its turn
-    to start it is unknown.
+    `torque` is what the controller says: a servo is on where it sends it a pulse, off where it
+    sends none, and unknown while the servo waits for its turn to start. A servo that gets pulses
+    already when the port is opened goes on getting them as they are, until it is
+    started or switched off.
     """
 
     def __init__(
@@ -199,9 +196,10 @@ class PulseBus:
         self._held = np.zeros(n, dtype=np.bool_)
         self._pulsed = np.zeros(n, dtype=np.bool_)  # by the last write that was accepted
         self._slow = np.zeros(n, dtype=np.bool_)
-        self._fresh = np.zeros(n, dtype=np.bool_)  # on, and not seen to be so yet
         self._on_s = np.full(n, np.inf)
-        self._last_us = np.full(n, np.nan)  # never written to but in place: the file follows it
+        self._left_on = np.zeros(n, dtype=np.bool_)  # not started by us, and gets pulses
+        self._last_us = np.full(n, np.nan)  # sent last, by anybody; the file follows it in place
+        self._start_us = scale.neutral_us.copy()  # of those that come on: their first pulse
         self._goal_us = scale.neutral_us.copy()
         self._wrong, self._n_failed = [""] * n, np.zeros(n, dtype=np.int64)
         self._errors = self._no_errors = np.zeros(n, dtype=np.uint8)
@@ -283,7 +281,7 @@ class PulseBus:
         ready = sent_deg = None
         if not self._is_steady:
             ready = self._held & (self._on_s <= now_s)
-            sent_us = np.where(self._slow, self._last_us, self._goal_us)
+            sent_us = np.where(self._slow, self._from_us, self._goal_us)
             sent_deg = self._scale.joints_deg(sent_us)
         unknown = self._unknown
         return Feedback(now_s, unknown, unknown, self._errors, self._nothing, ready, sent_deg)
@@ -335,19 +333,22 @@ class PulseBus:
             return why
         if self._held[index]:
             return ""
-        last_us, scale = self._last_us[index], self._scale
+        last_us, scale, now_s = self._last_us[index], self._scale, self._clock.now()
         if np.isnan(last_us):
             last_us = scale.neutral_us[index]
-        self._last_us[index] = np.clip(last_us, scale.min_us[index], scale.max_us[index])
+        self._start_us[index] = np.clip(last_us, scale.min_us[index], scale.max_us[index])
         self._goal_us = self._goal_us.copy()
-        self._goal_us[index] = self._last_us[index]
-        now_s = self._clock.now()
-        self._on_s[index] = max(now_s, self._turn_s)
-        self._turn_s = self._on_s[index] + STAGGER_S
-        self._held[index] = self._slow[index] = self._fresh[index] = True
+        self._goal_us[index] = self._start_us[index]
+        if self._left_on[index]:
+            self._on_s[index] = now_s
+            self._left_on[index] = False
+        else:
+            self._on_s[index] = max(now_s, self._turn_s)
+            self._turn_s = self._on_s[index] + STAGGER_S
+            self.torque.forget((index,))
+        self._held[index] = self._slow[index] = True
         self._kept.follow(self._channels, self._last_us)
         self._sent_s = now_s
-        self.torque.forget((index,))
         self._send()
         return ""
 
@@ -359,6 +360,7 @@ class PulseBus:
             return False
         self._last_us[index] = sending_us
         self._held[index] = self._is_steady = False
+        self._left_on[index] = True
         return not self.enable_torque(index)
 
     def disable_torque(self, index: int) -> bool:
@@ -399,7 +401,7 @@ class PulseBus:
 
     def _open(self) -> None:
         self._controller.open()
-        self._held[:] = self._slow[:] = self._fresh[:] = self._is_steady = False
+        self._held[:] = self._slow[:] = self._is_steady = False
         self._wrong = [""] * len(self._wrong)
         self._n_failed[:] = 0
         self._heard_s = self._clock.now()
@@ -409,6 +411,7 @@ class PulseBus:
             if sending_us > 0.0:
                 self._last_us[index] = sending_us
         self._pulsed = self.torque.states == Torque.ON
+        self._left_on = self._pulsed.copy()
         known = ~np.isnan(self._last_us)
         self._goal_us = np.where(known, self._last_us, self._goal_us)
 
@@ -422,8 +425,8 @@ class PulseBus:
 
     def __exit__(self, *exc: object) -> None:
         try:
-            if self._has_sent:
-                self._release(np.ones_like(self._held))
+            if self._has_sent and self.torque.any_on is not False:
+                self.disable_all()
         except PortError:
             pass  # whoever waits for the port tells of it
         finally:
@@ -432,16 +435,20 @@ class PulseBus:
             self._kept.close()
 
     def _release(self, which: NDArray[np.bool_]) -> None:
-        self._goal_us = np.where(which & self._held, self._last_us, self._goal_us)
+        self._goal_us = np.where(which & self._pulsed, self._last_us, self._goal_us)
         self._is_steady = False
         self._held &= ~which
+        self._left_on &= ~which
         self._slow &= ~which
         self._on_s[which] = np.inf
         self.torque.forget(np.flatnonzero(which).tolist())
         self._send()
 
     def _send(self) -> None:
-        """Send started servos their pulses, slowly until they have caught up, and the others 0."""
+        """Send started servos their pulses, slowly until they have caught up, and the others 0.
+
+        Those that were found with pulses keep theirs.
+        """
         now_s = self._clock.now()
         if self._is_steady:
             self._sent_s = now_s
@@ -453,66 +460,75 @@ class PulseBus:
         on = self._held & (self._on_s <= now_s)
         if any_set(self._slow):
             # The first pulse is the last one of before.
+            from_us = self._from_us
             seconds = np.where(self._on_s <= self._sent_s, now_s - self._sent_s, 0.0)
             reach_us = self._slow_us_s * seconds
-            near_us = np.clip(self._goal_us, self._last_us - reach_us, self._last_us + reach_us)
+            near_us = np.clip(self._goal_us, from_us - reach_us, from_us + reach_us)
             due = on & self._slow
             sent_us = np.where(due, near_us, self._goal_us)
             self._slow &= ~(due & (sent_us == self._goal_us) & (self._on_s < self._sent_s))
         else:
             sent_us = self._goal_us
+        sent_us, on = np.where(self._left_on, self._last_us, sent_us), on | self._left_on
         self._sent_s, self._has_sent = now_s, True
         changed = np.flatnonzero(on != self._pulsed).tolist()
         self.torque.forget(changed)
         if not self._controller.send(np.where(on, sent_us, 0.0)):
             self._lose_all()
             return
-        for index in changed:
-            if on[index]:
-                self.torque.note(index, now_s, on=True)
         self._pulsed = on
         np.copyto(self._last_us, sent_us, where=on)
-        self._is_steady = all_set(on) and not any_set(self._slow)
+        self._is_steady = all_set(self._held) and all_set(on) and not any_set(self._slow)
+        for index in changed:
+            if on[index]:
+                self._check_first(index)
 
     def _lose_all(self) -> None:
         """Mark all servos off: the controller lost its state. Goals are the last pulses again."""
-        self._held[:] = self._slow[:] = self._fresh[:] = self._is_steady = False
+        self._held[:] = self._slow[:] = self._is_steady = False
         self._on_s[:] = np.inf
         self._pulsed = np.zeros_like(self._held)
+        self._left_on[:] = False
         self.torque.forget()
         for index in range(len(self._held)):
             self._ask(index)
         self._goal_us = np.where(np.isnan(self._last_us), self._goal_us, self._last_us)
 
     def _look(self, now_s: float) -> None:
-        """Query the pulse of a newly started servo, else of the next one; if wrong, mark it off."""
+        """Query the pulse of the next servo; mark it off if it has none and should have."""
         on = self._held & (self._on_s <= now_s)
-        fresh = np.flatnonzero(self._fresh & on)
-        self._next = int(fresh[0]) if len(fresh) else (self._next + 1) % len(on)
-        index = self._next
+        self._next = index = (self._next + 1) % len(on)
         sending_us = self._ask(index)
-        if np.isnan(sending_us):
-            return
         if not on[index]:
             if sending_us > 0.0 and not self._held[index] and self._has_sent:
                 self._send()  # it was told to stop, and did not hear
                 self._ask(index)
+        elif sending_us == 0.0:
+            self._held[index] = self._is_steady = False
+
+    def _check_first(self, index: int) -> None:
+        """Query the pulse of a servo just started; one that gets another is not driven."""
+        sending_us = self._ask(index)
+        if np.isnan(sending_us):
             return
-        is_fresh, self._fresh[index] = bool(self._fresh[index]), False
-        is_near = abs(sending_us - self._last_us[index]) <= _NEAR_US
-        if sending_us > 0.0 and (is_near or not is_fresh):
+        if sending_us > 0.0 and abs(sending_us - self._last_us[index]) <= _NEAR_US:
             self._n_failed[index] = 0
             return
         self._held[index] = self._is_steady = False
         self._send()
         self._ask(index)
-        self._n_failed[index] += is_fresh
+        self._n_failed[index] += 1
         if self._n_failed[index] >= _FAILURES:
             self._wrong[index] = (
                 f"was told a pulse of {self._last_us[index]:.0f} us, and the controller sends "
                 f"{sending_us:.0f}: its channel is set for something else or for a narrower range, "
                 "or is none of this model"
             )
+
+    @property
+    def _from_us(self) -> Array:
+        """The pulse from which each servo moves on: its last one, or before that its first."""
+        return np.where(self._pulsed, self._last_us, self._start_us)
 
     def _ask(self, index: int) -> float:
         """Return the pulse in us that the controller sends to a servo; NaN: no answer.

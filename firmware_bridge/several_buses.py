@@ -17,7 +17,7 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.bus import Array, Feedback, Health, Readings, ServoBus
+from firmware_bridge.bus import Array, Feedback, Health, Readings, ServoBus, all_set
 from firmware_bridge.capabilities import mixed_capabilities
 from firmware_bridge.clock import Clock
 from firmware_bridge.errors import BusError, PortError, PortGone
@@ -34,6 +34,8 @@ _OPEN_S: Final = 0.1
 _END_S: Final = 2.0
 #: A bus that stands still for so long counts as lost; its thread may hang in the kernel.
 _HUNG_S: Final = 5.0
+#: Of a program that runs nobody looks later than that.
+_PAUSE_S: Final = 0.5
 _BUSY: Final = "has not confirmed yet: its bus is busy"
 #: What a job is: its name, and which servo of the bus it is about.
 _Key = tuple[str, int]
@@ -46,8 +48,6 @@ _OFF: Final = ("disable all", _ALL)
 _WIDEN: Final = ("widen", _ALL)
 _REOPEN: Final = ("reopen", _ALL)
 _LEAVE: Final = ("leave", _ALL)
-#: These do not wait for their turn: torque off goes before all that was handed over.
-_FIRST: Final = (_LEAVE, _OFF)
 
 
 class BusThread:
@@ -134,10 +134,10 @@ class BusThread:
         with self._changed:
             return 0.0 if self._running is None else self._clock.now() - self._since_s
 
-    @property
-    def has_hung(self) -> bool:
-        """Whether the present job has taken more than 5 s, so that it may never end."""
-        return self.stuck_s > _HUNG_S
+    def excuse(self, seconds: float) -> None:
+        """Count the present job `seconds` less: it had no processor, or nobody to wait for it."""
+        with self._changed:
+            self._since_s += seconds
 
     def take(self, key: _Key) -> Any:
         """Return and remove the answer to the finished job of `key`; None: there is no answer.
@@ -148,7 +148,10 @@ class BusThread:
             return self._answers.pop(key, None)
 
     def let_go(self) -> None:
-        """Drop all waiting jobs, and make torque off for the whole bus the next job."""
+        """Drop all waiting jobs, and so make torque off for the whole bus the next job.
+
+        What the present job answers is not believed: it may have switched torque on before.
+        """
         with self._changed:
             self._jobs.clear()
             self._answers.clear()
@@ -202,8 +205,7 @@ class BusThread:
             if not self._jobs:
                 self.is_behind = False
                 self._changed.wait_for(lambda: self._jobs)
-            first = (each for each in _FIRST if each in self._jobs)
-            key = next(first, None) or next(iter(self._jobs))
+            key = next(iter(self._jobs))
             self._running, self._since_s = key, self._clock.now()
             return key, self._jobs.pop(key), self._n_offs
 
@@ -261,6 +263,7 @@ class SeveralBuses:
         self._wait_s = max(_SHARE * self._period_s, _LEAST_WAIT_S)
         self._threads: dict[str, BusThread] = {}
         self._remarks: list[str] = []
+        self._looked_s = 0.0
 
     @property
     def torque(self) -> KnownTorque:
@@ -380,6 +383,9 @@ class SeveralBuses:
                 _put(found, each.at, health)
                 if now_s - taken_s > self._period_s:
                     found.silent_s[each.at] += now_s - taken_s
+                if all_set(found.silent_s[each.at] >= SILENT_S):
+                    self._remark(f"bus {each.name}: no servo answers; the other buses go on")
+        found.torque[:] = self.torque.states  # of a bus that is mute its last reading says too much
         return found
 
     def remarks(self) -> Sequence[str]:
@@ -468,6 +474,7 @@ class SeveralBuses:
                 for name, bus in self._buses.items()
             }
             opened.pop_all()  # the threads leave them
+            self._looked_s = self._clock.now()
         return self
 
     def __exit__(self, *exc: object) -> None:
@@ -492,9 +499,16 @@ class SeveralBuses:
         self._check()
 
     def _check(self) -> None:
-        """Raise PortGone where a bus is lost, or a job of it has run for more than 5 s."""
+        """Raise PortGone where a bus is lost, or a job of it has run for more than 5 s.
+
+        Time in which nobody looked does not count: the whole program may have stood still.
+        """
+        now_s = self._clock.now()
+        paused_s, self._looked_s = now_s - self._looked_s - _PAUSE_S, now_s
         for each in self._opened():
-            if each.lost is None and each.has_hung:
+            if paused_s > 0.0:
+                each.excuse(paused_s)
+            if each.lost is None and each.stuck_s > _HUNG_S:
                 each.lose(PortError(f"has stood still for {_HUNG_S:g} s"))
             if each.lost is not None:
                 self._remark(str(each.lost))

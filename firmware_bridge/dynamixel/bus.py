@@ -1,11 +1,10 @@
 """A face full of Dynamixel servos as one `ServoBus`, and how often it can be written and read."""
 
 import struct
-from collections.abc import Callable, Sequence
-from typing import Any, Final, Self
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from firmware_bridge.bus import Array, Feedback, Health, Readings, all_set, any_set
 from firmware_bridge.dynamixel.control_table import CAPABILITIES, register
@@ -16,10 +15,9 @@ from firmware_bridge.dynamixel.wire import codec
 from firmware_bridge.dynamixel.wire.codec import GoalWrite, Status, StatusError
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.span_group import SpanGroup
-from firmware_bridge.errors import PortError
-from firmware_bridge.known_torque import KnownTorque, unknown_when_lost
+from firmware_bridge.known_torque import unknown_when_lost
+from firmware_bridge.serial_servos.bus import SerialBus
 from firmware_bridge.serial_servos.half_duplex import BITS_PER_BYTE
-from firmware_bridge.serial_servos.mounting import Mounting
 from firmware_bridge.transport import Transport
 
 #: Sync write of goals; sync read of ten bytes, a frame each; one health read a cycle.
@@ -92,9 +90,6 @@ _WARMTH = register("present_input_voltage").address
 _PRESENT = register("present_current").address
 #: goal_position .. present_position
 _MOTION_SIZE: Final = register("present_position").end - _GOAL
-#: Torque off is said this often before it is checked: a lost packet must not keep a face stiff.
-_LIMP_REPEATS: Final = 3
-_ECHO: Final = "the adapter gives back what is sent to the servos; that is swallowed"
 _NO_FAST: Final = (
     "a servo does not know Fast Sync Read (`lipservo doctor` names it); all are asked in the plain "
     "way, which takes longer"
@@ -102,7 +97,7 @@ _NO_FAST: Final = (
 
 
 @unknown_when_lost
-class DynamixelBus:
+class DynamixelBus(SerialBus[Line]):
     """Servos on one line, found by their ids, addressed in joint degrees.
 
     A servo that falls silent costs its own samples only. When the port fails every method raises
@@ -110,6 +105,8 @@ class DynamixelBus:
     """
 
     capabilities: Final = CAPABILITIES
+    _torque: TorqueSwitch
+    _present: PresentState
 
     def __init__(
         self,
@@ -129,18 +126,11 @@ class DynamixelBus:
         packets to dynamixel-sdk. adapter_remark: called once the port is open; returns a remark on
         the adapter for `remarks`, None if it has none.
         """
-        self._make_line = make_line
+        super().__init__(
+            servos, lambda: make_line(open_transport()), PresentState(servos), strict=strict
+        )
         self._adapter_remark = adapter_remark
-        self._remarks: tuple[str, ...] = ()
-        self._servos = tuple(servos)
-        self._ids = [servo.joint.servo_id for servo in servos]
-        self._open_transport = open_transport
         self._watchdogs = Watchdogs(self._ids, watchdog_s)
-        self._strict = strict
-        self._mounting = Mounting(servos)
-        self._present = PresentState(servos)
-        self._cache = self._present.cache
-        self._index = self._cache.index
         self._soft_start = SoftStart(servos)
         self._goal_write = GoalWrite(self._ids, _GOAL)
         self._motion = SpanGroup(self._ids, _PRESENT, 10)
@@ -150,25 +140,6 @@ class DynamixelBus:
         self._torque = TorqueSwitch(
             servos, self._present, self._mounting, self._soft_start, self._watchdogs
         )
-        self._turn = 0
-        self._line: Line | None = None
-
-    @property
-    def torque(self) -> KnownTorque:
-        """What is known of every servo's torque, from reads of its register alone."""
-        return self._cache.torque
-
-    @property
-    def at_full_strength(self) -> bool:
-        """Whether every servo with torque on has been set to its full speed and current."""
-        return not self._soft_start.is_active
-
-    @property
-    def line(self) -> Line:
-        """The open line. Raises PortError when no line is open."""
-        if self._line is None:
-            raise PortError("the bus is used outside its `with` block, or its port is gone")
-        return self._line
 
     def write_positions(self, positions_deg: Array) -> None:
         """Send every goal inside its servo's own range; skip NaN and goals outside the range.
@@ -203,15 +174,6 @@ class DynamixelBus:
         self._cache.goals = np.where(taken, pulses, self._cache.goals)
         blocks = [(self._ids[n], struct.pack("<i", int(pulses[n]))) for n in np.flatnonzero(taken)]
         line.tell(codec.sync_write(_GOAL, 4, blocks))
-
-    def widen(self, joints: NDArray[np.bool_]) -> None:
-        """Do nothing: only hobby servos accept goals beyond their joints' limits.
-
-        Parameters
-        ----------
-        joints : NDArray[np.bool_]
-            (n_servos,), ignored.
-        """
 
     def read(self) -> Readings:
         """Read goals and positions of all servos, then whether their torque is on.
@@ -286,60 +248,9 @@ class DynamixelBus:
         self._soft_start.restore_full_limits(line)
         return cache.health(line.transport.clock.now(), self._present.current_ma)
 
-    def obstacle(self, index: int) -> str:
-        """Return why servo `index` cannot hold its position; empty: it can.
-
-        Read anew before torque comes on: the servo may have been replaced, or set up elsewhere.
-        """
-        return self._torque.obstacle(self.line, index)
-
-    def enable_torque(self, index: int) -> str:
-        """Switch one servo's torque on without motion; return why it stays off, "" if confirmed.
-
-        Checked or set in this order, each read back before the next: identity, position, watchdog,
-        goal, slow start, torque.
-        """
-        return self._torque.enable(self.line, index)
-
-    def keep_torque(self, index: int) -> bool:
-        """Hold a servo whose torque is on at its present position; return whether it confirmed."""
-        return self._torque.keep(self.line, index)
-
-    def disable_torque(self, index: int) -> bool:
-        """Switch one servo's torque off; return whether a read confirms it."""
-        return self._torque.disable(self.line, index)
-
-    def disable_all(self) -> NDArray[np.bool_]:
-        """Broadcast torque off three times, then read it from each servo until it confirms.
-
-        Returns
-        -------
-        NDArray[np.bool_]
-            (n_servos,): True for servos that confirmed.
-        """
-        line = self.line
-        self._soft_start.cancel()
-        self._cache.torque.forget()
-        request = codec.sync_write(_TORQUE, 1, [(each, b"\0") for each in self._ids])
-        for _ in range(_LIMP_REPEATS):
-            line.tell(request)
-        confirmed = np.zeros(len(self._ids), dtype=np.bool_)
-        self._holding.reset()  # everybody is asked, also who was silent lately
-        for _ in range(_LIMP_REPEATS):
-            for status in self._note(self._holding.ask(line)):
-                n = self._index[status.servo_id]
-                confirmed[n] = status.data == b"\0"
-                self._torque.note(n, status.data, line.transport.clock.now())
-            if confirmed.all():
-                break
-            line.tell(request)
-        self._cache.enabled &= ~confirmed
-        return confirmed
-
     def remarks(self) -> Sequence[str]:
         """Return what is unusual about adapter and servos, in sentences for a log."""
-        if self._line is not None and self._line.echoes and _ECHO not in self._remarks:
-            self._remarks += (_ECHO,)
+        super().remarks()
         if any(each.fast_unsupported for each in self._groups) and _NO_FAST not in self._remarks:
             self._remarks += (_NO_FAST,)
         return self._remarks
@@ -351,55 +262,23 @@ class DynamixelBus:
         self._cache.set_one("hardware", index, 0)
         self._cache.set_one("tripped", index, False)
 
-    def reopen(self) -> None:
-        """Open the port again with a new handle. Raises PortError."""
-        self._close()
-        self._begin(self._open_line())
+    def _identities(self, line: Line) -> Sequence[Any]:
+        return identify_all(line, self._servos, strict=self._strict)
 
-    def __enter__(self) -> Self:
-        line = self._open_line()
-        try:
-            identities = identify_all(line, self._servos, strict=self._strict)
-        except BaseException:
-            line.transport.close()
-            raise
-        for n, answer in enumerate(identities):
-            if answer is not None:
-                self._present.take_identity(n, answer, line.transport.clock.now())
-        self._begin(line)
+    def _first_remarks(self) -> Iterable[str]:
         slow = self._adapter_remark()
-        self._remarks = () if slow is None else (slow,)
-        return self
+        return () if slow is None else (slow,)
 
-    def __exit__(self, *exc: object) -> None:
-        try:
-            if self._line is not None and self._cache.enabled.any():
-                self.disable_all()
-        except PortError:
-            pass  # nobody to tell; the servos' own watchdog stops them
-        finally:
-            self._close()
+    def _all_off(self) -> bytes:
+        return codec.sync_write(_TORQUE, 1, [(each, b"\0") for each in self._ids])
 
-    def _open_line(self) -> Line:
-        return self._make_line(self._open_transport())
+    def _ask_torque(self, line: Line) -> Iterable[Status]:
+        return self._note(self._holding.ask(line))
 
     def _begin(self, line: Line) -> None:
-        """Use `line` from now on, with the answer deadline that the slowest servo needs.
-
-        Nothing is known of torque then. All servos are set to answer every instruction, and counts
-        of unanswered reads start anew.
-        """
-        self._line = line
-        self._cache.torque.forget()
-        line.return_delay_s = float(self._cache.return_delay_s.max())
+        """Use `line` from now on; all servos are set to answer every instruction."""
+        super()._begin(line)
         line.tell(codec.sync_write(_LEVEL, 1, [(each, b"\2") for each in self._ids]))
-        for group in self._groups:
-            group.reset()
-
-    def _close(self) -> None:
-        if self._line is not None:
-            self._line.transport.close()
-            self._line = None
 
     def _note(self, statuses: Sequence[Status]) -> Sequence[Status]:
         """Store which servos answered just now and the errors they reported; return `statuses`."""

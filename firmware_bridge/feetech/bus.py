@@ -1,11 +1,10 @@
 """A face full of Feetech servos as one `ServoBus`, and how often it can be written and read."""
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Final, Self
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from firmware_bridge.bus import (
     GOAL_OUT_OF_RANGE,
@@ -16,9 +15,8 @@ from firmware_bridge.bus import (
     all_set,
     any_set,
 )
-from firmware_bridge.errors import PortError
 from firmware_bridge.feetech import codec
-from firmware_bridge.feetech.codec import EMPTY_SIZE, GoalWrite, Status, statuses_in
+from firmware_bridge.feetech.codec import EMPTY_SIZE, GoalWrite, SpanRead, Status, statuses_in
 from firmware_bridge.feetech.control_table import (
     CAPABILITIES,
     CONTROL,
@@ -26,23 +24,25 @@ from firmware_bridge.feetech.control_table import (
     TORQUE_ENABLE,
     Dialect,
 )
-from firmware_bridge.feetech.line import Group, Line
+from firmware_bridge.feetech.line import Answers, Group, Line
 from firmware_bridge.feetech.mounting import MountedServo, identify_all
 from firmware_bridge.feetech.present_state import PresentState
 from firmware_bridge.feetech.torque import TorqueSwitch
 from firmware_bridge.joints import named
-from firmware_bridge.known_torque import KnownTorque, Torque, unknown_when_lost
+from firmware_bridge.known_torque import Torque, unknown_when_lost
+from firmware_bridge.serial_servos.bus import SerialBus
 from firmware_bridge.serial_servos.half_duplex import BITS_PER_BYTE
-from firmware_bridge.serial_servos.mounting import Mounting
 from firmware_bridge.transport import Transport
 
 #: What computer and adapter add to a question; one USB frame.
 _TURNAROUND_S: Final = 0.001
 #: Bytes of a question to one servo, and of a sync write or read without its servos.
 _ASK_ONE, _ASK_ALL = 8, 8
-#: Torque off is said this often before it is checked: a lost packet must not keep a face stiff.
-_LIMP_REPEATS: Final = 3
-_ECHO: Final = "the adapter gives back what is sent to the servos; that is swallowed"
+#: A servo may go this much faster than its goal moves, so that it is there well before the next;
+#: what it may have needed lately falls by a tenth from tick to tick.
+_SPEED_MARGIN, _SPEED_KEPT = 2.0, 0.9
+#: Where each servo must be asked alone, so many that answer again are asked in one tick.
+_AT_ONCE: Final = 3
 
 
 def cycle_s(n_servos: int, baud_rate: int, dialect: Dialect) -> float:
@@ -50,7 +50,7 @@ def cycle_s(n_servos: int, baud_rate: int, dialect: Dialect) -> float:
 
     Control and state: the registers from `CONTROL` and from `STATE` on.
     """
-    write = _ASK_ALL + 3 * n_servos
+    write = _ASK_ALL + 7 * n_servos
     answer = EMPTY_SIZE + dialect.state_size
     state = n_servos * answer + (_ASK_ALL + n_servos if dialect.sync_read else n_servos * _ASK_ONE)
     n_questions = 2 if dialect.sync_read else n_servos + 1
@@ -76,14 +76,20 @@ def budget(servos: Sequence[MountedServo], baud_rate: int, rate_hz: float) -> st
 
 
 @unknown_when_lost
-class FeetechBus:
+class FeetechBus(SerialBus[Line]):
     """Servos of one dialect on one line, found by their ids, addressed in joint degrees.
 
     A servo that falls silent costs its own samples only. When the port fails every method raises
     PortGone until `reopen` succeeds. Never writes EEPROM, nor a goal to a servo that is to be limp.
+
+    A servo that restarts forgets its speed, and its next goal switches its torque on. So each goal
+    brings a speed, no more than the goal's own motion needs; and a servo that misses one answer
+    gets no goals until it was read that it has not restarted.
     """
 
     capabilities: Final = CAPABILITIES
+    _torque: TorqueSwitch
+    _present: PresentState
 
     def __init__(
         self,
@@ -100,24 +106,18 @@ class FeetechBus:
         withheld moves at most as far as its top speed allows in one period per goal, however late
         the goal comes.
         """
-        self._servos = tuple(servos)
-        self._ids = [servo.joint.servo_id for servo in servos]
-        self._open_transport = open_transport
-        self._strict = strict
+        super().__init__(
+            servos, lambda: Line(open_transport()), PresentState(servos), strict=strict
+        )
         self._period_s = period_s
         self._dialect = dialect = servos[0].model.dialect
-        self._mounting = Mounting(servos)
-        self._present = PresentState(servos)
-        self._cache = self._present.cache
-        self._index = self._cache.index
         self._torque = TorqueSwitch(servos, self._present, self._mounting)
         self._goal = dialect.registers["goal_position"].address
-        self._goal_write = GoalWrite(self._ids, self._goal, dialect.byte_order)
+        self._goal_write = self._goals_to(self._ids)
         self._state = self._group(STATE, dialect.state_size)
         self._whole = self._group(CONTROL, STATE - CONTROL + dialect.state_size)
         self._holding = self._group(TORQUE_ENABLE, 1)
-        self._remarks: tuple[str, ...] = ()
-        self._turn = 0
+        self._groups = (self._state, self._whole, self._holding)
         #: Goals sent last and when; who is yet behind, goals having been withheld.
         self._sent = np.full(len(self._ids), np.nan)
         self._sent_s = 0.0
@@ -125,27 +125,14 @@ class FeetechBus:
         self._top_pulses_s = np.array(
             [s.joint.max_speed_deg_s * s.model.pulses_per_deg for s in servos]
         )
-        self._line: Line | None = None
+        #: Registers goal_speed that the goals lately needed.
+        self._needed = np.zeros(len(self._ids))
 
     def _group(self, address: int, size: int) -> Group:
         return Group(self._ids, address, size, sync=self._dialect.sync_read)
 
-    @property
-    def torque(self) -> KnownTorque:
-        """What is known of every servo's torque, from reads of its register alone."""
-        return self._cache.torque
-
-    @property
-    def at_full_strength(self) -> bool:
-        """Whether every servo with torque on has its full speed and strength."""
-        return self._torque.at_full_strength
-
-    @property
-    def line(self) -> Line:
-        """The open line. Raises PortError when no line is open."""
-        if self._line is None:
-            raise PortError("the bus is used outside its `with` block, or its port is gone")
-        return self._line
+    def _goals_to(self, ids: Sequence[int]) -> GoalWrite:
+        return GoalWrite(ids, self._goal, self._dialect.byte_order)
 
     def write_positions(self, positions_deg: Array) -> None:
         """Send every goal inside its servo's range; a limp servo gets none until its torque is on.
@@ -173,8 +160,8 @@ class FeetechBus:
         if all_set(taken):
             cache.errors, cache.goals = cache.no_errors, pulses
             if all_set(torque.driven) and not any_set(self._behind):
+                line.tell(self._goal_write.request(pulses, self._speeds(pulses, since_s)))
                 self._sent = pulses
-                line.tell(self._goal_write.request(pulses))
                 return
         else:
             cache.errors = np.where(taken, 0, GOAL_OUT_OF_RANGE).astype(np.uint8)
@@ -185,29 +172,23 @@ class FeetechBus:
         near = np.clip(cache.goals, self._sent - reach, self._sent + reach)
         goals = np.where(self._behind, near, cache.goals)
         self._behind &= torque.doubted | (goals != cache.goals)
+        speeds = self._speeds(goals, since_s)
         self._sent = np.where(torque.doubted, self._sent, goals)
-        sent = taken & torque.driven
-        if any_set(sent):
-            encode = self._dialect.encode
-            line.tell(
-                codec.sync_write(
-                    self._goal,
-                    2,
-                    [
-                        (self._ids[n], encode("goal_position", int(goals[n])))
-                        for n in np.flatnonzero(sent).tolist()
-                    ],
-                )
-            )
+        sent = np.flatnonzero(taken & torque.driven)
+        if len(sent):
+            some = self._goals_to([self._ids[n] for n in sent.tolist()])
+            line.tell(some.request(goals[sent], speeds[sent]))
 
-    def widen(self, joints: NDArray[np.bool_]) -> None:
-        """Do nothing: only hobby servos accept goals beyond their joints' limits.
+    def _speeds(self, goals: Array, since_s: float) -> Array:
+        """Return the goal_speed of each servo with its next goal; since_s: when the last was sent.
 
-        Parameters
-        ----------
-        joints : NDArray[np.bool_]
-            (n_servos,), ignored.
+        Never less than that of a start, nor more than the joint's; arrays are (n_servos,).
         """
+        torque, seconds = self._torque, min(self._sent_s - since_s, self._period_s)
+        margin = _SPEED_MARGIN / max(seconds, _TURNAROUND_S)
+        now = np.abs(goals - self._sent) * (torque.units * margin)
+        self._needed = np.fmax(now, self._needed * _SPEED_KEPT)  # of a first goal now is NaN
+        return np.minimum(np.maximum(self._needed, torque.slow), torque.top)
 
     def read(self) -> Readings:
         """Read torque, goals and positions of all servos; return what was read.
@@ -217,7 +198,7 @@ class FeetechBus:
         """
         line, cache = self.line, self._cache
         found = self._whole.ask(line)
-        statuses = statuses_in(found) if isinstance(found, bytes) else found
+        statuses = _statuses(found)
         now_s = line.transport.clock.now()
         goals = np.full(len(self._ids), np.nan)
         for status in statuses:
@@ -258,82 +239,41 @@ class FeetechBus:
     def look_after(self) -> Health:
         """Read torque and limits of one servo, in turns; return the last readings of all servos.
 
-        A servo that answers again after a silence comes first: until then it gets no goals.
+        Servos that answer again after a silence come first: until then they get no goals.
         """
-        line, cache = self._line or self.line, self._cache
-        index = self._turn
-        back = self._torque.doubted & (cache.heard_s == cache.heard_s.max())
-        if any_set(back):
-            index = int(back.argmax())
+        line, cache, doubted = self._line or self.line, self._cache, self._torque.doubted
+        back: Sequence[int] = ()
+        if any_set(doubted):
+            heard = cache.heard_s == cache.heard_s.max()
+            back = [self._ids[n] for n in np.flatnonzero(doubted & heard).tolist()]
+        if not back:
+            back = (self._ids[self._turn],)
+            self._turn = (self._turn + 1) % len(self._ids)
+        size, found = self._dialect.control_size, []
+        if self._dialect.sync_read and len(back) > 1:
+            found = _statuses(line.sync_read(SpanRead(back, CONTROL, size)))
         else:
-            self._turn = (index + 1) % len(self._ids)
-        servo_id = self._ids[index]
-        status = line.read(servo_id, CONTROL, self._dialect.control_size)
-        if status is not None:
+            found = [
+                status for each in back[:_AT_ONCE] if (status := line.read(each, CONTROL, size))
+            ]
+        for status in found:
+            index = self._index[status.servo_id]
             cache.heard_s[index] = line.transport.clock.now()
             self._torque.look_after(line, index, status.data)
-            for group in (self._state, self._whole, self._holding):
+            for group in self._groups:
                 if group.leaves_out:
-                    group.trust(servo_id)
+                    group.trust(status.servo_id)
         return cache.health(line.transport.clock.now(), self._present.current_ma)
 
-    def obstacle(self, index: int) -> str:
-        """Return why servo `index` cannot hold its position; empty: it can.
-
-        Read anew before torque comes on: the servo may have been replaced, or set up elsewhere.
-        """
-        return self._torque.obstacle(self.line, index)
-
     def enable_torque(self, index: int) -> str:
-        """Switch one servo's torque on without motion; return why it stays off, "" if confirmed.
-
-        Each read back before the next: identity, position, limits, goal, torque.
-        """
+        """Switch one servo's torque on without motion; return why it stays off, "" if confirmed."""
         self._behind[index] = False
-        return self._torque.enable(self.line, index)
+        return super().enable_torque(index)
 
     def keep_torque(self, index: int) -> bool:
         """Hold a servo whose torque is on at its present position; return whether it confirmed."""
         self._behind[index] = False
-        return self._torque.keep(self.line, index)
-
-    def disable_torque(self, index: int) -> bool:
-        """Switch one servo's torque off; return whether a read confirms it."""
-        return self._torque.disable(self.line, index)
-
-    def disable_all(self) -> NDArray[np.bool_]:
-        """Broadcast torque off three times, then read it from each servo until it confirms.
-
-        Returns
-        -------
-        NDArray[np.bool_]
-            (n_servos,): True for servos that confirmed.
-        """
-        line, cache = self.line, self._cache
-        self._torque.disable_all()
-        cache.torque.forget()
-        request = codec.torque(self._ids, on=False)
-        for _ in range(_LIMP_REPEATS):
-            line.tell(request)
-        confirmed = np.zeros(len(self._ids), dtype=np.bool_)
-        self._holding.reset()  # everybody is asked, also who was silent lately
-        for _ in range(_LIMP_REPEATS):
-            found = self._holding.ask(line)
-            for status in statuses_in(found) if isinstance(found, bytes) else found:
-                n = self._index[status.servo_id]
-                confirmed[n] = status.data == b"\0"
-                cache.torque.note(n, line.transport.clock.now(), on=not confirmed[n])
-            if confirmed.all():
-                break
-            line.tell(request)
-        cache.enabled &= ~confirmed
-        return confirmed
-
-    def remarks(self) -> Sequence[str]:
-        """Return what is unusual about adapter and servos, in sentences for a log."""
-        if self._line is not None and self._line.echoes and _ECHO not in self._remarks:
-            self._remarks += (_ECHO,)
-        return self._remarks
+        return super().keep_torque(index)
 
     def reboot(self, index: int) -> None:
         """Switch one servo's torque off, which clears its errors, in place of a restart.
@@ -343,50 +283,21 @@ class FeetechBus:
         self._torque.disable(self.line, index)
         self._present.forget_trouble(index)
 
-    def reopen(self) -> None:
-        """Open the port again with a new handle. Raises PortError."""
-        self._close()
-        self._begin(Line(self._open_transport()))
+    def _identities(self, line: Line) -> Sequence[Any]:
+        return identify_all(line, self._servos, strict=self._strict)
 
-    def __enter__(self) -> Self:
-        line = Line(self._open_transport())
-        try:
-            found = identify_all(line, self._servos, strict=self._strict)
-            for n, each in enumerate(found):
-                if each is not None:
-                    self._torque.note_identity(n, each, line.transport.clock.now())
-            self._begin(line)
-            self._remarks = tuple(
-                f"{named(self._servos[n].joint)} holds already: its torque was on before the start"
-                for n in np.flatnonzero(self.read().torque == Torque.ON).tolist()
-            )
-        except BaseException:
-            self._line = None
-            line.transport.close()
-            raise
-        return self
+    def _first_remarks(self) -> Iterable[str]:
+        return [
+            f"{named(self._servos[n].joint)} holds already: its torque was on before the start"
+            for n in np.flatnonzero(self.read().torque == Torque.ON).tolist()
+        ]
 
-    def __exit__(self, *exc: object) -> None:
-        try:
-            if self._line is not None and self._cache.enabled.any():
-                self.disable_all()
-        except PortError:
-            pass  # nobody to tell; the servos hold
-        finally:
-            self._close()
+    def _all_off(self) -> bytes:
+        return codec.torque(self._ids, on=False)
 
-    def _begin(self, line: Line) -> None:
-        """Use `line` from now on, with the answer deadline that the slowest servo needs.
+    def _ask_torque(self, line: Line) -> Iterable[Status]:
+        return _statuses(self._holding.ask(line))
 
-        Nothing is known of torque then.
-        """
-        self._line = line
-        self._cache.torque.forget()
-        line.return_delay_s = float(self._cache.return_delay_s.max())
-        for group in (self._state, self._whole, self._holding):
-            group.reset()
 
-    def _close(self) -> None:
-        if self._line is not None:
-            self._line.transport.close()
-            self._line = None
+def _statuses(found: Answers) -> list[Status]:
+    return statuses_in(found) if isinstance(found, bytes) else found

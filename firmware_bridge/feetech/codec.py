@@ -119,36 +119,54 @@ def statuses_in(stream: bytes) -> list[Status]:
     return [status for status, _ in packets_in(stream) if status is not None]
 
 
+#: Id, goal, time and speed of one servo; so many fit into a packet, whose length counts to 255.
+_GOAL_BYTES: Final = 6
+_MOST_GOALS: Final = (255 - 4) // (1 + _GOAL_BYTES)
+
+
 class GoalWrite:
-    """A prepared sync write of one two-byte register of several servos; only values are new."""
+    """A prepared sync write of goal_position, goal_time and goal_speed; only values are new.
+
+    Each goal brings its speed, since a servo that has restarted knows none; the time is 0: go by
+    the speed.
+    """
 
     def __init__(
         self, ids: Sequence[int], address: int, byte_order: Literal["little", "big"]
     ) -> None:
-        order = "<" if byte_order == "little" else ">"
-        self._blocks = np.zeros(len(ids), dtype=[("id", "u1"), ("value", f"{order}u2")])
+        """Prepare for the servos `ids`; address: of register goal_position."""
+        number = "<u2" if byte_order == "little" else ">u2"
+        fields = [("id", "u1"), ("goal", number), ("time", number), ("speed", number)]
+        self._blocks = np.zeros(len(ids), dtype=fields)
         self._blocks["id"] = ids
-        self._values = self._blocks["value"]
-        length = 4 + self._blocks.nbytes
-        self._head = HEADER + bytes((BROADCAST_ID, length, Instruction.SYNC_WRITE, address, 2))
-        self._sum = sum(self._head[2:])
+        self._goals, self._speeds = self._blocks["goal"], self._blocks["speed"]
+        self._parts = []
+        for first in range(0, len(ids), _MOST_GOALS):
+            part = self._blocks[first : first + _MOST_GOALS]
+            begins = bytes((BROADCAST_ID, 4 + part.nbytes, Instruction.SYNC_WRITE, address))
+            begins += bytes((_GOAL_BYTES,))
+            self._parts.append((HEADER + begins, sum(begins), part))
 
-    def request(self, values: ArrayLike) -> bytes:
-        """Return the Sync Write packet that sets the register to these whole numbers, 0 or above.
+    def request(self, goals: ArrayLike, speeds: ArrayLike) -> bytes:
+        """Return the Sync Write that sets goals and speeds, both whole numbers, 0 or above.
 
         Parameters
         ----------
-        values : ArrayLike
-            (n_servos,), in the order of the ids.
+        goals, speeds : ArrayLike
+            (n_servos,) each, in the order of the ids; fractions are cut off.
 
         Returns
         -------
         bytes
-            The packet with its checksum, bytes.
+            The packet with its checksum; several in a row for more than 35 servos.
         """
-        self._values[:] = values
-        blocks = self._blocks.tobytes()
-        return self._head + blocks + bytes((~(self._sum + sum(blocks)) & 0xFF,))
+        self._goals[:] = goals
+        self._speeds[:] = speeds
+        packets = b""
+        for head, head_sum, part in self._parts:
+            blocks = part.tobytes()
+            packets += head + blocks + bytes((~(head_sum + sum(blocks)) & 0xFF,))
+        return packets
 
 
 class SpanRead:

@@ -75,9 +75,14 @@ class ServoIdentity:
         0 is "stop" or "as fast as it can", by another bit of `phase`.
         """
         steps_s = deg_s * dialect.positions_per_deg
+        return max(1, min(0x7FFF, round(steps_s * self.speed_unit)))
+
+    @property
+    def speed_unit(self) -> float:
+        """What register goal_speed counts for one step of the position register a second."""
         # SCS servos count single steps.
         fine = "homing_offset" not in self.eeprom or self.eeprom["phase"] & SPEED_IN_STEPS
-        return max(1, min(0x7FFF, round(steps_s if fine else steps_s / _COARSE_STEPS_S)))
+        return 1.0 if fine else 1.0 / _COARSE_STEPS_S
 
 
 def identify(

@@ -16,7 +16,7 @@ from firmware_bridge.feetech.control_table import (
 )
 from firmware_bridge.feetech.line import Line
 from firmware_bridge.feetech.mounting import MountedServo, identify, mounted_servos
-from firmware_bridge.feetech.torque import torque_verified, write_verified
+from firmware_bridge.feetech.torque import torque_verified
 from firmware_bridge.joints import SERVO_LIMIT_MARGIN_DEG, Joint
 from firmware_bridge.serial_servos.provisioning import (
     ChainSetup,
@@ -25,6 +25,7 @@ from firmware_bridge.serial_servos.provisioning import (
     differences,
 )
 from firmware_bridge.serial_servos.serial_transport import SameAdapter
+from firmware_bridge.serial_servos.torque import write_verified
 
 __all__ = ["chain_is_complete"]
 

@@ -61,9 +61,14 @@ _FACTORY: Final = {
 
 
 class ChainFault(TimedFault):
-    """A simulated fault; each lasts lasts_s. servo: its index in the chain; None: all servos."""
+    """A simulated fault; each lasts lasts_s.
 
-    kind: Literal["lost", "spoilt", "silence", "brown-out", "overload", "jam", "locked", "unplug"]
+    servo: its index in the chain; None: all servos. A brown-out is a restart that takes .2 s.
+    """
+
+    kind: Literal[
+        "lost", "spoilt", "silence", "brown-out", "restart", "overload", "jam", "locked", "unplug"
+    ]
     servo: Annotated[int, within(0, 253)] | None = None
 
 
@@ -293,8 +298,10 @@ class SimulatedChain:
         """Simulate all servos and due faults up to `now_s`."""
         if now_s <= self._now_s:
             return
-        for fault in self._faults.take(now_s):
-            self._happen(fault, now_s)
+        for at_s, fault in self._faults.take(now_s):
+            self._now_s = max(self._now_s, at_s)
+            self.motors.advance(self._now_s)
+            self._happen(fault, self._now_s)
         for end_s, servo in [each for each in self._ends if each[0] <= now_s]:
             self._ends.remove((end_s, servo))
             self.motors.load[servo.index], self.motors.jammed[servo.index] = 0.0, False
@@ -341,9 +348,9 @@ class SimulatedChain:
         for servo in servos:
             if fault.kind == "silence":
                 servo.silent_until_s = end_s
-            elif fault.kind == "brown-out":
+            elif fault.kind in ("brown-out", "restart"):
                 servo.power_up()
-                servo.silent_until_s = now_s + _BOOT_S
+                servo.silent_until_s = end_s if fault.kind == "restart" else now_s + _BOOT_S
                 self._log(servo)
             elif fault.kind == "locked":
                 servo.stays_locked = True

@@ -78,7 +78,7 @@ class TrackingMonitor:
     def __init__(self, joints: Sequence[Joint], rule: TrackingRule) -> None:
         self._rule = rule
         self._allowed_deg = np.array([rule.allowed_deg(joint) for joint in joints])
-        self._within_s: Array = np.zeros(len(joints))
+        self._within_s: Array = np.full(len(joints), math.inf)
         self._suspended_until_s = np.zeros(len(joints))
         self._all_count_s = 0.0
         self._goals_deg: Array | None = None
@@ -89,6 +89,7 @@ class TrackingMonitor:
 
     def suspend_until(self, index: int, until_s: float) -> None:
         """Ignore one servo until `until_s`: after torque comes on a servo is slow on purpose."""
+        self._within_s[index] = math.inf
         self._suspended_until_s[index] = until_s
         self._all_count_s = max(self._all_count_s, until_s)
         self._travel.forget(index)
@@ -146,6 +147,7 @@ class TrackingMonitor:
             self._within_s.fill(seen_s)
             return doubtful
         self._within_s[~doubtful] = seen_s
+        np.minimum(self._within_s, seen_s, out=self._within_s)  # a doubt that begins now
         return seen_s - self._within_s > self._rule.after_s
 
 

@@ -75,7 +75,7 @@ LIFE_TABLE: Final = StateTable[LifeState, LifeEvent, LifeGuard, LifeAction](
         Row(_LIVE, _E.FREEZE, _S.FROZEN, (_A.STOP,)),
         Row((_S.STOPPING,), _E.FREEZE, _S.FROZEN, (_A.STOP,), when=_G.CAN_FREEZE),
         # It is held on its way to rest; the next stop still ends it.
-        Row(_ENDS, _E.FREEZE, None, (_A.STOP,)),
+        Row(_ENDS, _E.FREEZE, None, (_A.STOP,), when=_G.CAN_FREEZE),
         Row(_MAY_WAIT, _E.STOP, _S.STOPPING, (_A.STOP,), when=_G.WAITS),
         Row(_MAY_WAIT, _E.STOP, _S.ENDING, (_A.STOP,)),
         Row(_ENDS, _E.STOP, None, (_A.STOP,)),
@@ -89,7 +89,8 @@ LIFE_TABLE: Final = StateTable[LifeState, LifeEvent, LifeGuard, LifeAction](
         Row((_S.STARTING, _S.RUNNING), _E.PROGRAM_END, _S.LEAVING, (_A.STOP,)),
         Row((_S.STOPPING, _S.ENDING), _E.PROGRAM_END, _S.LEAVING),
         Row((_S.STOPPING,), _E.LIMP, _S.WAITING, (_A.TELL_WAITING,)),
-        Row((_S.STARTING, _S.RUNNING, *_ENDS), _E.LIMP, _S.OVER),
+        # By itself, or frozen too late: it was being let go for a critical servo already.
+        Row((*_LIVE, _S.FROZEN_LAST, *_ENDS), _E.LIMP, _S.OVER),
         Row((_S.LEAVING,), _E.GIVE_UP, _S.OVER),
         Row((*_LIVES_ON, _S.LEAVING, _S.OVER), _E.DISABLE, _S.DISABLING),
         Row((*_LIVES_ON, _S.LEAVING, _S.DISABLING), _E.LEFT, _S.OVER),

@@ -67,15 +67,9 @@ class MaestroKind(BusKind):
             return SimulatedBus(wiring.joints, clock, capabilities=can)
         controller = MaestroController(wiring, _opener(settings.port))
         # Behind a pseudo-terminal nothing can be hurt.
-        may_jump = Path(settings.port).resolve().parent == Path("/dev/pts")
+        may_jump = wiring.may_jump or Path(settings.port).resolve().parent == Path("/dev/pts")
         kept = KeptPulses(wiring.kept)
         return PulseBus(wiring.servos, controller, clock, can, kept, may_jump=may_jump)
-
-    def allow_first_start(self, wiring: Wiring) -> None:
-        """Write the neutral pulses to the file of kept pulses, for servos without a kept pulse."""
-        from firmware_bridge.pulse_bus import KeptPulses
-
-        KeptPulses(wiring.kept).allow_neutral(wiring.servos)
 
     def is_at(self, port: str) -> bool:
         """Return whether the USB vendor and product at a port are a Maestro's."""

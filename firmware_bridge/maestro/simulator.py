@@ -167,7 +167,7 @@ class SimulatedMaestro:
                     self._log(number)
         if now_s - self._heard_s > self._timeout_s and not self.errors & protocol.TIMEOUT_ERROR:
             self._fail(protocol.TIMEOUT_ERROR)
-        for fault in self._faults.take(now_s):
+        for _, fault in self._faults.take(now_s):
             self._happen(fault)
 
     def receive(self, data: bytes, now_s: float, _baud_rate: int) -> None:

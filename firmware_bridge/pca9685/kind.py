@@ -69,7 +69,7 @@ class Pca9685Kind(BusKind):
         guard = OeGuard(*pin, clock) if _has_guard(settings) else None
         controller = controller_of(wiring, opener_of(wiring), clock, guard)
         # Behind a pseudo-terminal nothing can be hurt.
-        may_jump = is_terminal(settings.port)
+        may_jump = wiring.may_jump or is_terminal(settings.port)
         return PulseBus(wiring.servos, controller, clock, can, kept, may_jump=may_jump)
 
     def slowness(self, wiring: Wiring, rate_hz: float) -> str | None:
@@ -87,12 +87,6 @@ class Pca9685Kind(BusKind):
             f"{bits_s / 1e3:g} kHz, too long at {rate_hz:g} Hz; set it to 400 kHz (Raspberry Pi: "
             "`dtparam=i2c_arm_baudrate=400000`), or lower rate_hz"
         )
-
-    def allow_first_start(self, wiring: Wiring) -> None:
-        """Allow servos without any pulse yet to jump to neutral: file it as their last pulse."""
-        from firmware_bridge.pulse_bus import KeptPulses
-
-        KeptPulses(wiring.kept).allow_neutral(wiring.servos)
 
     def port_release(self, port: str, wiring: Wiring | None) -> Callable[[], PortRelease]:
         """Return a function that opens the face's board to switch its outputs off.
@@ -171,7 +165,6 @@ def controller_of(
     if why := check_pulses(wiring.settings, max(each.max_us for each in wiring.servos)):
         raise ServoError(f"servos: {why}")
     channels = [each.channel for each in wiring.servos]
-    assert max(channels) < N_CHANNELS
     return Pca9685(opener, wiring.settings.timing, channels, clock, guard)
 
 

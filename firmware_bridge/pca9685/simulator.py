@@ -208,7 +208,7 @@ class SimulatedPca9685:
         return any(each.kind == kind and each.is_on(self._now_s) for each in self._faults)
 
     def _happen(self) -> None:
-        for fault in self._coming.take(self._now_s):
+        for _, fault in self._coming.take(self._now_s):
             if fault.kind == "brown-out":
                 self.brown_out()
             elif fault.kind == "cut":

@@ -5,13 +5,13 @@ import logging
 import os
 import signal
 import subprocess
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
 from firmware_bridge.process.lifeline import LifelineWatch, Message, lifeline_pair
-from firmware_bridge.process.processor_wait import ProcessorWait, ThreadCount, thread_counts
+from firmware_bridge.process.processor_wait import CountThreads, ProcessorWait, thread_counts
 
 _LOG: Final = logging.getLogger(__name__)
 #: A watcher that did not look for so long was stopped itself: nobody counts as hung.
@@ -46,12 +46,7 @@ class HeartbeatMonitor:
         """Start counting the silence of a process that was started at `now_s`."""
         self._since_s = self._looked_s = now_s
 
-    def look(
-        self,
-        now_s: float,
-        beat_s: float | None,
-        counts: Callable[[], Mapping[str, ThreadCount]] = dict,
-    ) -> float:
+    def look(self, now_s: float, beat_s: float | None, counts: CountThreads = dict) -> float:
         """Return the time at which the process counts as hung if no further heartbeat comes.
 
         If that is at or before `now_s`, the process hangs. beat_s: time of its newest heartbeat;
@@ -150,12 +145,10 @@ class Child:
     def hung_at_s(self, now_s: float) -> float:
         """Return the monotonic time at which the process counts as hung if no heartbeat comes.
 
-        Infinity: there is no process. Call it often, with the present time as `now_s`.
+        Call it often, with the present time as `now_s`.
         """
-        if self._process is None or self._watch is None:
-            return float("inf")
-        counts = partial(thread_counts, self._process.pid)
-        return self._silence.look(now_s, self._watch.beat_s, counts)
+        beat_s = None if self._watch is None else self._watch.beat_s
+        return self._silence.look(now_s, beat_s, partial(thread_counts, self.pid or 0))
 
     def ended(self) -> int | None:
         """Return the exit status of a process that has ended, once; negative: its signal.
@@ -190,11 +183,12 @@ class Child:
 
 
 _RESTART_S: Final = 0.2
-#: A process that ran for so long had started well: the next failure is a new one.
-_WELL_S, _LONGEST_RESTART_S = 10.0, 5.0
+#: A process that ran for so long had started well: the next failure is a new one. And the longest
+#: wait.
+_AFTER_CRASH_S: Final = 10.0, 5.0
 #: The same for one that hung: on a busy computer a start alone takes long, and each takes the
 #: others' time. The fifth hang within ten minutes waits as long as the fifth crash.
-_WELL_HUNG_S, _LONGEST_RESTART_HUNG_S = 600.0, 60.0
+_AFTER_HANG_S: Final = 600.0, 60.0
 
 
 class RestartDelay:
@@ -208,9 +202,7 @@ class RestartDelay:
 
     def after(self, ran_s: float, *, hung: bool = False) -> float:
         """Return the seconds to wait before restarting a process that ended after `ran_s`."""
-        well_s, longest_s = _WELL_S, _LONGEST_RESTART_S
-        if hung:
-            well_s, longest_s = _WELL_HUNG_S, _LONGEST_RESTART_HUNG_S
+        well_s, longest_s = _AFTER_HANG_S if hung else _AFTER_CRASH_S
         wait_s = _RESTART_S if ran_s > well_s else min(self._wait_s, longest_s)
         self._wait_s = 2.0 * wait_s
         return wait_s

@@ -362,9 +362,12 @@ class Supervisor:
                 return
 
     def _obey_stop(self, request: StopRequest) -> None:
+        was_frozen = self._holds(Asked.FREEZE)
         self._hold_stop(request)
-        is_freeze = request.level is StopLevel.FREEZE
-        self._fire(SupervisorEvent.FREEZE if is_freeze else SupervisorEvent.STOP)
+        if request.level is not StopLevel.FREEZE:
+            self._fire(SupervisorEvent.STOP)
+        elif not was_frozen:  # a bridge that starts frozen is left to start
+            self._fire(SupervisorEvent.FREEZE)
         by = request.requested_by
         _LOG.info("stop requested: %s, by %s; no bridge runs", request.level.value, by)
 

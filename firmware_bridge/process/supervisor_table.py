@@ -67,7 +67,7 @@ class SupervisorAction(StrEnum):
 _P, _E, _A = Phase, SupervisorEvent, SupervisorAction
 _ALIVE: Final = (_P.STARTING, _P.RETURNING, _P.RUNNING)
 _DOWN: Final = (_P.RELEASING, _P.GIVING_UP)
-_DEATHS: Final = (_E.DIED, _E.FAILED, _E.HOPELESS)
+_FAILURES: Final = (_E.FAILED, _E.HOPELESS)
 _OUT: Final = (_E.RELEASED, _E.PORT_STUCK)
 _END_ROWS: Final = tuple(
     row
@@ -84,7 +84,7 @@ SUPERVISOR_TABLE: Final = StateTable[Phase, SupervisorEvent, Asked, SupervisorAc
         Row((_P.WAITING,), _E.DUE, _P.RELEASING, (_A.LET_GO,), when=Asked.STOP),
         Row((_P.WAITING,), _E.DUE, _P.STARTING, (_A.START_BRIDGE,)),
         Row(_ALIVE, _E.READY, _P.RUNNING, (_A.TELL_READY,)),
-        *(Row(_ALIVE, each, _P.RELEASING, (_A.LET_GO,), when=Asked.STOP) for each in _DEATHS),
+        *(Row(_ALIVE, each, _P.RELEASING, (_A.LET_GO,), when=Asked.STOP) for each in _FAILURES),
         # What is held stays held.
         Row(_ALIVE, _E.DIED, _P.WAITING, when=Asked.FREEZE),
         Row(_ALIVE, _E.DIED, _P.RELEASING, (_A.LET_GO,)),

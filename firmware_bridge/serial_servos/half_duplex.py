@@ -1,7 +1,7 @@
 """A half-duplex serial line to servos: transactions, learnt waiting times, late answers, echoes."""
 
 from collections.abc import Callable, Iterable
-from typing import Final, Protocol, TypeVar
+from typing import Any, Final, Protocol, TypeVar
 
 from firmware_bridge.transport import Transport
 
@@ -164,6 +164,14 @@ class HalfDuplex:
     def baud_rate(self, baud_rate: int) -> None:
         self.transport.baud_rate = baud_rate
         self.byte_s = BITS_PER_BYTE / baud_rate
+
+    def read(self, servo_id: int, address: int, size: int) -> Any:
+        """Read `size` bytes of one servo from `address` on: a status with `data`; None: silent."""
+        raise NotImplementedError
+
+    def write(self, servo_id: int, address: int, data: bytes) -> object:
+        """Write bytes of one servo from `address` on. Read them back: an answer proves nothing."""
+        raise NotImplementedError
 
     def tell(self, request: bytes) -> None:
         """Send a request that has no answer."""

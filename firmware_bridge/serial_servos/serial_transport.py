@@ -155,12 +155,17 @@ def latency_timer_ms(port: str) -> int | None:
         return None
 
 
-def adapter_serial(port: str, sysfs: Path = Path("/sys")) -> str | None:
-    """Return the serial number of the USB adapter behind a port; None: it has none."""
+def adapter_identity(port: str, sysfs: Path = Path("/sys")) -> str | None:
+    """Return what tells the USB adapter behind a port from others, in words; None: it is not USB.
+
+    Its serial number or, where it has none as most CH340 have none, the socket that it is in.
+    """
     device = (sysfs / "class/tty" / Path(port).resolve().name / "device").resolve()
     for folder in (device, *device.parents):
         with contextlib.suppress(OSError):
-            return (folder / "serial").read_text().strip()
+            return f"serial number {(folder / 'serial').read_text().strip()}"
+        if (folder / "idVendor").exists():
+            return f"USB path {folder.name}"
     return None
 
 
@@ -173,21 +178,23 @@ class SameAdapter:
     def __init__(self, port: str, baud_rate: int) -> None:
         self._port = port
         self._baud_rate = baud_rate
-        self._serial: str | None = None
+        self._identity: str | None = None
 
     def __call__(self) -> SerialTransport:
         """Open and return the port.
 
-        Raises PortError, also if the adapter has another serial number than at the first call.
+        Raises PortError, also if the adapter is another one than at the first call, or one without
+        a serial number is in another socket.
         """
-        found = adapter_serial(self._port)
-        if self._serial is not None and found != self._serial:
+        found = adapter_identity(self._port)
+        if self._identity is not None and found != self._identity:
             raise PortError(
-                f"{self._port}: another adapter is there (serial number {found or 'unknown'}, not "
-                f"{self._serial}); plug the face's own one in, or start again for this one"
+                f"{self._port}: another adapter is there ({found or 'not USB'}, not "
+                f"{self._identity}); plug the face's own one in where it was, or start again for "
+                "this one"
             )
         transport = open_port(self._port, self._baud_rate)
-        self._serial = found
+        self._identity = found
         return transport
 
 

@@ -93,14 +93,17 @@ class DueFaults(Generic[Fault]):
     def __init__(self, faults: Iterable[Fault]) -> None:
         self._coming = [(fault.at_s, fault) for fault in faults]
 
-    def take(self, now_s: float) -> list[Fault]:
-        """Return the faults that begin by `now_s` and were not returned before, each once."""
+    def take(self, now_s: float) -> list[tuple[float, Fault]]:
+        """Return (time, fault) of those that begin by `now_s` and were not returned before.
+
+        Each is there once, in the order of time.
+        """
         due = [each for each in self._coming if each[0] <= now_s]
         for at_s, fault in due:
             self._coming.remove((at_s, fault))
             if fault.every_s is not None:
                 self._coming.append((at_s + fault.every_s, fault))
-        return [fault for _, fault in due]
+        return sorted(due, key=lambda each: each[0])
 
 
 def parse_faults(text: str | None, fault: type[Fault]) -> Sequence[Fault]:

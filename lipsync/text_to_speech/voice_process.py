@@ -54,7 +54,7 @@ class VoiceProcess:
         with self._lock:
             if self._child is None or self._child.poll() is not None:
                 self._child = self._started()
-            late = threading.Timer(LONGEST_S, self._kill)
+            late = threading.Timer(LONGEST_S, _kill, [self._child])
             late.daemon = True  # the end of the face does not wait for what is not said any more
             late.start()
             try:
@@ -71,13 +71,8 @@ class VoiceProcess:
     def close(self) -> None:
         """Kill the child process and all that it has started; the next request starts it again."""
         if self._child is not None:
-            self._kill()
+            _kill(self._child)
             self._child.communicate()
-
-    def _kill(self) -> None:
-        if self._child is not None:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(self._child.pid, signal.SIGKILL)
 
     def _started(self) -> "subprocess.Popen[bytes]":
         # A session of its own: Ctrl-C is for the face.
@@ -88,6 +83,11 @@ class VoiceProcess:
             stderr=subprocess.DEVNULL,
             start_new_session=True,
         )
+
+
+def _kill(child: "subprocess.Popen[bytes]") -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(child.pid, signal.SIGKILL)
 
 
 def _exchange(child: "subprocess.Popen[bytes]", request: Request) -> tuple[dict[str, Any], bytes]:

@@ -39,6 +39,8 @@ class FaultyBus(SimulatedBus):
     """Stands still while `may_go` is not set, and loses its port while `plugged` is False."""
 
     is_jammed = False
+    #: What it was asked to do, in turns.
+    done: tuple[str, ...] = ()
 
     def __init__(self, joints, clock, capabilities):
         super().__init__(joints, clock, capabilities=capabilities)
@@ -60,6 +62,7 @@ class FaultyBus(SimulatedBus):
             raise self.error
 
     def write_positions(self, positions_deg):
+        self.done += ("write",)
         self._meet()
         super().write_positions(positions_deg)
 
@@ -77,6 +80,7 @@ class FaultyBus(SimulatedBus):
         return super().disable_torque(index)
 
     def disable_all(self):
+        self.done += ("off",)
         self._meet()
         return super().disable_all()
 
@@ -298,6 +302,104 @@ def test_a_bus_that_hangs_for_good_counts_as_lost(face):
 
     face.neck.may_go.set()
     drive_until(face, lambda: all_driven(face))
+
+
+def test_torque_off_goes_before_all_that_was_handed_over(face):
+    face.bridge.start()
+    drive(face, 20)
+    face.lips.may_go.clear()
+    drive(face, 3)
+    face.lips.done = ()
+    assert not face.bus.disable_all()[LIPS].any()
+    face.bus.write_positions(np.zeros(4))
+    face.lips.may_go.set()
+    drive_until(face, lambda: "off" in face.lips.done)
+
+    assert face.lips.done[0] == "off"
+
+
+def test_an_answer_from_before_torque_off_is_not_believed_after_it(face):
+    slow, told = threading.Event(), threading.Event()
+    enable = SimulatedBus.enable_torque
+
+    def enable_torque(index):
+        told.set()
+        slow.wait(PATIENCE_S)
+        return enable(face.lips, index)
+
+    face.lips.enable_torque = enable_torque
+    assert "busy" in face.bus.enable_torque(2)
+    assert told.is_set()
+    face.bus.disable_all()
+    slow.set()
+    while not face.bus.disable_torque(2):
+        pass
+    assert face.lips.is_held == [False, False]
+
+    told.clear()
+    while "busy" in face.bus.enable_torque(2):
+        pass
+    assert told.is_set()
+    assert face.lips.is_held == [False, True]
+
+
+def test_torque_of_a_bus_that_is_lost_is_unknown_and_of_the_others_as_they_say(face):
+    face.bridge.start()
+    drive_until(face, lambda: face.bus.torque.as_json() == [True] * 4)
+    face.lips.plugged = False
+    drive_until(face, lambda: not face.bridge.plugged)
+
+    assert face.bus.torque.as_json() == [None, False, None, False]
+    face.lips.plugged = True
+    drive_until(face, lambda: face.bus.torque.as_json() == [True] * 4)
+
+
+def test_torque_of_a_bus_that_is_mute_is_unknown_after_half_a_second(face):
+    face.bridge.start()
+    drive_until(face, lambda: face.bus.torque.as_json() == [True] * 4)
+    face.neck.may_go.clear()
+    drive(face, 5)
+    assert face.bus.torque.as_json() == [True] * 4
+    drive(face, 30)
+
+    assert face.bus.torque.as_json() == [True, None, True, None]
+    assert face.bus.look_after().torque.tolist() == [1, 2, 1, 2]
+    face.neck.may_go.set()
+    drive_until(face, lambda: face.bus.torque.as_json() == [True] * 4)
+
+
+def test_a_program_that_stood_still_itself_takes_no_bus_for_hung(face):
+    face.bridge.start()
+    drive(face, 50)
+    face.neck.may_go.clear()
+    drive(face, 10)
+    face.clock.advance(60.0)
+    drive(face, 10)
+    assert face.bridge.plugged
+
+    face.neck.may_go.set()
+    drive_until(face, lambda: all_driven(face))
+    assert not any("stood still" in each for each in face.bus.remarks())
+
+
+def test_of_three_buses_one_that_is_mute_is_said_to_be_and_the_others_go_on():
+    clock, channel = ManualClock(), MemoryTargetChannel()
+    joints = [Joint(f"j{n}", n, -60.0, 60.0, 120.0) for n in range(3)]
+    buses = {name: FaultyBus([joint], clock, IN_MEMORY) for name, joint in zip("abc", joints)}  # noqa: B905
+    bus = SeveralBuses(buses, tuple("abc"), clock, SLOW_HZ)
+    bridge = Bridge(bus, joints, channel, BridgeSettings(RATE_HZ))
+    three = SimpleNamespace(clock=clock, channel=channel, bridge=bridge)
+    with bus:
+        bridge.start()
+        drive(three, 20, np.zeros(3))
+        buses["b"].may_go.clear()
+        drive(three, 100, np.full(3, 30.0))
+
+        assert bus.remarks() == ["bus b: no servo answers; the other buses go on"]
+        assert bus.torque.as_json() == [True, None, True]
+        for name in "ac":
+            np.testing.assert_allclose(buses[name].history[-1].positions_deg, 30.0, atol=0.1)
+        buses["b"].may_go.set()
 
 
 def test_what_a_bus_raises_that_is_no_matter_of_its_port_is_raised_in_the_tick(face):

@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 from places import ROOT
+from state_tables import page_with_tables
 from typer.testing import CliRunner
 
 from lipservo.cli import app
@@ -66,3 +67,8 @@ def test_the_sample_that_is_followed_goes_where_the_page_says(tmp_path):
     assert run.phonemes[tick] == "M"
     assert sent_deg["upper_lip_left"] == pytest.approx(float(lip_deg), abs=0.06)
     assert sent_deg["jaw"] == pytest.approx(float(jaw_deg), abs=0.06)
+
+
+def test_the_state_tables_of_the_page_are_those_of_the_code():
+    """`python tests/support/servos/state_tables.py` writes them."""
+    assert page_with_tables(TEXT) == TEXT

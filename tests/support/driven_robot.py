@@ -70,7 +70,17 @@ def speech_deg(time_s, n):
 class Robot:
     """Servos simulated to the byte, given targets without end, on a life cycle in virtual time."""
 
-    def __init__(self, *faults, stops=(), n=3, servos=None, tolerant=True, waits=False, **options):
+    def __init__(
+        self,
+        *faults,
+        stops=(),
+        n=3,
+        servos=None,
+        tolerant=True,
+        waits=False,
+        stopped=None,
+        **options,
+    ):
         self.face = MemoryFace(n, servos=servos, faults=faults, strict=not tolerant)
         self.channel = MemoryTargetChannel()
         settings = BridgeSettings(RATE_HZ, tolerant=tolerant, **options)
@@ -82,7 +92,7 @@ class Robot:
             lifeline=self.told,
             status=lambda: {"state": self.bridge.state.value},
         )
-        self.life = LifeCycle(self.bridge, self.face.clock, links, waits=waits)
+        self.life = LifeCycle(self.bridge, self.face.clock, links, stopped=stopped, waits=waits)
         self.on_log = lambda _line: None
         #: (time, torque of each servo, position of each) after every tick.
         self.seen = []

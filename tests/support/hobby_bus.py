@@ -85,8 +85,17 @@ def on_maestro(face, port=None, **bus):
     return Wiring(settings, tuple(joints), tuple(servos), 50.0)
 
 
+def on_maestro_yaml(face, **bus):
+    """The YAML of a face with the joints of another, as if their servos hung on a Maestro."""
+    return _yaml(face, {"kind": "maestro", "model": "micro6"} | bus)
+
+
 def on_pca9685(face, **bus):
     """The YAML of a face with the joints of another, as if their servos hung on a PCA9685."""
+    return _yaml(face, {"kind": "pca9685", "frequency_hz": 200.0} | bus)
+
+
+def _yaml(face, bus):
     servos = {
         joint.name: {
             "channel": channel,
@@ -98,6 +107,5 @@ def on_pca9685(face, **bus):
         }
         for channel, joint in enumerate(face.joints())
     }
-    bus = {"kind": "pca9685", "frequency_hz": 200.0} | bus
     face = {"name": "pulses", "rate_hz": 50, "bus": bus, "servos": servos}
     return yaml.safe_dump(face, sort_keys=False)

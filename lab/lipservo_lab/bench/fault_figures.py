@@ -1,17 +1,26 @@
 """The campaigns in numbers: faults on a virtual clock, stops and signals on real processes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import as_completed
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
+from lipservo_lab.bench.stops.claims import Tally
+from lipservo_lab.bench.stops.feetech_restarts import MOST_OVER, over_bound, restarts
+from lipservo_lab.bench.stops.freeze_cases import (
+    freeze_batches,
+    freeze_cases,
+    freeze_figures,
+    play_freezes,
+)
 from lipservo_lab.bench.stops.idle_connections import stop_beside_idle
 from lipservo_lab.bench.stops.signal_campaign import play_signal, signal_cases, signal_figures
 from lipservo_lab.bench.stops.started_again import LEVELS, play_starts
 from lipservo_lab.bench.stops.starved_face import play_starved
+from lipservo_lab.bench.stops.statement_campaign import play_scene, scenes
 from lipservo_lab.bench.stops.stop_campaign import play_batch
-from lipservo_lab.bench.stops.stop_cases import StopOutcome, batches, stop_cases, stop_figures
+from lipservo_lab.bench.stops.stop_cases import batches, stop_cases, stop_figures
 from lipservo_lab.campaigns.fault_campaign import Outcome, cases, play, trials_of
 from lipservo_lab.worker_pool import worker_pool
 
@@ -41,17 +50,93 @@ def campaign_figures(
 
 
 def stop_campaign_figures(
+    every: int, progress: Callable[[int, int], None], part: str = ""
+) -> tuple[dict[str, Any], list[str]]:
+    """Play one case in `every` of each part, two faces at a time; figures, and a line a failure.
+
+    part: only this one of `STOP_PARTS`; empty: all.
+    """
+    figures: dict[str, Any] = {}
+    failed: list[str] = []
+    for name, play_part in STOP_PARTS.items():
+        if part in ("", name):
+            found, lines = play_part(every, progress)
+            figures |= found
+            failed += lines
+    return figures, failed
+
+
+def _stops(every: int, progress: Callable[[int, int], None]) -> tuple[dict[str, Any], list[str]]:
+    chosen = list(stop_cases())[::every]
+    outcomes = _played(play_batch, batches(chosen), len(chosen), progress)
+    return stop_figures(outcomes), [str(o) for o in outcomes if not o.kept]
+
+
+def _freezes(every: int, progress: Callable[[int, int], None]) -> tuple[dict[str, Any], list[str]]:
+    chosen = list(freeze_cases())[::every]
+    outcomes = _played(play_freezes, freeze_batches(chosen), len(chosen), progress)
+    return freeze_figures(outcomes), [str(o) for o in outcomes if not o.kept]
+
+
+def _statements(
     every: int, progress: Callable[[int, int], None]
 ) -> tuple[dict[str, Any], list[str]]:
-    """Play one stop in `every`, two at a time; the figures, and a line for each that failed."""
-    chosen = list(stop_cases())[::every]
-    outcomes: list[StopOutcome] = []
+    """What was unjudged fails as well: a new sentence needs a rule."""
+    tally, errors = Tally(), list[str]()
+    chosen = scenes()[::every]
     with worker_pool(2) as pool:
-        for played in as_completed([pool.submit(play_batch, each) for each in batches(chosen)]):
+        futures = [pool.submit(play_scene, *each) for each in chosen]
+        for n_done, played in enumerate(as_completed(futures), 1):
+            heard, failed = played.result()
+            tally.join(heard)
+            errors += failed
+            progress(n_done, len(chosen))
+    return {**tally.figures, "scene_errors": len(errors)}, tally.lines + errors
+
+
+def _restarts(every: int, progress: Callable[[int, int], None]) -> tuple[dict[str, Any], list[str]]:
+    chosen = list(restarts())[::every]
+    over: list[float] = []
+    with worker_pool(2) as pool:
+        for each in pool.map(over_bound, chosen, chunksize=4):
+            over.append(each)
+            progress(len(over), len(chosen))
+    fast = [
+        f"{one}: {by:.2f} times" for one, by in zip(chosen, over, strict=True) if by > MOST_OVER
+    ]
+    return {"restarts": len(chosen), "restart_over_bound": max(over, default=0.0)}, fast
+
+
+def _beside_idle(
+    _every: int, _progress: Callable[[int, int], None]
+) -> tuple[dict[str, Any], list[str]]:
+    return stop_beside_idle(), []
+
+
+Part = Callable[[int, Callable[[int, int], None]], tuple[dict[str, Any], list[str]]]
+#: Of the campaign of stops, in the order in which they are played.
+STOP_PARTS: Final[dict[str, Part]] = {
+    "restarts": _restarts,
+    "statements": _statements,
+    "freezes": _freezes,
+    "stops": _stops,
+    "idle": _beside_idle,
+}
+
+
+def _played(
+    play_all: Callable[[Sequence[Any]], list[Any]],
+    parts: Sequence[Sequence[Any]],
+    n_cases: int,
+    progress: Callable[[int, int], None],
+) -> list[Any]:
+    """The outcomes of batches of cases, played two at a time."""
+    outcomes: list[Any] = []
+    with worker_pool(2) as pool:
+        for played in as_completed([pool.submit(play_all, each) for each in parts]):
             outcomes += played.result()
-            progress(len(outcomes), len(chosen))
-    figures = stop_figures(outcomes) | stop_beside_idle()
-    return figures, [str(o) for o in outcomes if not o.kept]
+            progress(len(outcomes), n_cases)
+    return outcomes
 
 
 def signal_campaign_figures(

@@ -98,7 +98,7 @@ class DynamixelWire:
 
 
 class FeetechWire:
-    """Feetech's protocol, STS: little-endian, one sync write of goals a tick."""
+    """Feetech's protocol, STS: little-endian, one sync write of goals with speeds a tick."""
 
     has_watchdog = False
 
@@ -111,7 +111,7 @@ class FeetechWire:
             elif instruction == feetech_codec.Instruction.SYNC_WRITE:
                 address, size, blocks = parameters[0], parameters[1], parameters[2:]
                 for at in range(0, len(blocks), size + 1):
-                    value = int.from_bytes(blocks[at + 1 : at + 1 + size], "little")
+                    value = int.from_bytes(blocks[at + 1 : at + 1 + min(size, 2)], "little")
                     if address == _FEETECH_GOAL:
                         yield SeenOrder("goal", blocks[at], value)
                     elif address == TORQUE_ENABLE and value == 1:

@@ -125,13 +125,13 @@ def _limits(request: Request, page: "PageLine") -> None:
 def _jog(request: Request, _page: "PageLine") -> None:
     """Hold the joints in neutral, to be moved by sliders of the page Servos, until stopped."""
     from firmware_bridge.clock import MonotonicClock
-    from lipservo.runtime.servos.assembly import allow_first_start, load_settings
+    from lipservo.runtime.servos.assembly import bus_for, load_settings
     from lipservo.runtime.servos.hand_driven import drive_by_hand
 
     settings = load_settings(request["config"])[0].at_port(request["port"])
-    if request.get("may_jump"):
-        allow_first_start(settings)
-    status = exit_status(*drive_by_hand(settings, request["config"], MonotonicClock()))
+    clock = MonotonicClock()
+    bus = bus_for(settings, clock, may_jump=bool(request.get("may_jump")))
+    status = exit_status(*drive_by_hand(settings, request["config"], clock, bus=bus))
     if status:
         raise typer.Exit(status)
 

@@ -93,12 +93,17 @@ def _settings(port: str | None, config: str) -> "FaceSettings":
 
 
 def _finish(moved: "Moved", joints: Iterable[str], settings: "FaceSettings") -> None:
+    limp = 0
     for joint in joints:
+        if not moved.is_held[joint]:
+            limp = 1
+            complain(f"{joint} is not known to have held, so nothing is said of where it is")
+            continue
         where = "stands at" if moved.is_measured[joint] else "was sent to"
         deg, pulse = moved.reached_deg[joint], settings.servos[joint].pulse
         as_pulse = "" if pulse is None else f" ({pulse.us(deg):.0f} us)"
         RESULTS.print(f"{joint} {where} {deg:.1f} deg{as_pulse}")
-    _exit(exit_status(moved.report, None))
+    _exit(exit_status(moved.report, None) or limp)
 
 
 def _exit(status: int) -> None:

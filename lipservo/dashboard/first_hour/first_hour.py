@@ -93,7 +93,6 @@ class FirstHour:
         self._seen_s = time.monotonic()
         self._robot_s: dict[str, float] = {}
         self._note: str | None = None
-        self._released = ""  # what servos confirmed after the last step, in words
         self._graded: Mapping[str, Any] | None = None
         #: What stands in both files, and which state of the file that was.
         self._read: tuple[Stamp, tuple[FaceSettings | None, str | None]] = None, (None, None)
@@ -213,7 +212,7 @@ class FirstHour:
                     "simulated": self._simulated is not None,
                     "token_file": None if self._token_file is None else str(self._token_file),
                 }
-            self._note, self._released = None, ""
+            self._note = None
             self._seen_s = time.monotonic()
             self._step = StepProcess(step, request, is_wanted=self._wanted(step), ended=self._over)
 
@@ -333,27 +332,23 @@ class FirstHour:
     # ---- parts ----
 
     def _nothing_driven(self) -> NothingDrivenError:
-        is_limp = self._step is None or self._step.let_go
-        words = "No step runs: no servo is driven now."
-        if self._released:
-            words = f"{words} {self._released}."
-        elif not is_limp:
-            words += " The last step ended without a word of its servos."
-        if not is_limp:
-            words += " Where one still holds, switch their supply off."
-        return NothingDrivenError(words, is_limp=is_limp)
+        words, step = "No step runs: no servo is driven now.", self._step
+        if step is not None and step.released:
+            words += f" {step.released}."
+        if step is None or step.let_go:
+            return NothingDrivenError(words, is_limp=True)
+        words += " The last step ended without a word of its servos: switch their supply off."
+        return NothingDrivenError(words, is_limp=False)
 
     def _release(self, step: StepProcess) -> None:
         """Switch torque off at the port of a step that has ended without a word of its servos."""
         settings, _ = self._settings()
         port = self._port or (None if settings is None else settings.servo_port)
         if port is None:
-            return
+            return  # in memory: nothing holds
         outcome = release(port, None if settings is None else settings.at_port(port))
-        step.let_go = outcome.is_confirmed and not outcome.released
-        self._released = outcome.text("limp")
-        if step.was_killed:
-            step.error = f"the step hung and was killed; {self._released}"
+        is_confirmed = outcome.is_confirmed and not outcome.released
+        step.take_release(outcome.text("limp"), is_confirmed=is_confirmed)
 
     def _settings(self) -> tuple[FaceSettings | None, str | None]:
         """Return (settings, None), (None, None) without a YAML, or (None, why it is unreadable)."""

@@ -38,7 +38,7 @@ class StepProcess:
     step: its name. events: the newest of each kind, by name. notes: its messages, the newest last.
     error: why it failed, one line; None: it runs, or ended well. was_left: it was ended because no
     page was open. was_killed: it did not end softly. let_go: whether its servos confirmed torque
-    off as it ended.
+    off as it ended, or in `take_release`, whose words are `released`.
     """
 
     def __init__(
@@ -61,6 +61,7 @@ class StepProcess:
         self.notes: deque[str] = deque(maxlen=_MOST_NOTES)
         self.error: str | None = None
         self.was_left = self.was_killed = self.let_go = False
+        self.released = ""
         self.began_s = time.monotonic()
         self.seconds = 0.0
         self._request = json.dumps(request)
@@ -99,6 +100,12 @@ class StepProcess:
         """
         self._end_s = min(self._end_s, within_s)
         self._must_end.set()
+
+    def take_release(self, words: str, *, is_confirmed: bool) -> None:
+        """Store what became of the servos after a process that died without a word of them."""
+        self.released, self.let_go = words, is_confirmed
+        if self.was_killed:
+            self.error = f"the step hung and was killed; {words}"
 
     def wait(self) -> None:
         """Wait, after `end`, until the process has ended; `end_s` and 2 s at most."""

@@ -112,20 +112,27 @@ def servo_memories(face: FaceSettings) -> tuple[ServoMemory | None, ...]:
     return tuple(kept.get(name) for name in face.mouth_servos) if kept else ()
 
 
-def bus_for(face: FaceSettings, clock: Clock, *, strict: bool = True) -> ServoBus:
+def bus_for(
+    face: FaceSettings, clock: Clock, *, strict: bool = True, may_jump: bool = False
+) -> ServoBus:
     """Return the servo bus of the face, or one that joins its buses; the caller must enter it.
 
-    strict: opening fails if a servo is missing; False: servos may be missing.
+    strict: opening fails if a servo is missing; False: servos may be missing. may_jump: servos of
+    unknown position may jump to neutral; a person must have agreed before.
     """
     if not face.buses:
         if face.servo_port is not None:
             note_port(face.bus)
-        return face.bus_kind.open(wiring_of(face), clock, strict=strict)
+        wiring = replace(wiring_of(face), may_jump=may_jump)
+        return face.bus_kind.open(wiring, clock, strict=strict)
     if face.capabilities.in_memory:
         # One clock and no thread: the same sound gives the same trace.
         wiring = replace(face.wiring, capabilities=face.capabilities)
         return bus_kind(wiring.settings.kind).open(wiring, clock)
-    buses = {name: bus_for(one, clock, strict=strict) for name, one in face.alone.items()}
+    buses = {
+        name: bus_for(one, clock, strict=strict, may_jump=may_jump)
+        for name, one in face.alone.items()
+    }
     from firmware_bridge.several_buses import SeveralBuses
 
     return SeveralBuses(buses, face.bus_of, clock, face.rate_hz)
@@ -136,12 +143,6 @@ def wiring_of(face: FaceSettings) -> Wiring:
     port = face.servo_port
     kept = None if port is None else kept_pulses_path(face.name, port, os.environ)
     return replace(face.wiring, kept=kept)
-
-
-def allow_first_start(face: FaceSettings) -> None:
-    """Allow servos of unknown position to jump to neutral; a person must have agreed before."""
-    for one in face.alone.values():
-        one.bus_kind.allow_first_start(wiring_of(one))
 
 
 def simulated_wire(face: FaceSettings) -> tuple[ServoBus, ManualClock]:

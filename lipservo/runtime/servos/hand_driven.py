@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from firmware_bridge.bus import ServoBus
 from firmware_bridge.clock import Clock
 from firmware_bridge.gate.ramp import Ramp
 from firmware_bridge.loop.bridge import Bridge
@@ -30,21 +31,23 @@ def drive_by_hand(
     config: str,
     clock: Clock,
     act: Callable[[Bridge, float], bool] = lambda _bridge, _time_s: True,
+    bus: ServoBus | None = None,
 ) -> tuple[StopReport, int | None]:
     """Hold the face in neutral until a person stops it; return (stop report, number of the signal).
 
     The number is None if no signal stopped it. config: the face's name or YAML path, for its
     status. act: called with the bridge and the time in each tick, to give orders to the bridge; it
-    returns False to end: the face comes to rest and goes limp. Raises what bus and bridge raise.
+    returns False to end: the face comes to rest and goes limp. bus: not yet entered; None: the
+    face's own. Raises what bus and bridge raise.
     """
     channel = MemoryTargetChannel()
     with SilentBoard.create(settings, config) as board:
         control = ControlOptions(about={"config": config}, watched_fd=board.fileno)
         how = DriveOptions(control=control)
-        with driven_face(settings, clock, channel, how) as driven:
-            bus, bridge, life = driven.bus, driven.bridge, driven.life
+        with driven_face(settings, clock, channel, how, bus) as driven:
+            bridge, life = driven.bridge, driven.life
             life.start()
-            begins_deg = bus.read().start_deg(bus.capabilities)
+            begins_deg = driven.bus.read().start_deg(driven.bus.capabilities)
             neutral_deg = np.zeros_like(begins_deg)
             ramp = Ramp.at_speed(begins_deg, neutral_deg, clock.now(), SPEED_DEG_S)
             for time_s, late in life.ticks():

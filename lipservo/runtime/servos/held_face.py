@@ -16,8 +16,10 @@ import numpy as np
 
 from firmware_bridge.bus import Feedback, ServoBus
 from firmware_bridge.clock import Clock
-from firmware_bridge.errors import BusError, PortError, PortGone
+from firmware_bridge.errors import BusError, PortError, PortGone, ServoError
 from firmware_bridge.gate.ramp import Ramp
+from firmware_bridge.joints import named
+from firmware_bridge.known_torque import Torque
 from firmware_bridge.loop.life_cycle import ImmediateStop, LifeCycle
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.stopping import StopLevel
@@ -46,6 +48,8 @@ _SETTLE_S = 1.5
 _LOOK_S = 0.2
 #: Chirps to 12 Hz need four samples a period.
 _DRIVE_RATE_HZ = 50.0
+#: So much longer than a start takes a servo may need to show that it holds.
+_HOLDS_S = 2.0
 #: A servo's goals and places are asked for twice in a tick while it is driven.
 _TWICE = 1.6
 
@@ -67,7 +71,8 @@ class HeldFace:
 
     Poses are joint degrees (n_joints,) of the joints in `joints`, by default the mouth's in the
     order of the YAML; all others stay at their goals of the beginning. Methods raise what `Bridge`
-    and the bus raise, and FaceStopped when a person stops the face; it is limp then.
+    and the bus raise, and FaceStopped when a person stops the face; it is limp then. Entered means
+    that every servo is known to hold: hobby servos, too, have had their first pulse.
     """
 
     def __init__(
@@ -119,6 +124,11 @@ class HeldFace:
         return self._opened
 
     @property
+    def torque_on(self) -> list[bool | None]:
+        """Whether each servo of the face holds; None: unknown."""
+        return self._driven.bus.torque.as_json()
+
+    @property
     def stands_deg(self) -> Array:
         """The measured positions of the posed joints. Raises PortGone.
 
@@ -139,6 +149,18 @@ class HeldFace:
             (n_joints,) degrees.
         """
         return self._goal_deg[self._posed]
+
+    @property
+    def sent_deg(self) -> Array:
+        """The goals that the posed joints were sent last, short of `goal_deg` while one catches up.
+
+        Returns
+        -------
+        Array
+            (n_joints,) degrees.
+        """
+        sent_deg = self._feedback().sent_deg
+        return (self._driven.bus.read().goals_deg if sent_deg is None else sent_deg)[self._posed]
 
     @property
     def effort(self) -> Array:
@@ -329,10 +351,21 @@ class HeldFace:
             self.life.start()
             bus = self._opened.bus
             self._goal_deg = bus.read().start_deg(bus.capabilities)
+            self._await_torque()
             if self._from_neutral:
                 self._move_all(np.zeros_like(self._goal_deg))
                 self._settle()
             self._leaving = leaving.pop_all()
+
+    def _await_torque(self) -> None:
+        """Tick until every servo is known to hold. Raises ServoError for those that stay limp."""
+        bus, joints = self._driven.bus, self._settings.joints()
+        until_s = self._clock.now() + bus.capabilities.start_s(len(joints)) + _HOLDS_S
+        while (limp := np.flatnonzero(bus.torque.states != Torque.ON)).size:
+            if self._clock.now() > until_s:
+                lines = [f"{named(joints[index])} is not known to hold" for index in limp]
+                raise ServoError("\n".join([*lines, *self._driven.bridge.troubles]))
+            self._tick()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: Any

@@ -7,7 +7,7 @@ import numpy as np
 
 from firmware_bridge.clock import MonotonicClock
 from firmware_bridge.stopping import StopLevel, StopReport
-from lipservo.runtime.servos.assembly import allow_first_start, load_settings
+from lipservo.runtime.servos.assembly import bus_for, load_settings
 from lipservo.runtime.servos.held_face import HeldFace
 from lipsync.errors import UserError
 
@@ -17,11 +17,13 @@ class Moved:
     """The positions of all joints just before torque off, and the servos' stop report.
 
     reached_deg: degrees by joint name, measured; for a servo that cannot report its position
-    (`is_measured` is False) the last goal sent.
+    (`is_measured` is False) the goal sent last. is_held: whether each servo was known to hold then,
+    so that this goal was sent to it; None: unknown.
     """
 
     reached_deg: dict[str, float]
     is_measured: dict[str, bool]
+    is_held: dict[str, bool | None]
     report: StopReport
 
 
@@ -53,12 +55,11 @@ def move_to(
             raise UserError(
                 f"{name}: {angle_deg:g} deg is outside {joint.min_deg:g}..{joint.max_deg:g}"
             )
-    if may_jump:
-        allow_first_start(settings)
-    can = settings.capabilities
+    can, clock = settings.capabilities, MonotonicClock()
     has_place = [can.of(index).place for index in range(len(joints))]
+    bus = bus_for(settings, clock, may_jump=may_jump)
     with HeldFace(
-        settings, MonotonicClock(), joints=names, from_neutral=False, end=StopLevel.LIMP
+        settings, clock, bus=bus, joints=names, from_neutral=False, end=StopLevel.LIMP
     ) as face:
         goal_deg = np.where(has_place, face.stands_deg, face.goal_deg)
         if wanted_deg is None:
@@ -67,7 +68,11 @@ def move_to(
             goal_deg[names.index(name)] = angle_deg
         face.lead(goal_deg)
         face.hold(hold_s)
-        reached_deg = np.where(has_place, face.stands_deg, face.goal_deg)
+        reached_deg, held = np.where(has_place, face.stands_deg, face.sent_deg), face.torque_on
     assert face.life.report is not None
-    by_name = dict(zip(names, reached_deg.tolist(), strict=True))
-    return Moved(by_name, dict(zip(names, has_place, strict=True)), face.life.report)
+    return Moved(
+        dict(zip(names, reached_deg.tolist(), strict=True)),
+        dict(zip(names, has_place, strict=True)),
+        dict(zip(names, held, strict=True)),
+        face.life.report,
+    )

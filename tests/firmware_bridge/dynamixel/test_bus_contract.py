@@ -18,8 +18,10 @@ from firmware_bridge.dynamixel.wire.codec import SpanRead
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.sdk_line import SdkLine, SdkTransport
 from firmware_bridge.errors import PortError, PortGone
+from firmware_bridge.known_torque import Torque
 from firmware_bridge.maestro.kind import MAESTRO
 from firmware_bridge.maestro.simulator import simulated_wire as simulated_maestro
+from firmware_bridge.pca9685.simulator import MemoryTransfers
 from firmware_bridge.serial_servos.serial_transport import open_port
 from firmware_bridge.several_buses import SeveralBuses
 from firmware_bridge.simulator.bus import SimulatedBus
@@ -169,6 +171,18 @@ def hold(face):
         eventually(lambda index=index: not face.bus.enable_torque(index), face.clock)
 
 
+#: The goals of a face that stays where it is.
+AT_REST = np.zeros(N)
+
+
+def known(face, goal_deg=None):
+    """What the bus knows of torque once servos have been asked, with a goal sent before if any."""
+    if goal_deg is not None:
+        face.bus.write_positions(goal_deg)
+    face.bus.read()
+    return face.bus.torque.as_json()
+
+
 def test_a_bus_just_entered_is_limp_and_says_where_everybody_stands(face):
     with face.bus as bus:
         assert eventually(lambda: not bus.read().missing.any(), face.clock)
@@ -177,7 +191,7 @@ def test_a_bus_just_entered_is_limp_and_says_where_everybody_stands(face):
         assert readings.positions_deg.shape == (N,)
         has_place = [bus.capabilities.of(n).place for n in range(N)]
         assert np.isfinite(readings.positions_deg).tolist() == has_place
-        assert not readings.torque.any()
+        assert readings.torque.tolist() == [Torque.OFF] * N
 
 
 def test_what_a_bus_can_do_is_known_before_its_port_is_open(face):
@@ -237,10 +251,10 @@ def test_goals_are_reached_and_leaving_lets_go(face):
         assert eventually(
             lambda: np.abs(bus.read().goals_deg - goal_deg).max() < STEP_DEG, face.clock
         )
-        assert eventually(lambda: (bus.read().torque == 1).all(), face.clock)
+        assert eventually(lambda: known(face, goal_deg) == [True] * N, face.clock)
     with face.bus as bus:
         assert eventually(lambda: not bus.read().missing.any(), face.clock)
-        assert not bus.read().torque.any()
+        assert known(face) == [False] * N
 
 
 @pytest.mark.parametrize("invalid", [np.nan, np.inf, 90.0])
@@ -265,13 +279,157 @@ def test_servos_get_torque_are_let_go_and_restarted_one_by_one(face):
     with face.bus as bus:
         eventually(lambda: not bus.enable_torque(1), face.clock)
         eventually(lambda: not bus.enable_torque(2), face.clock)
-        assert eventually(
-            lambda: bus.read().torque.tolist() == [False, True, True, False], face.clock
-        )
+        assert eventually(lambda: known(face, AT_REST) == [False, True, True, False], face.clock)
         eventually(lambda: bus.disable_torque(1), face.clock)
         bus.reboot(2)
-        assert eventually(lambda: not bus.read().torque.any(), face.clock)
+        assert eventually(lambda: known(face) == [False] * N, face.clock)
         assert eventually(lambda: not bus.feedback().age_s.any(), face.clock)
+
+
+def test_torque_is_unknown_before_any_evidence(face):
+    assert face.bus.torque.as_json() == [None] * N
+    assert face.bus.torque.any_on is None
+    assert not face.bus.torque.off_since(-1.0).any()
+
+
+def test_torque_that_goes_off_everywhere_is_known_to_be_off_from_then_on(face):
+    with face.bus as bus:
+        hold(face)
+        eventually(lambda: known(face, AT_REST) == [True] * N, face.clock)
+        before_s = face.clock.now()
+
+        assert bus.torque.any_on
+        assert not bus.torque.off_since(-1.0).any()
+        assert eventually(lambda: bus.disable_all().all(), face.clock)
+        assert bus.torque.off_since(before_s).all()
+        assert bus.torque.any_on is False
+
+
+#: Those at a transport in memory, which can be cut.
+AT_MEMORY = ["maestro", "feetech", "scs", "memory"]
+on_memory = pytest.mark.parametrize("face", AT_MEMORY, indirect=True)
+
+
+def tick(face):
+    face.clock.advance(0.02)
+    face.bus.write_positions(AT_REST)
+    face.bus.feedback()
+    face.bus.look_after()
+
+
+def held(face, stack):
+    """The bus, entered, with every servo on and caught up."""
+    bus = stack.enter_context(face.bus)
+    hold(face)
+    for _ in range(150):
+        tick(face)
+    assert bus.torque.as_json() == [True] * N
+    return bus
+
+
+def deaf(transport, deadline_s):
+    transport.clock.sleep_until(deadline_s)
+    return b""
+
+
+@on_memory
+def test_half_a_second_after_the_last_answer_torque_is_unknown(face, monkeypatch):
+    with contextlib.ExitStack() as stack:
+        bus = held(face, stack)
+        monkeypatch.setattr(MemoryTransport, "read", deaf)
+        silent_s = face.clock.now()
+        seen = []
+        while face.clock.now() < silent_s + 1.0:
+            tick(face)
+            seen.append((face.clock.now() - silent_s, bus.torque.any_on))
+        known_until_s = max(time_s for time_s, any_on in seen if any_on)
+        monkeypatch.undo()
+
+        assert 0.3 < known_until_s < 0.7
+        assert bus.torque.as_json() == [None] * N
+        assert eventually(lambda: tick(face) or bus.torque.as_json() == [True] * N, face.clock)
+
+
+@on_memory
+def test_a_torque_that_was_ordered_off_is_unknown_until_that_is_confirmed(face, monkeypatch):
+    with contextlib.ExitStack() as stack:
+        bus = held(face, stack)
+        monkeypatch.setattr(MemoryTransport, "read", deaf)
+
+        assert not bus.disable_torque(1)
+        assert bus.torque.as_json() == [True, None, True, True]
+        assert not bus.disable_all().any()
+        assert bus.torque.as_json() == [None] * N
+
+
+@on_memory
+def test_a_torque_that_was_ordered_on_is_unknown_until_that_is_confirmed(face, monkeypatch):
+    with face.bus as bus:
+        assert known(face) == [False] * N
+        seen = []
+        write = MemoryTransport.write
+
+        def watched(transport, data):
+            seen.append(bus.torque.as_json()[0])
+            write(transport, data)
+
+        monkeypatch.setattr(MemoryTransport, "write", watched)
+        bus.enable_torque(0)
+
+        assert set(seen) <= {False, None}
+        assert seen[-1] is None
+        assert bus.torque.as_json()[0] is True
+
+
+#: Calls that send something, by name; of hobby servos neither their feedback nor a second start.
+USES = {
+    "write": lambda bus: bus.write_positions(AT_REST),
+    "look": lambda bus: bus.look_after(),
+    "disable": lambda bus: bus.disable_torque(0),
+    "disable all": lambda bus: bus.disable_all(),
+    "feedback": lambda bus: bus.feedback(),
+    "enable": lambda bus: bus.enable_torque(0),
+    "keep": lambda bus: bus.keep_torque(0),
+    "obstacle": lambda bus: bus.obstacle(0),
+    "read": lambda bus: bus.read(),
+}
+
+
+@pytest.mark.parametrize(
+    ("face", "use"),
+    [
+        *[(name, use) for name in ("maestro", "pca9685") for use in list(USES)[:4]],
+        *[(name, use) for name in ("memory", "feetech", "scs") for use in USES],
+    ],
+    indirect=["face"],
+)
+def test_a_lost_port_makes_every_torque_unknown(face, use, monkeypatch):
+    def gone(*_):
+        raise PortGone("gone")
+
+    with contextlib.ExitStack() as stack:
+        bus = held(face, stack)
+        face.clock.advance(0.3)  # a look is due
+        for transport, method in (
+            (MemoryTransport, "write"), (MemoryTransport, "discard_input"),
+            (MemoryTransfers, "transfer"),
+        ):  # fmt: skip
+            monkeypatch.setattr(transport, method, gone)
+        with pytest.raises(PortGone):
+            USES[use](bus)
+        monkeypatch.undo()
+
+        assert bus.torque.as_json() == [None] * N
+
+
+def test_a_port_that_was_opened_again_makes_torque_unknown_until_servos_are_asked(face):
+    with face.bus as bus:
+        hold(face)
+        eventually(lambda: known(face, AT_REST) == [True] * N, face.clock)
+        bus.reopen()
+        if face.name in BUSES and face.name not in ("several", "maestro", "pca9685"):
+            assert bus.torque.as_json() == [None] * N
+        assert eventually(lambda: known(face) == [True] * N, face.clock)
 
 
 def test_health_is_known_after_a_round(face):

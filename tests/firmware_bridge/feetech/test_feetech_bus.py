@@ -133,7 +133,7 @@ def test_a_servo_that_gets_torque_stays_where_it_stands_slow_and_weak_at_first()
         assert not bus.at_full_strength
         run(on, 1.2)
         assert bus.at_full_strength
-        assert servo["torque_limit"] == 1000
+        assert servo["torque_limit"] == 999
         assert servo["goal_speed"] == pytest.approx(260.0 * 1.05 * 4096 / 360, abs=1.0)
         assert servo.place == 2100
 

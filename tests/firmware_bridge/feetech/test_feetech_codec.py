@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_bridge.feetech import codec
-from firmware_bridge.feetech.codec import GoalWrite, Instruction, SpanRead, Status
+from firmware_bridge.feetech.codec import GoalWrite, Instruction, SpanRead, Status, packets_in
 from firmware_bridge.feetech.control_table import model_name, servo_models
 
 STS = servo_models()["STS3215"].dialect
@@ -66,10 +66,25 @@ def test_a_model_is_known_by_its_bytes_whatever_their_order():
 @pytest.mark.parametrize("dialect", [STS, SCS])
 def test_a_prepared_sync_write_is_that_made_block_by_block(dialect):
     goals = {1: 0, 7: 515, 200: 1023}
-    blocks = [(each, dialect.encode("goal_position", goal)) for each, goal in goals.items()]
+    speeds = {1: 1, 7: 683, 200: 3000}
+    blocks = [
+        (each, dialect.encode("goal_position", goals[each]) + bytes(2)
+        + dialect.encode("goal_speed", speeds[each]))
+        for each in goals
+    ]  # fmt: skip
     prepared = GoalWrite([*goals], 42, dialect.byte_order)
+    values = [np.array([*each.values()], float) for each in (goals, speeds)]
 
-    assert prepared.request(np.array([*goals.values()], float)) == codec.sync_write(42, 2, blocks)
+    assert prepared.request(*values) == codec.sync_write(42, 6, blocks)
+
+
+def test_more_goals_than_a_packet_holds_go_in_several():
+    ids = list(range(1, 80))
+    frames = list(packets_in(GoalWrite(ids, 42, "little").request(np.arange(79), np.full(79, 9))))
+    told = [frame.data[at] for frame, _ in frames for at in range(2, len(frame.data), 7)]
+
+    assert [len(frame.data) for frame, _ in frames] == [2 + 7 * 35, 2 + 7 * 35, 2 + 7 * 9]
+    assert told == ids
 
 
 @given(st.integers(0, 60), st.binary(min_size=1, max_size=30))

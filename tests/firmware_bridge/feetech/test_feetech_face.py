@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from feetech_chain import wired
+from feetech_chain import four_servos, wired
 
 from firmware_bridge.clock import ticks
+from firmware_bridge.dynamixel.control_table import PULSES_PER_DEG
 from firmware_bridge.errors import PortError
 from firmware_bridge.feetech.simulator import ChainFault
 from firmware_bridge.loop.bridge import Bridge
@@ -63,3 +64,61 @@ def test_one_servo_in_trouble_is_named_and_comes_back_without_a_jump(fault, says
     assert np.ptp(places[-100:], axis=0).min() > 1.0  # all of them move again
     assert not any(servo["torque_enable"] for servo in on.chain.servos)
     assert on.chain.n_spoken_over == 0
+
+
+#: The bound of a soft start, degrees a second, and how far the shaft sinks or is pushed meanwhile.
+SOFT_DEG_S, PUSHED_DEG = 60.0, 12.0
+
+
+def fastest_after_restart(model, lasts_s, at_s, rate_hz, amplitude_deg):
+    """The top speed of a shaft that was displaced in a restart, degrees a second.
+
+    Until its second start is over, or for as long where nothing noticed the restart.
+    """
+    fault = ChainFault(kind="restart", at_s=at_s, lasts_s=lasts_s, servo=1)
+    on = wired(four_servos(model), strict=False, faults=[fault], period_s=1.0 / rate_hz)
+    motors, servo = on.chain.motors, on.chain.servos[1]
+    power_up = servo.power_up
+
+    def pushed():
+        power_up()
+        motors.position[1] += PUSHED_DEG * PULSES_PER_DEG
+
+    servo.power_up = pushed
+    seen = []
+    motors.motion = lambda time_s, _: seen.append((time_s, abs(motors.velocity[1])))
+    joints = [each.joint for each in on.servos]
+    channel, started_s = MemoryTargetChannel(), []
+    with on.bus:
+        enable = on.bus.enable_torque
+        on.bus.enable_torque = lambda n: started_s.append(on.clock.now()) or enable(n)
+        bridge = Bridge(on.bus, joints, channel, BridgeSettings(rate_hz))
+        bridge.start()
+        for time_s, late in ticks(on.clock, rate_hz):
+            if time_s > at_s + lasts_s + 1.4:
+                break
+            wanted = amplitude_deg * np.sin(2.0 * np.pi * 0.7 * time_s + np.arange(len(joints)))
+            channel.publish(ServoTargets(time_s + 0.01, wanted))
+            bridge.tick(time_s, late)
+            on.chain.advance(on.clock.now())
+    until_s = max([at_s, *started_s]) + 0.95
+    return max(speed for time_s, speed in seen if at_s <= time_s < until_s) / PULSES_PER_DEG
+
+
+@pytest.mark.parametrize("rate_hz", [30.0, 100.0])
+@pytest.mark.parametrize("model", ["STS3215", "SCS0009"])
+def test_a_servo_that_restarts_for_however_short_a_time_is_as_slow_as_in_a_start(model, rate_hz):
+    for lasts_s in (0.01, 0.04, 0.09, 0.5):
+        for phase in (0.1, 0.4, 0.7):
+            at_s = 1.6 + phase / rate_hz
+            fastest = fastest_after_restart(model, lasts_s, at_s, rate_hz, 1.5)
+            assert fastest <= 1.1 * SOFT_DEG_S, (lasts_s, phase)
+
+
+def test_a_restart_between_two_ticks_that_costs_no_answer_is_noticed_and_begins_a_soft_start():
+    fault = ChainFault(kind="restart", at_s=4.0 + 0.4 / RATE_HZ, lasts_s=0.005, servo=1)
+    _, rows, _ = played([fault], 5.0)
+    told = {trouble for _, troubles in rows for trouble in troubles}
+
+    assert any("has lost its torque" in trouble for trouble in told), told
+    assert rows[-1][1] == ()

@@ -123,9 +123,10 @@ def jaw_alone(**places):
     return behind
 
 
-def test_an_encoder_that_flickers_does_not_hide_a_jam():
-    step_deg = 360.0 / 4096.0
-    assert jaw_alone(place=lambda n, _: 2.0 + step_deg * (n % 2))
+@pytest.mark.parametrize("n_steps", [1, 2])
+def test_an_encoder_that_flickers_does_not_hide_a_jam(n_steps):
+    flicker_deg = n_steps * 360.0 / 4096.0
+    assert jaw_alone(place=lambda n, _: 2.0 + flicker_deg * (n % 2))
 
 
 def test_what_was_not_heard_counts_for_nothing():
@@ -325,3 +326,17 @@ def test_what_a_servo_did_not_travel_before_it_got_torque_is_not_held_against_it
             monitor.suspend_until(0, 2.0)
         found = monitor.behind(np.array([goal_deg]), feedback(n * 0.01, [0.0]))
         assert not found.any()
+
+
+def test_a_jam_of_before_is_not_held_against_a_servo_that_was_enabled_in_one_late_tick():
+    """It was given torque, and its two seconds to catch up passed without a tick."""
+    monitor = TrackingMonitor(ONE_JOINT, TrackingRule())
+    found = [
+        monitor.behind(np.array([8.0 * np.sin(n * 0.2)]), feedback(0.1 + n * 0.01, [0.0]))[0]
+        for n in range(300)
+    ]
+    assert found[-1]
+    monitor.suspend_until(0, 5.0)
+
+    for n in range(20):
+        assert not monitor.behind(np.zeros(1), feedback(5.1 + 0.3 * n, [0.0])).any()

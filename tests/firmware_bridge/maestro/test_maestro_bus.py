@@ -18,7 +18,7 @@ from firmware_bridge.maestro.controller import MaestroController
 from firmware_bridge.maestro.kind import BAUD_RATE, MAESTRO
 from firmware_bridge.maestro.release import MaestroRelease
 from firmware_bridge.maestro.simulator import PulseFault, Shaft, maestro_for, read_faults, serve
-from firmware_bridge.pulse_bus import KeptPulses, PulseBus
+from firmware_bridge.pulse_bus import STAGGER_S, KeptPulses, PulseBus
 from firmware_bridge.simulator.ports import MemoryTransport
 from firmware_bridge.simulator.request import SimulationRequest
 from firmware_bridge.stopping import StopLevel
@@ -160,17 +160,70 @@ def test_the_first_start_is_refused_until_a_person_allows_it(tmp_path):
         drive(face, 0.5)
     assert not face.maestro.pulses
 
-    KeptPulses(kept).allow_neutral(face.wiring.servos)
+    face = put_together(kept=kept, may_jump=True)
+    with face.bus:
+        assert face.bus.enable_torque(0) == ""
+        drive(face, 0.1)
     face = put_together(kept=kept, may_jump=False)
     with face.bus:
         assert face.bus.enable_torque(0) == ""
+
+
+def test_only_what_was_sent_is_filed_as_known(tmp_path):
+    kept = tmp_path / "pulses.json"
+    face = put_together(kept=kept)
+    with face.bus:
+        for index in range(N):
+            assert face.bus.enable_torque(index) == ""
+        face.clock.advance(1.2 * STAGGER_S)
+        face.bus.write_positions(np.zeros(N))  # two have had their turn
+        assert face.bus.torque.as_json() == [True, True, *[None] * (N - 2)]
+    assert json.loads(kept.read_text())["pulses_us"] == {"0": 1500.0, "1": 1500.0}
+
+
+def test_a_replug_keeps_the_pulses_that_the_maestro_kept():
+    face = put_together()
+    with face.bus:
+        face.bridge.start()
+        drive(face, 3.0)
+        n_pulses = len(face.maestro.pulses)
+        face.bus.reopen()
+
+        assert face.bus.torque.as_json() == [True] * N
+        for index in range(N):  # at once, since none of them comes on
+            assert face.bus.enable_torque(index) == ""
+            assert face.bus.torque.as_json() == [True] * N
+        for _ in range(200):
+            face.clock.advance(0.02)
+            face.bus.write_positions(np.full(N, -5.0))
+        later_us = {n: [] for n in range(N)}
+        for each in list(face.maestro.pulses)[n_pulses:]:
+            later_us[each.channel].append(each.pulse_us)
+        for pulses_us in later_us.values():
+            assert min(pulses_us) > 0.0
+            assert np.abs(np.diff([1550.0, *pulses_us])).max() <= 600.0 / RATE_HZ + 1.0
+            assert pulses_us[-1] == 1450.0
+
+
+def test_a_servo_found_with_a_pulse_keeps_it_until_it_is_started_or_let_go():
+    face = put_together()
+    face.maestro.receive(bytes.fromhex("84 00 20 32"), 0.0, BAUD_RATE)  # 1608 us
+    face.maestro.receive(bytes.fromhex("84 01 20 32"), 0.0, BAUD_RATE)
+    with face.bus:
+        assert face.bus.enable_torque(2) == ""
+        face.bus.write_positions(np.zeros(N))
+        assert last_us(face)[:3] == [1608.0, 1608.0, 1500.0]
+        assert face.bus.torque.as_json()[:2] == [True, True]
+        assert face.bus.disable_torque(1)
+        assert face.bus.torque.as_json()[:2] == [True, False]
+    assert last_us(face) == [0.0] * N
 
 
 def test_a_controller_that_still_sends_is_believed_before_the_file(tmp_path):
     kept = tmp_path / "pulses.json"
     KeptPulses(kept).write({0: 1200.0})
     face = put_together(kept=kept)
-    face.maestro.receive(bytes.fromhex("84 00 20 32"), 0.0, BAUD_RATE)  # 1604 us
+    face.maestro.receive(bytes.fromhex("84 00 20 32"), 0.0, BAUD_RATE)  # 1608 us
     with face.bus:
         goals_deg = face.bus.read().goals_deg
 

@@ -9,7 +9,7 @@ import time
 import pytest
 
 from firmware_bridge.process.child import HeartbeatMonitor, HeartbeatTimeouts, RestartDelay
-from firmware_bridge.process.processor_wait import ProcessorWait, ThreadCount, thread_counts
+from firmware_bridge.process.processor_wait import ProcessorWait, thread_counts
 
 ROUND_S = 0.05
 NS = 1_000_000_000
@@ -26,7 +26,7 @@ class Process:
 
     def counts(self):
         self.n_read += 1
-        return {"7": ThreadCount(self.runnable, self.ran_ns, self.waited_ns)}
+        return {"7": (self.runnable, self.ran_ns, self.waited_ns)}
 
     def hung_after_s(self, does, most_s=1000.0, beat_s=100.0):
         """How long it was silent until it counted as hung; None: it did not. does: each round."""
@@ -103,7 +103,7 @@ def test_nothing_is_read_before_a_tenth_of_its_time_has_passed_and_a_heartbeat_e
 def test_a_wait_is_told_once_although_it_was_seen_before_the_kernel_counted_it():
     wait = ProcessorWait()
     told_s = [
-        wait.waited_s(now_s, {"7": ThreadCount(runnable, ran, waited)})
+        wait.waited_s(now_s, {"7": (runnable, ran, waited)})
         for now_s, runnable, ran, waited in [
             (10.0, False, 5, 1 * NS),
             (11.0, True, 5, 1 * NS),  # it may have slept until now
@@ -118,10 +118,10 @@ def test_a_wait_is_told_once_although_it_was_seen_before_the_kernel_counted_it()
 
 def test_the_thread_that_waited_longest_counts_and_those_that_come_and_go_do_not_harm():
     wait = ProcessorWait()
-    wait.waited_s(0.0, {"7": ThreadCount(False, 1, 0)})
-    wait.waited_s(1.0, {"7": ThreadCount(False, 1, 0), "8": ThreadCount(True, 1, 9 * NS)})
+    wait.waited_s(0.0, {"7": (False, 1, 0)})
+    wait.waited_s(1.0, {"7": (False, 1, 0), "8": (True, 1, 9 * NS)})
 
-    both = {"7": ThreadCount(False, 2, NS // 4), "8": ThreadCount(False, 2, 10 * NS)}
+    both = {"7": (False, 2, NS // 4), "8": (False, 2, 10 * NS)}
     assert wait.waited_s(2.0, both) == pytest.approx(1.0)
     assert wait.waited_s(3.0, {"7": both["7"]}) == pytest.approx(0.25)
 

@@ -164,6 +164,18 @@ def test_a_stopped_face_waits_limp_while_speech_lives_until_a_person_starts_it(s
     assert face.supervisor.status()["stopped"] is None
 
 
+def test_a_start_by_a_person_tries_every_servo_again_but_those_that_a_person_switched_off(face):
+    face.bridge.said += [Failed(1, "jammed"), Switched(0, on=False), Switched(2, on=False)]
+    face.bridge.said.append(Stopped(StopLevel.LIMP))
+    face.bridge.status = -9
+    face.play(1.0)
+
+    assert order(face, "servo right on") == {"servo": "right", "asked": "on"}
+    assert face.torque == [0, 0, 0]
+    assert order(face, "start")["accepted"] == "start"
+    assert face.bridge.starts[-1] == ["--switched-off", "0"]
+
+
 def test_a_start_is_refused_while_the_face_stops_and_while_it_starts(face):
     face.unplugged = True
     face.bridge.said.append(Stopped(StopLevel.LIMP))

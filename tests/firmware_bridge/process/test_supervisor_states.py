@@ -1,10 +1,10 @@
 """Every state of a supervisor x every event, by what was asked for: processes and servos then.
 
 The grid is the machine, told a second time by hand. In a cell: the new state, and what is done:
-start (a bridge), kill (it), off (torque goes off), held (who has torque keeps
-it), told (whoever asked is told the end), ready, up (so systemd is told). A dot: the event means
-nothing; x: nothing can cause it. Behind an event stands what had been asked for when it came, or
-that it comes at the very first start. A face that is let go once more says `stopped` meanwhile.
+start (a bridge), kill (it), off (torque goes off), held (who has torque keeps it), told (whoever
+asked is told the end), why (it waits, and says why), ready, up (systemd knows). A dot: the event
+means nothing; x: nothing can cause it. Behind an event stands what had been asked for when it came,
+or that it comes at the very first start. A face that is let go once more says `stopped` meanwhile.
 """
 
 import contextlib
@@ -32,23 +32,24 @@ bridge ended, ending    | x               | over              | over            
 bridge died             | x               | releasing, off    | releasing, off  | releasing, off  | x                | x              | x                | x
 bridge died, frozen     | x               | waiting, held     | waiting, held   | waiting, held   | x                | x              | x                | x
 bridge died, stopped    | x               | releasing, off    | releasing, off  | releasing, off  | x                | x              | x                | x
-bridge failed           | x               | giving up, off    | releasing, off  | releasing, off  | x                | x              | x                | x
+bridge failed           | x               | giving up, off    | releasing, off, why | releasing, off  | x                | x              | x                | x
 bridge failed, later    | x               | releasing, off    | x               | x               | x                | x              | x                | x
-bridge failed, frozen   | x               | waiting, held     | releasing, off  | waiting, held   | x                | x              | x                | x
+bridge failed, frozen   | x               | waiting, held     | releasing, off, why | waiting, held   | x                | x              | x                | x
 bridge failed, stopped  | x               | releasing, off    | releasing, off  | releasing, off  | x                | x              | x                | x
-bridge gave up          | x               | giving up, off    | releasing, off  | giving up, off  | x                | x              | x                | x
-bridge gave up, frozen  | x               | giving up, off    | releasing, off  | giving up, off  | x                | x              | x                | x
+bridge gave up          | x               | giving up, off    | releasing, off, why | giving up, off  | x                | x              | x                | x
+bridge gave up, frozen  | x               | giving up, off    | releasing, off, why | giving up, off  | x                | x              | x                | x
 bridge gave up, stopped | x               | releasing, off    | releasing, off  | releasing, off  | x                | x              | x                | x
 released                | x               | x                 | x               | x               | waiting          | over           | x                | x
 released, stopped       | x               | x                 | x               | x               | stopped, told    | x              | x                | x
 released, ending        | x               | x                 | x               | x               | over             | over           | x                | x
 port stuck              | x               | x                 | x               | x               | .                | over           | x                | x
 port stuck, first       | x               | x                 | x               | x               | over             | x              | x                | x
+port stuck, unready     | x               | x                 | x               | x               | stopped, told, up| x              | x                | x
 port stuck, stopped     | x               | x                 | x               | x               | .                | x              | x                | x
 port stuck, ending      | x               | x                 | x               | x               | over             | over           | x                | x
 freeze                  | .               | starting, kill    | returning, kill | running, kill   | waiting, held    | .              | .                | x
 freeze, stopped         | x               | starting, kill    | returning, kill | running, kill   | .                | x              | .                | x
-stop                    | releasing, off  | starting, kill    | returning, kill | running, kill   | .                | releasing, off | stopped, off     | x
+stop                    | releasing, off  | starting, kill    | returning, kill | running, kill   | .                | releasing, off | stopped, off, told | x
 stop, frozen            | releasing, off  | starting, kill    | returning, kill | running, kill   | x                | releasing, off | x                | x
 stop and end            | releasing, off  | starting, kill    | returning, kill | running, kill   | .                | releasing, off | over             | x
 signal                  | releasing, off  | .                 | .               | .               | .                | .              | over             | .
@@ -56,7 +57,7 @@ signal, frozen          | releasing, off  | .                 | .               
 start                   | .               | .                 | .               | .               | .                | .              | returning, start | x
 start, kept             | x               | x                 | x               | x               | returning, start | x              | returning, start | x
 again, unconfirmed      | x               | x                 | x               | x               | x                | x              | stopped, off, told | x
-""")
+""")  # noqa: E501 - a table
 #: What a bridge that heard of it had told.
 ASKED = {
     "": (),
@@ -66,6 +67,7 @@ ASKED = {
     "later": (),
     "kept": (),
     "first": (),
+    "unready": (Stopped(StopLevel.SOFT),),
     "unconfirmed": (),
 }
 DEATHS = {"bridge ended": 0, "bridge died": -11, "bridge failed": 1, "bridge gave up": 4}
@@ -86,9 +88,11 @@ class Watched(SupervisedFace):
 
     @property
     def phase(self):
-        if self.supervisor.report is not None:
-            return "over"
         words = self.supervisor.status()["state"]
+        if self.supervisor.report is not None:
+            return "over" if words in ("ended", "stopped") else f"over, but {words}"
+        if words == "ended":
+            return "over, and nobody knows"
         return next(word(each) for each in Phase if each.value == words)
 
     def until(self, phase):
@@ -138,7 +142,7 @@ def bring(face, phase, asked):
     if phase == "waiting" and asked == "stopped":
         return  # by an earlier process
     face.step()
-    if asked == "later" or not (phase == "starting" or asked == "first"):
+    if asked == "later" or not (phase == "starting" or asked in ("first", "unready")):
         face.say(Ready())
     if asked == "later":
         face.bridge.status = -9
@@ -252,16 +256,27 @@ def test_in_every_phase_an_event_does_what_the_grid_says_and_no_more(
         n_starts, face.bridge.signals[:] = len(face.bridge.starts), []
         face.ends.clear()
         cause(face, state, name, asked)
-        then, *does = [face.phase if asked == "kept" else state] if cell == NOTHING else cell.split(", ")
+        then, *does = (
+            [face.phase if asked == "kept" else state] if cell == NOTHING else cell.split(", ")
+        )
 
         assert face.phase == then
         assert len(face.bridge.starts) - n_starts == does.count("start")
         assert face.bridge.signals.count(signal.SIGKILL) == does.count("kill")
-        assert len(face.ends) == does.count("told")
+        if "off" not in does:
+            assert len(face.ends) == does.count("told")
         assert ("READY=1" in systemd()) == bool({"ready", "up"} & set(does))
         if "held" in does or "start" in does:
             assert face.torque == [1, 1, 1]
         if "off" in does:
             face.play(1.0)
             assert face.torque == [0, 0, 0]
+        if "told" in does:
+            assert len(face.ends) == 1
+        if "why" in does:
+            assert face.phase == "stopped"
+            assert "could not be started" in face.supervisor.status()["troubles"][0]
+        if then == "waiting" and state != then:  # a bridge comes again
+            face.play(6.0)
+            assert len(face.bridge.starts) == n_starts + 1
     face.close()

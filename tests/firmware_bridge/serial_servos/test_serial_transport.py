@@ -13,7 +13,7 @@ import pytest
 from firmware_bridge.dynamixel.control_table import baud_rates
 from firmware_bridge.dynamixel.wire.sdk_line import SdkTransport
 from firmware_bridge.errors import PortError
-from firmware_bridge.serial_servos.serial_transport import SameAdapter, adapter_serial, open_port
+from firmware_bridge.serial_servos.serial_transport import SameAdapter, adapter_identity, open_port
 
 #: asm-generic/ioctls.h of Linux: is the terminal exclusive; all of its settings, rates as numbers.
 TIOCGEXCL, TCGETS2 = 0x80045440, 0x802C542A
@@ -116,28 +116,40 @@ def test_what_is_no_serial_port_is_named_in_one_plain_line(tmp_path, kind):
     )
 
 
-def test_the_serial_number_of_an_adapter_is_read_where_linux_has_it(tmp_path):
-    adapter = tmp_path / "devices" / "usb1" / "1-1"
-    port = adapter / "1-1:1.0" / "ttyUSB7"
+def usb_port(sysfs, name, socket, serial=None):
+    """What Linux shows of a USB adapter."""
+    adapter = sysfs / "devices" / "usb1" / socket
+    port = adapter / f"{socket}:1.0" / name
     port.mkdir(parents=True)
-    (adapter / "serial").write_text("FT4THUXY\n")
-    entry = tmp_path / "class" / "tty" / "ttyUSB7"
+    (adapter / "idVendor").write_text("1a86\n")
+    if serial is not None:
+        (adapter / "serial").write_text(f"{serial}\n")
+    entry = sysfs / "class" / "tty" / name
     entry.mkdir(parents=True)
     (entry / "device").symlink_to(port)
 
-    assert adapter_serial("/dev/ttyUSB7", tmp_path) == "FT4THUXY"
-    assert adapter_serial("/dev/ttyUSB8", tmp_path) is None
+
+def test_an_adapter_is_known_by_its_serial_number_or_without_one_by_its_socket(tmp_path):
+    usb_port(tmp_path, "ttyUSB7", "1-1", "FT4THUXY")
+    usb_port(tmp_path, "ttyUSB8", "1-2.3")
+    found = [adapter_identity(f"/dev/ttyUSB{n}", tmp_path) for n in (7, 8, 9)]
+
+    assert found == ["serial number FT4THUXY", "USB path 1-2.3", None]
 
 
-def test_another_adapter_at_the_old_port_is_not_opened(port, monkeypatch):
+@pytest.mark.parametrize(
+    ("own", "other"),
+    [("serial number FT4THUXY", "serial number FT999999"), ("USB path 1-1", "USB path 1-2")],
+)
+def test_another_adapter_at_the_old_port_is_not_opened(port, monkeypatch, own, other):
     """The adapters' numbers are of the wire; no test machine has two."""
-    present = ["FT4THUXY"]
-    module = "firmware_bridge.serial_servos.serial_transport.adapter_serial"
+    present = [own]
+    module = "firmware_bridge.serial_servos.serial_transport.adapter_identity"
     monkeypatch.setattr(module, lambda _port: present[0])
     opener = SameAdapter(port, 57_600)
     opener().close()
-    present[0] = "FT999999"
-    with pytest.raises(PortError, match="serial number FT999999"):
+    present[0] = other
+    with pytest.raises(PortError, match=f"another adapter is there .{other}, not {own}"):
         opener()
-    present[0] = "FT4THUXY"
+    present[0] = own
     opener().close()

@@ -1,17 +1,19 @@
 """The commands of a builder's first hour, as they are typed, on simulated servos behind a pty."""
 
 import json
+import os
 import subprocess
 import sys
 from importlib import resources
 
 import pytest
 import soundfile
+from hobby_bus import on_maestro_yaml, on_pca9685
 
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.serial_servos.serial_transport import open_port
 from lipservo.runtime.servos.sim_process import simulated_port
-from lipservo.settings.settings import load_face
+from lipservo.settings.settings import load_face, load_shipped_face
 
 # Real processes in real time.
 pytestmark = pytest.mark.slow
@@ -237,3 +239,28 @@ def test_a_dry_run_reads_but_never_switches_torque_on(port, tmp_path):
 
     assert done.returncode == 0, done.stderr
     assert '"frames_sent": 0' in done.stdout
+
+
+HOBBY = {
+    "maestro": lambda face: on_maestro_yaml(face, model="mini12"),
+    "pca9685": on_pca9685,
+}
+
+
+@pytest.mark.parametrize("kind", HOBBY)
+def test_neutral_gives_every_hobby_servo_its_pulse_says_so_and_files_that(tmp_path, kind):
+    config, log = tmp_path / "face.yaml", tmp_path / "pulses.jsonl"
+    config.write_text(HOBBY[kind](load_shipped_face("face_sim")))
+    names = list(load_face(config).servos)
+    state = {**os.environ, "LIPSERVO_STATE": str(tmp_path)}
+    with simulated_port(["--config", str(config), "--log", str(log), "--on-time"]) as port:
+        told = ("calibrate", "neutral", "--yes", "--config", config, "--port", port)
+        done = lipservo(*told, env=state)
+    pulses = [json.loads(line) for line in log.read_text().splitlines()]
+    (kept,) = tmp_path.glob("pulses/*.json")
+
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == [f"{each} was sent to 0.0 deg (1500 us)" for each in names]
+    sent_us = {channel: pulse for _, channel, pulse, *_ in pulses if pulse}
+    assert sent_us == pytest.approx(dict.fromkeys(range(10), 1500.0), abs=5.0)
+    assert sorted(map(int, json.loads(kept.read_text())["pulses_us"])) == list(range(10))

@@ -1,5 +1,6 @@
 """Feetech servos for tests: a face of them, their bus in memory, and every frame on its wire."""
 
+import math
 from types import SimpleNamespace
 
 import yaml
@@ -37,7 +38,7 @@ def four_servos(model="STS3215") -> list[MountedServo]:
     return mounted_servos(parse_face(text, "face.yaml").wiring)
 
 
-def wired(servos=None, *, strict=True, set_up=None, **options):
+def wired(servos=None, *, strict=True, set_up=None, period_s=math.inf, **options):
     """A bus, its chain and clock, and all that the computer writes. set_up: done to the chain."""
     servos = four_servos() if servos is None else servos
     clock, frames = ManualClock(), []
@@ -48,7 +49,7 @@ def wired(servos=None, *, strict=True, set_up=None, **options):
     def open_transport():
         return MemoryTransport(chain, clock, RATE, lambda _, data: frames.append(data))
 
-    bus = FeetechBus(servos, open_transport, strict=strict)
+    bus = FeetechBus(servos, open_transport, strict=strict, period_s=period_s)
     return SimpleNamespace(
         bus=bus, chain=chain, clock=clock, frames=frames, servos=servos, open=open_transport
     )

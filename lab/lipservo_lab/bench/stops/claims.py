@@ -49,6 +49,10 @@ class Verdict(StrEnum):
     UNJUDGED = "unjudged"  # no rule knows it
 
 
+#: Those of statements that claim something.
+_CLAIMS: Final = (Verdict.TRUE, Verdict.UNTRUE, Verdict.UNKNOWN)
+
+
 @dataclass(frozen=True, slots=True)
 class Heard:
     """A statement that a rule knows, the match, and the servos that it may be about."""
@@ -97,35 +101,21 @@ def unknown(_heard: Heard) -> Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Torque:
-    """Servos are on, or off. who: `all`, `any`, or the group of the pattern that names them.
-
-    but: a group, or a key of the object, whose servos are left out.
-    """
+    """Servos are on, or off. who: `all`, `any`, or the group of the pattern that names them."""
 
     on: bool
     who: str = "all"
-    but: str = ""
 
     def __call__(self, heard: Heard) -> Verdict:
         """Whether it was so at some moment."""
         if self.who == "any":
             return _verdict(holds=any(any(each.on) for each in heard.moments))
-        servos = [n for n in heard.servos(self.who) if n not in self._left_out(heard)]
-        if not servos and self.who != "all":
-            return Verdict.UNTRUE  # it names nobody
+        servos = heard.servos(self.who)
+        if not servos:
+            return Verdict.UNTRUE  # it names nobody of this face
         return _verdict(
             holds=any(all(each.on[n] is self.on for n in servos) for each in heard.moments)
         )
-
-    def _left_out(self, heard: Heard) -> list[int]:
-        if not self.but:
-            return []
-        if self.but in heard.match.re.groupindex:
-            return heard.servos(self.but) if heard.match[self.but] else []
-        found: Any = heard.statement.about
-        for key in self.but.split("."):
-            found = (found or {}).get(key) or {}
-        return [n for n, name in enumerate(heard.names) if name in found]
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +127,7 @@ class AtLeast:
 
     def __call__(self, heard: Heard) -> Verdict:
         """Whether it was so at some moment."""
-        n = int(heard.match[self.count])
+        n = min(int(heard.match[self.count]), len(heard.names))  # a board may have more channels
         return _verdict(
             holds=any(sum(on is self.on for on in each.on) >= n for each in heard.moments)
         )
@@ -158,6 +148,22 @@ class Count:
         )
 
 
+@dataclass(frozen=True, slots=True, init=False)
+class Each:
+    """Several claims of one sentence; those whose group is not in it are left out."""
+
+    claims: tuple[Claim, ...]
+
+    def __init__(self, *claims: Claim) -> None:
+        object.__setattr__(self, "claims", claims)
+
+    def __call__(self, heard: Heard) -> Verdict:
+        """Untrue where one of them is."""
+        named = heard.match.groupdict()
+        found = [each(heard) for each in self.claims if named.get(getattr(each, "who", ""), "-")]
+        return Verdict.UNTRUE if Verdict.UNTRUE in found else found[0]
+
+
 @dataclass(frozen=True, slots=True)
 class WasOn:
     """Servos have had torque, or pulses, since the process was started that says so."""
@@ -171,6 +177,17 @@ class WasOn:
         moments = heard.device.during(began_s, said.until_s)
         servos = heard.servos(self.who)
         return _verdict(holds=all(any(each.on[n] for each in moments) for n in servos))
+
+
+def limp_state(heard: Heard) -> Verdict:
+    """A state that means limp, but for servos of which the same object says otherwise."""
+    about = heard.statement.about
+    doubted = [each["name"] for each in about.get("health", ()) if each["torque_on"] is not False]
+    doubted += (about.get("stop_report") or {}).get("unconfirmed", ())
+    limp = [n for n, name in enumerate(heard.names) if name not in doubted]
+    if any(not any(each.on[n] for n in limp) for each in heard.moments):
+        return Verdict.TRUE
+    return Verdict.UNKNOWN if about.get("torque_on") is None else Verdict.UNTRUE
 
 
 def sent_pulse(heard: Heard) -> Verdict:
@@ -193,19 +210,65 @@ class Rule:
     pattern: re.Pattern[str]
     claim: Claim
 
+    @property
+    def any_value(self) -> bool:
+        """Whether it matches a key with any value."""
+        return self.pattern.pattern.endswith(": .*")
 
-@dataclass(frozen=True, slots=True)
-class Judged:
-    """One sentence and what came of it. template: without numbers and names. where: bus, scene."""
 
-    text: str
-    template: str
-    verdict: Verdict
-    where: str = ""
-    truth: str = ""
+@dataclass(slots=True)
+class Tally:
+    """What came of many statements.
 
-    def __str__(self) -> str:
-        return f"{self.where}: {self.text} [{self.truth}]"
+    templates: the different ones that claimed something. listed: of what was untrue or unjudged,
+    how often each was said, and one of them with what the log showed.
+    """
+
+    verdicts: Counter[Verdict] = field(default_factory=Counter)
+    templates: set[str] = field(default_factory=set)
+    listed: dict[tuple[Verdict, str, str], tuple[int, str]] = field(default_factory=dict)
+
+    def add(self, verdict: Verdict, short: str, where: str = "", example: str = "") -> None:
+        """Count one. short: its template. where: its bus and scene."""
+        self.verdicts[verdict] += 1
+        if verdict in _CLAIMS:
+            self.templates.add(short)
+        if verdict in (Verdict.UNTRUE, Verdict.UNJUDGED):
+            n, first = self.listed.get((verdict, short, where), (0, example))
+            self.listed[verdict, short, where] = n + 1, first
+
+    def join(self, other: "Tally") -> None:
+        """Take in another one."""
+        self.verdicts += other.verdicts
+        self.templates |= other.templates
+        for key, (n, example) in other.listed.items():
+            mine, first = self.listed.get(key, (0, example))
+            self.listed[key] = mine + n, first
+
+    @property
+    def lines(self) -> list[str]:
+        """A line for each different sentence of a scene that was untrue, or that no rule knows."""
+        return [
+            f"{where}: {verdict}, {n} times: {example}"
+            for (verdict, _, where), (n, example) in sorted(self.listed.items())
+        ]
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """How many claimed something, how many different ones, and how many were untrue.
+
+        unjudged: no rule knows them. unknown_share: of those that claimed something, how many said
+        only that it is not known. says_nothing: of torque, by a rule.
+        """
+        n_claims = sum(self.verdicts[each] for each in _CLAIMS)
+        return {
+            "statements": n_claims,
+            "templates": len(self.templates),
+            "untrue": self.verdicts[Verdict.UNTRUE],
+            "unjudged": self.verdicts[Verdict.UNJUDGED],
+            "unknown_share": self.verdicts[Verdict.UNKNOWN] / n_claims if n_claims else 0.0,
+            "says_nothing": self.verdicts[Verdict.SILENT],
+        }
 
 
 class Judge:
@@ -219,25 +282,35 @@ class Judge:
         self._names = tuple(each.name for each in joints)
         self._addresses = tuple(each.servo_id for each in joints)
         self._faces = tuple(dict.fromkeys((face, face.replace(" ", "_"), face.replace(" ", "-"))))
-        self._known: dict[str, Rule | None] = {}
+        self._silent: set[str] = set()
 
-    def judge(self, said: Statement, where: str = "") -> list[Judged]:
-        """What came of a statement: of each sentence in it, by the first rule that it matches."""
-        return [self._judged(said, text, where) for text in self._sentences(said.text)]
+    def judge(self, statements: Iterable[Statement], where: str = "") -> Tally:
+        """What came of statements: of each sentence in them, by the first rule that it matches."""
+        tally = Tally()
+        for said in statements:
+            key = said.text.partition(": ")[0]
+            if key in self._silent:  # whatever the number
+                tally.verdicts[Verdict.SILENT] += 1
+                continue
+            for text in self._sentences(said.text):
+                self._judge(said, text, where, tally)
+        return tally
 
-    def _judged(self, said: Statement, text: str, where: str) -> Judged:
-        rule = self._rule(text)
+    def _judge(self, said: Statement, text: str, where: str, tally: Tally) -> None:
         short = template(text, self._names)
-        if rule is None:
-            return Judged(text, short, Verdict.UNJUDGED, where)
-        match = rule.pattern.fullmatch(text)
-        assert match is not None
+        found = ((rule, rule.pattern.fullmatch(text)) for rule in self._rules)
+        rule, match = next(((r, m) for r, m in found if m is not None), (None, None))
+        if rule is None or match is None:
+            tally.add(Verdict.UNJUDGED, short, where, text)
+            return
         heard = Heard(said, match, self._device, self._names, self._addresses)
         verdict, truth = rule.claim(heard), ""
+        if verdict is Verdict.SILENT and text.startswith("status ") and rule.any_value:
+            self._silent.add(text.partition(": ")[0])
         if verdict is Verdict.UNTRUE:
             seen = dict.fromkeys("".join("01"[on] for on in m.on) for m in heard.moments)
-            truth = f"torque was {', '.join(seen)}; state {said.about.get('state')}"
-        return Judged(text, short, verdict, where, truth)
+            truth = f" [torque was {', '.join(seen)}; state {said.about.get('state')}]"
+        tally.add(verdict, short, where, f"{text}{truth}")
 
     def _sentences(self, text: str) -> list[str]:
         """Several troubles may stand in one line."""
@@ -246,11 +319,6 @@ class Judge:
         first, *others = _NEXT_TROUBLE.split(text)
         kind = _KIND.match(text)
         return [first, *(f"{kind[0] if kind else ''}{each}" for each in others)]
-
-    def _rule(self, text: str) -> Rule | None:
-        if text not in self._known:
-            self._known[text] = next((r for r in self._rules if r.pattern.fullmatch(text)), None)
-        return self._known[text]
 
 
 def template(text: str, names: Iterable[str]) -> str:
@@ -265,20 +333,3 @@ def template(text: str, names: Iterable[str]) -> str:
     if text.startswith("exit "):
         return text
     return re.sub(r"\d+(\.\d+)?([eE][-+]?\d+)?", "N", text)
-
-
-def statement_figures(judged: Sequence[Judged]) -> dict[str, Any]:
-    """The figures: how many claimed something, how many different ones, how many were untrue.
-
-    unknown_share: of all that could have claimed. silent: that say nothing of torque, by a rule.
-    """
-    by = Counter(each.verdict for each in judged)
-    claims = [j for j in judged if j.verdict in (Verdict.TRUE, Verdict.UNTRUE, Verdict.UNKNOWN)]
-    return {
-        "statements": len(claims),
-        "templates": len({each.template for each in claims}),
-        "untrue": by[Verdict.UNTRUE],
-        "unjudged": by[Verdict.UNJUDGED],
-        "unknown_share": by[Verdict.UNKNOWN] / len(claims) if claims else 0.0,
-        "says_nothing": by[Verdict.SILENT],
-    }

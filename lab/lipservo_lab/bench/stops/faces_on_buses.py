@@ -28,7 +28,7 @@ BAUD_RATE: Final = 1_000_000
 _US_PER_DEG: Final = 10.0
 _RATE_HZ: Final = {"dynamixel": 30.0, "feetech": 50.0, "maestro": 50.0, "pca9685": 50.0}
 _BUS: Final[dict[str, dict[str, Any]]] = {
-    "dynamixel": {"kind": "dynamixel", "baud_rate": BAUD_RATE},
+    "dynamixel": {"kind": "simulated"},
     "feetech": {"kind": "feetech", "baud_rate": BAUD_RATE},
     "maestro": {"kind": "maestro", "model": "mini12"},
     "pca9685": {"kind": "pca9685", "address": 0x40, "frequency_hz": 50.0, "clock_hz": 25_000_000.0},

@@ -7,6 +7,7 @@ control socket, each exit status.
 import contextlib
 import json
 import os
+import re
 import subprocess
 import threading
 import time
@@ -25,6 +26,8 @@ _LOOK_S: Final = 0.02
 #: Twice as long as a face needs on a busy computer.
 _COMES_S: Final = 60.0
 _COMMAND_S: Final = 60.0
+#: A mouth that is drawn with dots; what is said may stand behind it in the same line.
+_DRAWN: Final = re.compile("[\u2800-\u28ff]+ *")
 #: The confirmed end of a stop.
 _END_S: Final = 12.0
 
@@ -41,6 +44,16 @@ class HeardFace:
         self._readers: list[threading.Thread] = []
         self._poller = threading.Thread(target=self._poll, name="poll", daemon=True)
         self._poller.start()
+
+    @property
+    def first_servo(self) -> str:
+        """The name of the face's first servo, which is critical where one is."""
+        return next(iter(self.robot.settings.servos))
+
+    @property
+    def last_servo(self) -> str:
+        """The name of the face's last servo."""
+        return list(self.robot.settings.servos)[-1]
 
     def begin(self, *arguments: str) -> subprocess.Popen[bytes]:
         """Start `lipservo ARGUMENTS`; each of its lines is heard."""
@@ -61,11 +74,14 @@ class HeardFace:
         where = ("--config", self.robot.config, "--port", str(self.robot.port))
         return self.begin(command, *where, *options)
 
-    def command(self, *arguments: str) -> int:
-        """Run `lipservo ARGUMENTS` to its end; its exit status, which is a statement, too."""
+    def command(self, *arguments: str, of: str = "") -> int:
+        """Run `lipservo ARGUMENTS` to its end; its exit status, which is a statement, too.
+
+        of: of what face, where that makes a difference to what the status means.
+        """
         began_s = time.monotonic()
         process = self.begin(*arguments)
-        return self.end_of(process, " ".join(arguments), began_s)
+        return self.end_of(process, " ".join((*arguments, of)).rstrip(), began_s)
 
     def end_of(self, process: subprocess.Popen[bytes], name: str, began_s: float = 0.0) -> int:
         """Wait for a process's end; its exit status as a statement of `name`.
@@ -164,7 +180,7 @@ class HeardFace:
             whole: list[str] = []
             for raw in lines:
                 now_s = time.monotonic()
-                line = raw.decode(errors="replace").rstrip()
+                line = _DRAWN.sub("", raw.decode(errors="replace")).rstrip()
                 self._note_line(line, now_s, began_s, whole)
 
     def _note_line(self, line: str, now_s: float, began_s: float, whole: list[str]) -> None:
@@ -181,7 +197,7 @@ class HeardFace:
                     kind = "status" if "state" in each and "pid" in each else "outcome"
                     self._note_all(kind, each, now_s)
                 return
-        if line:
+        if line.strip():
             self._note(f"says {line}", now_s, now_s, {"began_s": began_s})
 
     def _note_all(self, kind: str, found: Mapping[str, Any], asked_s: float) -> None:

@@ -23,7 +23,7 @@ _N_STOPS: Final = 40
 _PAUSE_S: Final = 0.2
 _STANDS: Final = "all of the crowd have come"
 _STANDS_S: Final = 30.0
-_SETTLED_S: Final = 1.0
+_SETTLED_S: Final = 3.0
 #: A stop that is not answered by then, or is refused, counts as this long.
 _LOST_S: Final = 10.0
 _DRIP_S: Final = 1.0
@@ -145,47 +145,47 @@ def _close(fileobj: object) -> None:
 
 
 def stop_beside_idle() -> dict[str, Any]:
-    """Return `stop_beside_idle_s`, and a row of it for each door and number of peers.
+    """Return `stop_beside_idle_s`, and a row of it for each server and number of peers.
 
     The worst of many stops of a real daemon, in seconds from the request, made by a new client, to
     the face's answer.
     """
     rows = []
     with running_face(page=True, agents=True) as face:
-        for door in ("page", "agents"):
-            rows += [_row(face, door, n_peers) for n_peers in (10, 1)]
+        for server in ("page", "agents"):
+            rows += [_row(face, server, n_peers) for n_peers in (10, 1)]
     return {
         "stop_beside_idle_s": max(row["worst_s"] for row in rows),
         "stop_beside_idle_rows": rows,
     }
 
 
-def _row(face: RunningFace, door: str, n_peers: int) -> dict[str, Any]:
-    address = getattr(face.at, door)
+def _row(face: RunningFace, server: str, n_peers: int) -> dict[str, Any]:
+    address = getattr(face.at, server)
     n_before = face.robot.output.count(_STANDS)
-    server = urlsplit(address).netloc
-    crowd = face.robot.start_python("-m", __name__, door, server, str(n_peers))
+    netloc = urlsplit(address).netloc
+    crowd = face.robot.start_python("-m", __name__, server, netloc, str(n_peers))
     try:
         if not face.robot.look_until(
             lambda: face.robot.output.count(_STANDS) > n_before, _STANDS_S
         ):
             raise RuntimeError(f"the crowd does not stand: {face.robot.last_output}")
         face.robot.look(_SETTLED_S)
-        took_s = []
+        delays_s = []
         for _ in range(_N_STOPS):
-            took_s.append(_stopped_after_s(face, door))
+            delays_s.append(_stopped_after_s(face, server))
             face.robot.look(_PAUSE_S)
     finally:
         crowd.kill()
         crowd.wait()
-    lost = sum(each >= _LOST_S for each in took_s)
-    return {"door": door, "peers": n_peers, "worst_s": max(took_s), "lost": lost}
+    lost = sum(each >= _LOST_S for each in delays_s)
+    return {"server": server, "peers": n_peers, "worst_s": max(delays_s), "lost": lost}
 
 
-def _stopped_after_s(face: RunningFace, door: str) -> float:
+def _stopped_after_s(face: RunningFace, server: str) -> float:
     began_s = time.monotonic()
     try:
-        if door == "page":
+        if server == "page":
             status, answer = post_stop(face.at.page, "freeze", 0, _LOST_S)
             is_taken = status == 200 and "accepted" in answer
         else:
@@ -195,15 +195,15 @@ def _stopped_after_s(face: RunningFace, door: str) -> float:
     return min(_LOST_S, time.monotonic() - began_s) if is_taken else _LOST_S
 
 
-def _main(door: str, server: str, n_peers: str) -> None:
-    host, port = server.rsplit(":", 1)
-    crowd = IdleCrowd((host, int(port)), int(n_peers), OPENINGS[door])
-    has_told = False
+def _main(server: str, netloc: str, n_peers: str) -> None:
+    host, port = netloc.rsplit(":", 1)
+    crowd = IdleCrowd((host, int(port)), int(n_peers), OPENINGS[server])
+    is_announced = False
 
     def is_over() -> bool:
-        nonlocal has_told
-        if crowd.n_came >= N_IDLE and not has_told:
-            has_told = True
+        nonlocal is_announced
+        if crowd.n_came >= N_IDLE and not is_announced:
+            is_announced = True
             sys.stderr.write(f"{_STANDS}\n")
         return False
 

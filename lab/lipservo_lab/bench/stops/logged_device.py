@@ -144,8 +144,8 @@ class Pca9685Truth:
 class LoggedDevice:
     """A simulated device that a `PtyHost` serves, which logs each change of torque and pulses.
 
-    device: the simulator. moments: the log, oldest first; shafts: (time, degrees of each), some fifty a second. The host's
-    thread writes both, and any thread may read them.
+    device: the simulator. moments: the log, oldest first; shafts: (time, degrees of each), some
+    fifty a second. The host's thread writes both, and any thread may read them.
     """
 
     def __init__(self, device: SimulatedDevice, truth: ServoTruth) -> None:
@@ -194,7 +194,7 @@ class LoggedDevice:
 
     def turn(self, index: int, by_deg: float) -> None:
         """Turn a limp servo's shaft by hand, where it can be."""
-        if (turn := getattr(self._device, "turn", None)) is not None:
+        if (turn := getattr(self.device, "turn", None)) is not None:
             turn(index, by_deg)
 
     def during(self, since_s: float, until_s: float) -> list[Moment]:

@@ -127,6 +127,7 @@ class RunningFace:
 @contextlib.contextmanager
 def running_face(
     *,
+    bus: str = "dynamixel",
     page: bool = False,
     agents: bool = False,
     n_others: int = 0,
@@ -136,12 +137,13 @@ def running_face(
 ) -> Iterator[RunningFace]:
     """A face that speaks and drives all its servos, in folders of its own.
 
-    page, agents: with these doors. n_others: faces beside it that rest, started before it, so that
-    they come first where faces are listed. tracer: a module in place of the troubles, put into its
-    processes. face: shipped; sound: what it speaks. Raises RuntimeError where one does not start.
+    bus: of its servos. page, agents: with these doors. n_others: faces beside it that rest, started
+    before it, so that they come first where faces are listed. tracer: a module in place of the
+    troubles, put into its processes. face: shipped; sound: what it speaks. Raises RuntimeError
+    where one does not start.
     """
     with ExitStack() as stack:
-        robot = stack.enter_context(robot_at_port(face=face))
+        robot = stack.enter_context(robot_at_port(bus, face=face))
         others = []
         for _ in range(n_others):
             beside = stack.enter_context(robot_at_port(session=robot.session))

@@ -350,7 +350,7 @@ def _works(command: Command, robot: RobotAtPort) -> bool:
     if command.own_servos:
         return bool(robot.controls)
     if not command.arms:
-        return robot.chain.servos[0]["return_delay_time"] == 0
+        return bool(robot.chain.servos[0]["return_delay_time"] == 0)
     torque = robot.torque
     return bool(torque.any() if command.name == "new-face" else torque.all())
 

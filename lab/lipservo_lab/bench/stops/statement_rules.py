@@ -13,9 +13,11 @@ from lipservo_lab.bench.stops.claims import (
     AtLeast,
     Claim,
     Count,
+    Each,
     Rule,
     Torque,
     WasOn,
+    limp_state,
     nothing,
     sent_pulse,
     unknown,
@@ -23,10 +25,14 @@ from lipservo_lab.bench.stops.claims import (
 
 _SHORT: Final = {
     "{S}": r"(?:says|status troubles:|\w+ error:|answer to \w+ error:|outcome problem:) *"
-    r"(?:bridge: |speech: |lipservo: )*(?:FACE: )?(?:could not be started: )?",
+    r"(?:bridge: |speech: |guard: |lipservo: )*(?:FACE: )?"
+    r"(?:its processes have died; its guard at \S+: )?(?:could not be started: )?",
     "{servo}": r"servo '(?P<who>\w+)' \((?:id|channel) \d+\)",
     "{limp}": r"(?:limp|pulses off; a digital servo may hold)",
+    "{face}": r"says FACE  process \d+  (?:\S+|simulated servos)  ",
     "{n}": r"(?P<n>\d+) servos?",
+    # Behind a stop that a full disk did not take.
+    "{kept}": r"(?:; the next start of its process will not know of this stop: .*)?",
 }
 _ALL_OFF: Final = Torque(on=False)
 _ALL_ON: Final = Torque(on=True)
@@ -62,14 +68,12 @@ _STATUS: Final[tuple[tuple[str, Claim], ...]] = (
     # It gets no goals; whether it holds is told by torque_on.
     (
         r"status (?:servos\.\w+|health\.\w+\.state): "
-        r"(?:waiting|cooling|rebooting|failed|switching off|unknown)",
-        unknown,
+        r"(?:starting|waiting|cooling|rebooting|failed|switching off|unknown)",
+        nothing,
     ),
     (r"status pulses\.\w+\.sent_us: null", unknown),
     (r"status pulses\.(?P<who>\w+)\.sent_us: (?P<us>[\d.]+)", sent_pulse),
-    # A servo that has not confirmed is named beside it.
-    (r"status state: (?:stopped|ended)", Torque(on=False, but="stop_report.unconfirmed")),
-    (r"status state: silent", _ALL_OFF),
+    (r"status state: (?:stopped|ended|silent)", limp_state),
     (r"status state: starting", nothing),
     (r"status state: (?:driven|frozen|easing|letting go|unknown)", nothing),
     (r"status state: the bridge .*", nothing),
@@ -83,24 +87,27 @@ _STATUS: Final[tuple[tuple[str, Claim], ...]] = (
 
 _ANSWERS: Final[tuple[tuple[str, Claim], ...]] = (
     (
-        r"answer to \w+ (?:accepted|name|config|port|sounds|control|servo|asked|set|value): .*",
+        r"answer to \w+ (?:accepted|name|config|port|sounds|control|servo|asked|set|value"
+        r"|not_kept): .*",
         nothing,
     ),
     (r"answer to \w+ holds: (?P<who>\w+)", _IS_ON),
     (r"answer to \w+ limp: (?P<who>\w+)", _IS_OFF),
     (r"answer to \w+ unknown: (?P<who>\w+)", unknown),
     (
-        r"(?:end of \w+|outcome) (?:confirmed|released|limp): (?:id |channel )?(?P<who>\w+)(?: at .*)?",
+        r"(?:end of \w+|outcome) (?:confirmed|released|limp): "
+        r"(?:id |channel )?(?P<who>\w+)(?: at .*)?",
         _IS_OFF,
     ),
     (r"(?:end of \w+|outcome) holds: (?P<who>\w+)", _IS_ON),
+    (r"outcome unconfirmed\.(?P<who>\w+): limp: nothing is held", _IS_OFF),
     (r"(?:end of \w+|outcome) unconfirmed\.[\w ]+: .*", unknown),
     (r"(?:end of \w+|outcome) unknown: .*", unknown),
     (r"end of \w+ complete: true", _ALL_OFF),
     (r"end of \w+ complete: false", unknown),
     (
         r"end of \w+ (?:ended|waits|name|config|port|sounds|at_rest|dry_run|released_words"
-        r"|exit_status): .*",
+        r"|exit_status|not_kept): .*",
         nothing,
     ),
     (
@@ -111,16 +118,16 @@ _ANSWERS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"outcome n_\w+: \d+", nothing),
     (r"outcome servos\.(?P<who>\w+): driven", _IS_ON),
     (r"outcome servos\.(?P<who>\w+): off", _IS_OFF),
-    (r"outcome servos\.\w+: (?:waiting|cooling|rebooting|failed|switching off)", unknown),
+    (r"outcome servos\.\w+: (?:waiting|cooling|rebooting|failed|switching off)", nothing),
     (r"outcome servos\.\w+\.\w+: .*", nothing),  # health --json: of days
     (r"outcome state: .*", nothing),
-    # The file of a face that one `doctor --json` or `limp --json` names.
-    (r"outcome (?:ok|level|text|lines|checks|warnings)[\w.]*: .*", nothing),
+    (r"outcome findings\.what: {servo} gets no pulses", _IS_OFF),
+    (r"outcome (?:bad|findings\.(?:remedy|severity|what)): .*", nothing),
 )
 
 #: Of one servo, as they stand in `troubles`.
 _OF_A_SERVO: Final[tuple[tuple[str, Claim], ...]] = (
-    (r"{S}{servo} does not answer(?:; check its power and cable)?", unknown),
+    (r"{S}{servo} does not answer(?:; check its power(?: and|,) cable.*)?", unknown),
     (r"{S}{servo} cannot be reached: the port is gone", unknown),
     (r"{S}{servo} let go: a port of the face is gone", _IS_OFF),
     (r"{S}{servo} switched off by a person", _IS_OFF),
@@ -130,6 +137,7 @@ _OF_A_SERVO: Final[tuple[tuple[str, Claim], ...]] = (
     (r"{S}{servo} has lost its torque", _IS_OFF),
     (r"{S}{servo} stopped by its watchdog", nothing),
     (r"{S}{servo} .*: it stays limp", _IS_OFF),
+    (r"{S}{servo} .*, again and again: given up until a start", unknown),
     (r"{S}{servo} (?:is|was)? ?[\d.]+ deg off for [\d.]+ s.*", nothing),
     (
         r"{S}{servo} [\w ]*(?:overload|overheating|electrical shock|encoder|input voltage)[\w ]*",
@@ -157,9 +165,11 @@ _OF_A_FACE: Final[tuple[tuple[str, Claim], ...]] = (
     (r"says (?:bridge: )?  \w+: .*", unknown),  # each that has not confirmed, and why
     (r"{S}keep your hands away; .*", nothing),
     (r"{S}dry run over; no torque was switched on", _ALL_OFF),
-    (r"{S}every servo is driven again", _ALL_ON),
+    (r"{S}every servo (?:is driven|holds) again", _ALL_ON),
     (r"{S}motion comes again", nothing),
     (r"{S}no motion comes from speech .*: the servos are let go until it comes", _ALL_OFF),
+    # What is done; what came of it, each servo's torque says.
+    (r"{S}no motion comes from speech .*: torque is switched off until it comes", unknown),
     (r"{S}the port of the servos is (?:gone|back)", nothing),
     (r"{S}the port is (?:gone|back).*", nothing),
     (r"{S}start requested by .*: driven again", Torque(on=True, who="any")),
@@ -171,15 +181,22 @@ _OF_A_FACE: Final[tuple[tuple[str, Claim], ...]] = (
     (r"{S}starts {limp}, and `lipservo start` drives it: .*", _ALL_OFF),
     (r"{S}stays {limp}: (?P<who>\w+): .*", _IS_OFF),
     (r"{S}critical {servo} .*; all is {limp}", _ALL_OFF),
+    (r"{S}critical {servo} .*; the face was stopped", nothing),
     (r"{S}servo \w+ (?:off|on|reboot): .*", nothing),
     # What may be, and what becomes of servos when the computer dies: no state of now.
     (r"says (?:stop|stop --limp|stop --freeze|computer dies, or the plug is pulled): .*", nothing),
     (r"{S}nothing holds the OE pin of the board: .*", nothing),
+    (r"{S}no guard runs: .*", nothing),
+    (r"{S}`lipservo doctor` (?:shows|examines) every .*", nothing),
+    (r"{S}the program is over: the next stop ends it", nothing),
     (r"{S}(?:speech|bridge) (?:runs as process|died|hangs|has not ended).*", nothing),
     (r"{S}strategy .*", nothing),
     (r"{S}recogniser .*", nothing),
     (r"{S}(?:\d+ lines were lost).*", nothing),
     (r"{S}simulated.*", nothing),
+    (r"{S}\S+: (?:no such port|no such I2C bus|no Maestro answers|used by another).*", unknown),
+    (r"{S}\S+, address \S+: .*", unknown),
+    (r"{S}could not be started .*", nothing),
 )
 
 #: What the commands answer.
@@ -189,9 +206,18 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
         r"says FACE: {limp} \({n}\)(?:; confirmed by \d+ servos)?(?:; it waits: .*)?",
         AtLeast(on=False),
     ),
-    (r"says (?:FACE|PORT): (?:limp|{limp}).*", _ALL_OFF),
-    (r"says (?:FACE|PORT): confirmed by {n}, NOT by .*", AtLeast(on=False)),
+    (r"says \S+: {limp}(?:, confirmed by all {n}| \(\d+ servos?\))?(?:; .*)?", _ALL_OFF),
+    (r"says \S+: confirmed by {n}, NOT by .*", AtLeast(on=False)),
+    (r"says FACE hangs: it does not answer; processes .* are killed", nothing),
     (r"says FACE: held where it is until the next stop", _ALL_ON),
+    (
+        r"says FACE: held where it is: {n} hold(?:; (?P<limp>[\w, ]+) limp)?"
+        r"(?:; not known of [\w, ]+)?{kept}",
+        Each(AtLeast(on=True), Torque(on=False, who="limp")),
+    ),
+    (r"says FACE: nothing is held(?:; \d+ servos? limp)?{kept}", _ALL_OFF),
+    (r"says FACE: nothing is known to be held; .*", unknown),
+    (r"says FACE: servo \w+ comes on when the face is started", nothing),
     (r"says FACE: driven, (?P<n>\d+) of \d+ servos driven", Count(on=True)),
     (r"{S}will stop, but has not confirmed it within .*", unknown),
     (r"{S}hangs: .*", unknown),
@@ -208,16 +234,38 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"{S}no bridge drives the servos just now; ask again", nothing),
     (r"{S}no face (?:runs|answers).*", nothing),
     # `status`: a line for each face.
-    (r"says FACE  process \d+  \S+  \w+, but its port is gone: no servo can be reached", unknown),
     (
-        r"says FACE  process \d+  \S+  stopped by .*: (?:.*; )?limp, confirmed by {n}"
+        r"{face}\w+, but its port is gone: no servo can be reached",
+        unknown,
+    ),
+    (
+        r"{face}stopped by .*: (?:.*; )?limp, confirmed by {n}"
         r"(?:, NOT by .*)?(?:; .*)?",
         AtLeast(on=False),
     ),
-    (r"says FACE  process \d+  \S+  stopped by .*: {limp}(?:; .*)?", _ALL_OFF),
-    (r"says FACE  process \d+  \S+  [\w ]+, (?P<n>\d+) of \d+ servos driven", Count(on=True)),
-    (r"says FACE  process \d+  \S+  .*", nothing),
-    (r"says   silence: .*", nothing),
+    (r"{face}stopped by .*: {limp}(?:; .*)?", _ALL_OFF),
+    (
+        r"{face}[\w ]+, (?P<n>\d+) of \d+ servos driven",
+        Count(on=True),
+    ),
+    (r"{face}.*", nothing),
+    (r"says   (?:silence|\S+\.flac): .*", nothing),
+    # The frame and the counts that a `run` leaves behind.
+    (r"says .* -> FACE +torque off", _ALL_OFF),
+    (r"says .* -> FACE +torque on", Torque(on=True, who="any")),
+    (r"says  *\w+ +[─●]+ +-?[\d.]+ deg", nothing),
+    (r"says \S+\.flac", nothing),
+    (r"says animpho, .*", nothing),
+    (r"says delay from sound to face: .*", nothing),
+    (r"says (?:lip gap|phonemes) .*", nothing),
+    (
+        r"says  [a-z0-9 ]+  +\S.*  +(?:good: .*|goals sent to every servo|the face is so .*)",
+        nothing,
+    ),
+    (r"says  [a-z0-9 ]+  +\S.*  +(?:from the start of .*|a few are normal; .*)", nothing),
+    (r"says  [a-z0-9 ]+  +\S.*  +(?:of sound|moved the mouth|the most memory used)", nothing),
+    (r"says  seconds +[\d.]+ +the whole run took", nothing),
+    (r"says sound +[\d.]+ s", nothing),
     # `calibrate neutral`.
     (r"says (?P<who>\w+) was sent to .* deg(?: \(.* us\))?", WasOn("who")),
     (r"says (?P<who>\w+) stands at .* deg(?: \(.* us\))?", WasOn("who")),
@@ -227,8 +275,9 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
 _OF_DOCTOR: Final[tuple[tuple[str, Claim], ...]] = (
     (r"says ok   {servo} gets no pulses", _IS_OFF),
     (r"says \w+ +{servo} gets pulses.*", _IS_ON),
-    (r"says (?:ok  |warn|FAIL|fail|info) .*", nothing),
-    (r"says  *(?:servo +°C now|\w+ +[-\d]).*", nothing),
+    (r"says (?:ok  |warn|FAIL|fail|info) (?!.*\b(?:torque|holds?|limp|pulses)\b).*", nothing),
+    (r"says  *servo +°C now .*", nothing),
+    (r"says  *\w+ +(?:[-\d.%]+ +){5}[\w ]+ +\d+ +\d+", nothing),
     (r"says - .*", nothing),
     (r"says   its supply is failing", nothing),
     (r"says .* readings", nothing),
@@ -242,11 +291,13 @@ _EXITS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"exit start(?: --json)?: 0", _ALL_ON),
     (r"exit servo (?P<who>\w+) off: 0", _IS_OFF),
     (r"exit servo (?P<who>\w+) on: 0", _IS_ON),
+    (r"exit servo \w+ on of a stopped face: 0", nothing),  # it comes on with the face
     (r"exit limp .*: 0", _ALL_OFF),
     (r"exit (?:daemon|run .*): [05]", _ALL_OFF),  # it ended well, or early, and all confirmed
     (r"exit (?:daemon|run .*): 3", unknown),
     (r"exit calibrate neutral .*: 0", _ALL_OFF),
     (r"exit (?:stop|start|servo|limp|calibrate|daemon|run)\b.*: -?\d+", nothing),
+    (r"exit daemon at a port in use: [1-9]", nothing),
     (r"exit (?:status|doctor|health|servo)\b.*: \d+", nothing),
 )
 

@@ -27,7 +27,7 @@ def orders(face: HeardFace, bus: str) -> None:
     daemon = face.begin_face(*_DAEMON)
     face.until_driven()
     face.wait(_STAYS_S)
-    name = list(face.robot.settings.servos)[-1]
+    name = face.last_servo
     for switch in ("off", "reboot", "on"):
         face.command("servo", name, switch)
         face.command("status")
@@ -44,7 +44,7 @@ def orders(face: HeardFace, bus: str) -> None:
     face.command("status")
     face.command("stop", "--freeze")
     face.command("servo", name, "off")
-    face.command("servo", name, "on")
+    face.command("servo", name, "on", of="of a stopped face")
     face.command("start")
     face.word("soft", until_end=True)
     face.word("freeze")
@@ -73,10 +73,10 @@ def plug(face: HeardFace, _bus: str) -> None:
     device.unplug()
     face.wait(_STAYS_S)
     face.command("status")
-    face.command("servo", list(face.robot.settings.servos)[0], "off")
+    face.command("servo", face.first_servo, "off")
     device.plug_in()
     face.wait(2.0)
-    face.command("servo", list(face.robot.settings.servos)[0], "on")
+    face.command("servo", face.first_servo, "on")
     face.until_driven()
     face.word("freeze")
     device.unplug()
@@ -183,13 +183,13 @@ def processes(face: HeardFace, _bus: str) -> None:
     os.kill(face.child(daemon, "bridge"), signal.SIGKILL)
     face.command("stop")
     face.until_state("stopped", timeout_s=15.0)
-    face.command("servo", list(face.robot.settings.servos)[0], "off")
+    face.command("servo", face.first_servo, "off")
     face.command("status")
     face.word("start")
     face.wait(0.2)
     face.word("freeze")
     face.wait(1.0)
-    face.command("servo", list(face.robot.settings.servos)[0], "on")
+    face.command("servo", face.first_servo, "on", of="of a stopped face")
     face.command("start")
     os.kill(face.child(daemon, "speech"), signal.SIGSTOP)
     face.until_state("silent", timeout_s=8.0)
@@ -334,8 +334,8 @@ def starting(face: HeardFace, bus: str) -> None:
         face.word(word)
         face.wait(1.0)
     face.word("limp", until_end=True)
-    face.begin_face(*_DAEMON).wait(30.0)  # a second one at a port that is in use
     face.command("start")
+    face.end_of(face.begin_face(*_DAEMON), "daemon at a port in use")
     if bus in SERIAL:
         truth.mute(0, muted=True)
         face.wait(1.5)
@@ -364,7 +364,9 @@ def _kill_all(daemon: subprocess.Popen[bytes]) -> None:
 
 
 Scene = Callable[[HeardFace, str], None]
-#: By name; `starting` is played with a critical servo.
+#: Played with a critical servo.
+CRITICAL: Final = ("starting",)
+#: By name.
 SCENES: Final[dict[str, Scene]] = {
     each.__name__: each
     for each in (orders, plug, mute, processes, faults, commands, everybody, starting)

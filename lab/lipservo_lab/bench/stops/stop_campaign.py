@@ -227,11 +227,11 @@ def _face_for(case: StopCase) -> Iterator[RunningFace]:
     """A face as the case needs it: driven, or just launched."""
     if case.trouble is not Trouble.STARTING:
         with running_face(
-            page=case.page, agents=case.agents, n_others=n_others(case.trouble)
+            bus=case.bus, page=case.page, agents=case.agents, n_others=n_others(case.trouble)
         ) as face:
             yield face
         return
-    with robot_at_port() as robot:
+    with robot_at_port(case.bus) as robot:
         daemon = start_daemon(robot, "--listen", "none")
         launched_s = time.monotonic()
         if not robot.look_until(lambda: bool(robot.controls), START_S):
@@ -257,6 +257,8 @@ def _played(case: StopCase, face: RunningFace, *, has_start: bool) -> StopOutcom
 
 def _play(case: StopCase, face: RunningFace, outcome: StopOutcome, *, has_start: bool) -> None:
     robot = face.robot
+    if case.trouble is Trouble.EVERYBODY_KILLED:
+        robot.look(case.moment_s)
     with gone_wrong(case.trouble, face) as reachable_s:
         if case.trouble in NEED_START:
             requested = _meet(case, face, outcome)
@@ -264,7 +266,8 @@ def _play(case: StopCase, face: RunningFace, outcome: StopOutcome, *, has_start:
                 judge_start(face, outcome)
                 return
         else:
-            robot.look(0.0 if case.trouble is Trouble.STARTING else case.moment_s)
+            is_past = case.trouble in (Trouble.STARTING, Trouble.EVERYBODY_KILLED)
+            robot.look(0.0 if is_past else case.moment_s)
             requested = request_stop_by(case.client, case.level, robot, face.daemon, face.at)
         if case.trouble is Trouble.UNPLUGGED:
             robot.look(PLUG_OUT_S)
@@ -279,7 +282,7 @@ def _play(case: StopCase, face: RunningFace, outcome: StopOutcome, *, has_start:
     if requested.process is not None:
         requested.process.kill()  # it would request the stop once more of a face that is driven
     outcome.answers = list(requested.answers)
-    if outcome.undone or case.client is StopClient.SIGNAL:
+    if outcome.undone or case.client in (StopClient.SIGNAL, StopClient.NOBODY):
         face.spent = True
     elif not has_start:
         outcome.no_start = case.is_plain

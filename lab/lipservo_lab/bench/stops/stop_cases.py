@@ -12,7 +12,8 @@ from typing import Any, Final
 import numpy as np
 
 from firmware_bridge.stopping import StopLevel
-from lipservo_lab.bench.stops.stop_clients import NEEDS_AGENTS, NEEDS_PAGE, StopClient
+from lipservo_lab.bench.stops.faces_on_buses import BUSES
+from lipservo_lab.bench.stops.stop_clients import CLIENTS, NEEDS_AGENTS, NEEDS_PAGE, StopClient
 from lipservo_lab.bench.stops.troubles import (
     FIRST_TROUBLES,
     FOR_EVERY_CLIENT,
@@ -31,6 +32,10 @@ _MEETINGS_S: Final = {
     Trouble.START_AFTER_STOP: (0.02, 0.15),
     Trouble.START_AT_ONCE: (0.0,),
 }
+#: So long after a start that is obeyed at once its servos are being armed, one after another.
+_ARMING_S: Final = (0.01, 0.3)
+#: Driven for so long; everybody is killed then.
+_KILLED_S: Final = (0.0, 0.3, 1.0)
 #: Of the first conditions, those in which the process that owns the servos is away or is replaced.
 _FOR_MORE_CLIENTS: Final = (
     Trouble.UNPLUGGED,
@@ -43,15 +48,19 @@ _MOST_OF_A_FACE: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class StopCase:
-    """One stop: how hard, what went wrong before it, how much later it came, and by whom."""
+    """One stop: how hard, what went wrong before it, how much later it came, by whom; on what bus.
+
+    Where everybody was killed, the moment is how long the face had been driven by then.
+    """
 
     level: StopLevel
     trouble: Trouble
     moment_s: float = 0.0
     client: StopClient = StopClient.SOCKET
+    bus: str = "dynamixel"
 
     def __str__(self) -> str:
-        return f"{self.client} {self.level}, {self.trouble}, {self.moment_s:g} s later"
+        return f"{self.client} {self.level}, {self.trouble}, {self.moment_s:g} s later, {self.bus}"
 
     @property
     def page(self) -> bool:
@@ -66,7 +75,8 @@ class StopCase:
     @property
     def is_plain(self) -> bool:
         """Whether a daemon waits afterwards, limp, until a person starts it."""
-        return self.level is not StopLevel.FREEZE and self.client is not StopClient.SIGNAL
+        by_person = self.client not in (StopClient.SIGNAL, StopClient.NOBODY)
+        return self.level is not StopLevel.FREEZE and by_person
 
 
 def stop_cases() -> Iterator[StopCase]:
@@ -82,7 +92,7 @@ def stop_cases() -> Iterator[StopCase]:
         (StopClient.COMMAND, StopClient.PAGE_SCRIPT),
     ):
         yield StopCase(level, trouble, 0.0, client)
-    for level, trouble, client in product(StopLevel, FOR_EVERY_CLIENT, StopClient):
+    for level, trouble, client in product(StopLevel, FOR_EVERY_CLIENT, CLIENTS):
         if _exists(level, client):
             yield StopCase(level, trouble, 0.0, client)
     for level in StopLevel:
@@ -94,6 +104,7 @@ def stop_cases() -> Iterator[StopCase]:
         if _exists(level, client):
             yield StopCase(level, Trouble.CLOCK_JUMPS, 0.0, client)
     yield from _meetings()
+    yield from _on_buses()
 
 
 def _meetings() -> Iterator[StopCase]:
@@ -107,6 +118,14 @@ def _meetings() -> Iterator[StopCase]:
             yield StopCase(level, trouble, moment_s)
 
 
+def _on_buses() -> Iterator[StopCase]:
+    """Stops of a face that starts, and the death of all its processes, on every kind of bus."""
+    for bus, level, moment_s in product(BUSES, StopLevel, _ARMING_S):
+        yield StopCase(level, Trouble.START_AGAIN, moment_s, bus=bus)
+    for bus, moment_s in product(BUSES, _KILLED_S):
+        yield StopCase(StopLevel.LIMP, Trouble.EVERYBODY_KILLED, moment_s, StopClient.NOBODY, bus)
+
+
 def _exists(level: StopLevel, client: StopClient) -> bool:
     return not (level is StopLevel.FREEZE and client is StopClient.SIGNAL)
 
@@ -114,13 +133,13 @@ def _exists(level: StopLevel, client: StopClient) -> bool:
 def batches(cases: Sequence[StopCase]) -> list[list[StopCase]]:
     """The same cases in batches that one face can serve, what ends a face last in each.
 
-    A face that serves a batch has the same doors throughout, and the same trouble.
+    A face that serves a batch has the same doors throughout, the same trouble, and the same bus.
     """
 
-    def shared(case: StopCase) -> tuple[str, bool, bool]:
-        return case.trouble, case.page, case.agents
+    def shared(case: StopCase) -> tuple[str, str, bool, bool]:
+        return case.trouble, case.bus, case.page, case.agents
 
-    def order(case: StopCase) -> tuple[tuple[str, bool, bool], bool, bool]:
+    def order(case: StopCase) -> tuple[tuple[str, str, bool, bool], bool, bool]:
         return shared(case), case.client is StopClient.SIGNAL, case.level is StopLevel.FREEZE
 
     found = []
@@ -184,7 +203,7 @@ def stop_figures(outcomes: Sequence[StopOutcome]) -> dict[str, Any]:
 
     late counts cases; torque_left_on, undone and moved_frozen count servos. starts: faces that were
     started again; starts_unavailable: that could not, since the program has no start. by_client,
-    by_trouble: the counts of each.
+    by_trouble, by_bus: the counts of each.
     """
     limp_s = [o.limp_after_s for o in outcomes if o.limp_after_s is not None]
     return {
@@ -196,6 +215,7 @@ def stop_figures(outcomes: Sequence[StopOutcome]) -> dict[str, Any]:
         "limp_after_worst_s": max(limp_s, default=0.0),
         "by_client": _table(outcomes, lambda case: case.client.value),
         "by_trouble": _table(outcomes, lambda case: case.trouble.value),
+        "by_bus": _table(outcomes, lambda case: case.bus),
     }
 
 

@@ -50,6 +50,7 @@ class Trouble(StrEnum):
     START_AGAIN = "start_again"  # a stopped face has just been started
     START_AFTER_STOP = "start_after_stop"  # a start comes while it stops
     START_AT_ONCE = "start_at_once"  # another client sends a start in the same moment
+    EVERYBODY_KILLED = "everybody_killed"  # bridge and supervisor at once, by kill -9
 
 
 #: The conditions of this campaign from its beginning, each at three moments.
@@ -117,6 +118,10 @@ def _begin(trouble: Trouble, face: RunningFace, undo: ExitStack) -> None:
             robot.device.plug_in()
         case Trouble.DURING_RESTART:
             os.kill(face.child("bridge"), signal.SIGKILL)
+        case Trouble.EVERYBODY_KILLED:
+            for pid in (face.daemon.pid, face.child("bridge")):
+                os.kill(pid, signal.SIGKILL)
+            face.daemon.wait()
         case Trouble.SECOND_FACE:
             second = start_daemon(robot, "--listen", "none")
             if not robot.look_until(lambda: second.poll() is not None, START_S):

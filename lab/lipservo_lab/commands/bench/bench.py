@@ -164,16 +164,22 @@ def faults(
     minutes: Annotated[
         float, typer.Option(min=1.0, help="How long --starved starves it; then 40 starts.")
     ] = 20.0,
+    only: Annotated[
+        str,
+        typer.Option(help="Of --stops only: stops, freezes, statements, restarts or idle."),
+    ] = "",
     bus: Annotated[str, typer.Option(help="Which kind of bus.")] = "dynamixel",
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Play every kind of fault against bridge and bus, on a virtual clock.
 
-    With --stops, --signals or --starved: on real processes at simulated servos.
+    With --stops, --signals or --starved: how faces and commands end, on real processes at simulated
+    servos; with --stops also whether what they say of torque is so.
     Exit status 1 when anything happened that must not.
     """
     from lipservo_lab.bench.fault_figures import (
+        STOP_PARTS,
         campaign_figures,
         signal_campaign_figures,
         starved_figures,
@@ -188,6 +194,8 @@ def faults(
             f"--bus {bus}: use one of {', '.join(CAMPAIGN_BUSES)}; --stops, --signals and "
             "--starved are of dynamixel"
         )
+    if only and not (stops and only in STOP_PARTS):
+        raise UserError(f"--only {only}: goes with --stops; one of {', '.join(STOP_PARTS)}")
     began_s = time.perf_counter()
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
         steps = progress.add_task("cases", total=None)
@@ -196,7 +204,7 @@ def faults(
             progress.update(steps, completed=n_done, total=n_cases)
 
         if stops:
-            figures, broken = stop_campaign_figures(every, advance)
+            figures, broken = stop_campaign_figures(every, advance, only)
         elif signals:
             figures, broken = signal_campaign_figures(every, advance)
         elif starved:

@@ -3,6 +3,7 @@
 from itertools import product
 
 import pytest
+from lipservo_lab.bench.stops.faces_on_buses import BUSES
 from lipservo_lab.bench.stops.stop_cases import (
     TIMES_S,
     StopCase,
@@ -11,7 +12,7 @@ from lipservo_lab.bench.stops.stop_cases import (
     stop_cases,
     stop_figures,
 )
-from lipservo_lab.bench.stops.stop_clients import StopClient
+from lipservo_lab.bench.stops.stop_clients import CLIENTS, StopClient
 from lipservo_lab.bench.stops.troubles import FIRST_TROUBLES, FOR_EVERY_CLIENT, NEED_START, Trouble
 
 from firmware_bridge.stopping import StopLevel
@@ -20,14 +21,19 @@ CASES = list(stop_cases())
 #: No signal freezes a face.
 BY_CLIENT = {
     (client, level)
-    for client, level in product(StopClient, StopLevel)
+    for client, level in product(CLIENTS, StopLevel)
     if (client, level) != (StopClient.SIGNAL, StopLevel.FREEZE)
 }
 
 
 def test_the_campaign_plays_every_trouble_and_no_case_twice():
-    assert len(set(CASES)) == len(CASES) >= 200
+    assert len(set(CASES)) == len(CASES) >= 400
     assert {case.trouble for case in CASES} == set(Trouble)
+
+
+@pytest.mark.parametrize("trouble", [Trouble.EVERYBODY_KILLED, Trouble.START_AGAIN])
+def test_everybody_is_killed_and_a_starting_face_is_stopped_on_every_bus(trouble):
+    assert {case.bus for case in CASES if case.trouble is trouble} == set(BUSES)
 
 
 @pytest.mark.parametrize("trouble", FOR_EVERY_CLIENT)

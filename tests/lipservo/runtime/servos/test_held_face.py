@@ -8,16 +8,20 @@ import time
 import numpy as np
 import pytest
 from dynamixel_chain import MemoryFace
+from hobby_bus import on_maestro_yaml, on_pca9685
 
 from calibration.fit.servo_response import identify
 from calibration.mouth_servos import JointRange
 from firmware_bridge.dynamixel.mounting import mounted_servos
-from firmware_bridge.errors import PortGone
+from firmware_bridge.errors import PortGone, ServoError
+from firmware_bridge.maestro import simulator as simulated_maestro
+from firmware_bridge.pca9685 import simulator as simulated_pca9685
+from firmware_bridge.pulse_bus import STAGGER_S
 from firmware_bridge.simulator.faults import Fault
 from firmware_bridge.stopping import StopReport
 from lipservo.runtime.servos.face_stopped import FaceStopped
 from lipservo.runtime.servos.held_face import HeldFace, held_rate_hz
-from lipservo.settings.settings import FaceSettings, load_shipped_face
+from lipservo.settings.settings import FaceSettings, load_shipped_face, parse_face
 
 ENCODER_STEP_DEG = 360.0 / 4096.0
 
@@ -53,6 +57,42 @@ def test_no_goal_on_the_wire_leaves_the_limits_or_breaks_a_rule():
         assert reached[0] <= 20.0 + 2 * ENCODER_STEP_DEG
         reached = robot.move(np.array([18.0, 0.0, 0.0, 30.0]))
         assert reached[0] + reached[3] <= 20.0 + 4 * ENCODER_STEP_DEG
+
+
+#: A face of hobby servos, its YAML and who simulates them.
+HOBBY = {
+    "maestro": (on_maestro_yaml, simulated_maestro),
+    "pca9685": (on_pca9685, simulated_pca9685),
+}
+
+
+def held_hobby_servos(kind):
+    of, simulator = HOBBY[kind]
+    settings = parse_face(of(load_shipped_face("face_four")), "face.yaml")
+    on = simulator.watched_servos(settings.wiring)
+    return on, HeldFace(settings, on.clock, bus=on.bus)
+
+
+@pytest.mark.parametrize("kind", HOBBY)
+def test_a_held_face_waits_until_the_last_hobby_servo_got_its_pulse(kind):
+    on, robot = held_hobby_servos(kind)
+    with robot:
+        assert robot.torque_on == [True] * 4
+        assert 3 * STAGGER_S <= on.clock.now() < 8.0
+        reached = robot.move(np.array([5.0, -5.0, 5.0, -5.0]))
+        assert np.isnan(reached).all()
+        assert robot.sent_deg == pytest.approx([5.0, -5.0, 5.0, -5.0])
+        assert on.shafts_deg() == pytest.approx([5.0, -5.0, 5.0, -5.0], abs=0.5)
+    assert on.bus.torque.as_json() == [False] * 4
+
+
+def test_a_hobby_servo_that_gets_no_pulse_is_named_and_nothing_is_held():
+    on, robot = held_hobby_servos("maestro")
+    on.device.channels[2].set_target = lambda *_: None
+    with pytest.raises(ServoError, match=r"'corner_right_out'.* is not known to hold"), robot:
+        pass
+    assert on.clock.now() < 10.0
+    assert on.bus.torque.as_json() == [False] * 4
 
 
 def test_other_joints_than_the_mouth_stay_at_rest():

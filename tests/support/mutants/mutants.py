@@ -1,7 +1,7 @@
 """Mutants of the lines that a stop depends on, each against the nearest tests: `make mutants`.
 
 The operators, the change of the source and the run of the tests are cosmic-ray's; which files,
-which tests, how many mutants, and the survivors that were read are in tests/data/mutants.yaml:
+which tests, how many mutants, and the survivors that were read are in mutants.yaml beside it:
 docs/decisions/0090-mutants.md. Each worker mutates a copy of the checkout of its own.
 """
 
@@ -34,9 +34,9 @@ from cosmic_ray.testing import run_tests
 from cosmic_ray.work_item import TestOutcome
 from parso.python.tree import Keyword
 from parso.tree import NodeOrLeaf
-from places import DATA, ROOT
 
-PLAN = DATA / "mutants.yaml"
+ROOT = Path(__file__).parents[3]
+PLAN = Path(__file__).with_name("mutants.yaml")
 #: A mutant that hangs is killed by the clock: so many times what the tests take without one.
 _PATIENCE, _LEAST_PATIENCE_S = 4.0, 15.0
 #: Plugins of other packages cost a second a mutant; with CI set Hypothesis draws the same examples

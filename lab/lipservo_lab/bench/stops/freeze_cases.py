@@ -1,0 +1,286 @@
+"""Freezes in every state a face can be in, and whether what was answered is what was.
+
+A freeze is answered with which servos hold and which are limp. From the answer on, until a start,
+those that hold go on to hold, those that are limp stay limp, no servo gets torque, and no shaft
+moves once it has braked. All of it by the servos' own log.
+"""
+
+import contextlib
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from itertools import groupby, pairwise
+from typing import Any, Final
+
+from lipservo_lab.bench.stops.claims import OLD_S
+from lipservo_lab.bench.stops.faces_on_buses import BUSES
+from lipservo_lab.bench.stops.heard_face import HeardFace, heard_face
+from lipservo_lab.bench.stops.raw_control import Answer
+from lipservo_lab.bench.stops.robot_at_port import CLIP
+
+#: What is known of the face is watched for so long after the answer.
+_WATCH_S: Final = 1.2
+#: A moving shaft brakes for so long; then it may not move by more than this.
+_BRAKES_S, _STILL_DEG = 0.4, 1.0
+#: Bytes that were sent before the answer may arrive so much later.
+_ON_THE_WIRE_S: Final = 0.03
+_STARTS_S: Final = 60.0
+
+
+class Frozen(StrEnum):
+    """The state in which the freeze comes."""
+
+    RUN_STARTING = "run starting"  # a plain `run` arms its servos
+    TOLD_TO_START = "told to start"  # a stopped daemon with a critical servo
+    STARTING = "starting"  # the same, once its first servo has torque
+    DRIVEN = "driven"
+    FROZEN = "frozen"
+    EASING = "easing"
+    LETTING_GO = "letting go"
+    STOPPED = "stopped"
+    SILENT = "silent"
+    PORT_OUT = "port out"
+    REPLUGGED = "replugged"
+    BRIDGE_DEAD = "bridge dead"
+
+
+#: How long after the state has begun the freeze comes.
+_DELAYS_S: Final[dict[Frozen, tuple[float, ...]]] = {
+    Frozen.RUN_STARTING: (0.0, 0.02, 0.3),
+    Frozen.TOLD_TO_START: (0.0, 0.3),
+    Frozen.STARTING: (0.0, 0.02, 0.05, 0.12, 0.3, 0.55),
+    Frozen.DRIVEN: (0.0, 0.37),
+    Frozen.FROZEN: (0.2,),
+    Frozen.EASING: (0.05, 0.3),
+    Frozen.LETTING_GO: (0.0, 0.03),
+    Frozen.STOPPED: (0.3,),
+    Frozen.SILENT: (0.3,),
+    Frozen.PORT_OUT: (0.0, 0.6),
+    Frozen.REPLUGGED: (0.05,),
+    Frozen.BRIDGE_DEAD: (0.0, 0.15),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class FreezeCase:
+    """One freeze: on which bus, in which state, how long after that has begun."""
+
+    bus: str
+    state: Frozen
+    delay_s: float
+
+    def __str__(self) -> str:
+        return f"freeze, {self.state}, {self.delay_s:g} s later, {self.bus}"
+
+
+def freeze_cases() -> Iterator[FreezeCase]:
+    """All of them."""
+    for bus in BUSES:
+        for state, delays_s in _DELAYS_S.items():
+            for delay_s in delays_s:
+                yield FreezeCase(bus, state, delay_s)
+
+
+@dataclass(slots=True)
+class FreezeOutcome:
+    """What came of one freeze. untrue: what was answered and is not so, a line each.
+
+    armed: servos that got torque after the answer. moved: shafts that moved. n_unknown: servos of
+    which the answer says that it does not know. error: the case itself did not work.
+    """
+
+    case: FreezeCase
+    answer: Answer = field(default_factory=dict)
+    untrue: list[str] = field(default_factory=list)
+    armed: int = 0
+    moved: int = 0
+    n_unknown: int = 0
+    error: str = ""
+
+    @property
+    def kept(self) -> bool:
+        """Whether all was as it was answered."""
+        return not (self.untrue or self.armed or self.moved or self.error)
+
+    def __str__(self) -> str:
+        found = [*self.untrue, *([f"{self.armed} armed after it"] if self.armed else [])]
+        found += [f"{self.moved} moved"] if self.moved else []
+        found += [self.error] if self.error else []
+        lists = {key: self.answer.get(key) for key in ("accepted", "holds", "limp", "unknown")}
+        return f"{self.case}: {'; '.join(found) or 'kept'} (answered: {lists})"
+
+
+def freeze_batches(cases: Sequence[FreezeCase]) -> list[list[FreezeCase]]:
+    """The same cases in batches that share a face; of programs that are started, each its own."""
+
+    def shared(case: FreezeCase) -> tuple[str, bool]:
+        return case.bus, case.state is Frozen.RUN_STARTING
+
+    return [list(group) for _, group in groupby(sorted(cases, key=shared), shared)]
+
+
+def play_freezes(cases: Sequence[FreezeCase]) -> list[FreezeOutcome]:
+    """Play cases of one batch; takes some four seconds each."""
+    outcomes: list[FreezeOutcome] = []
+    waiting = list(cases)
+    while waiting:
+        outcome = FreezeOutcome(waiting[0])
+        try:
+            with heard_face(waiting[0].bus, critical=True) as face:
+                if waiting[0].state is Frozen.RUN_STARTING:
+                    _play_run(face, waiting[0], outcome)
+                    outcomes.append(outcome)
+                    waiting.pop(0)
+                    continue
+                daemon = face.begin_face("daemon", "--listen", "none", "--wav", str(CLIP))
+                while waiting:
+                    if not face.until_driven(_STARTS_S):
+                        raise RuntimeError(f"not driven: {face.last_status.get('troubles')}")
+                    face.wait(0.3)
+                    outcome = FreezeOutcome(waiting[0])
+                    _play(face, daemon, waiting[0], outcome)
+                    outcomes.append(outcome)
+                    waiting.pop(0)
+                    _start(face)
+        except (OSError, RuntimeError, subprocess.SubprocessError) as error:
+            outcome.error = f"{type(error).__name__}: {error}"
+            if waiting and outcome.case is waiting[0]:
+                outcomes.append(outcome)
+                waiting.pop(0)
+    return outcomes
+
+
+def freeze_figures(outcomes: Sequence[FreezeOutcome]) -> dict[str, Any]:
+    """freeze_cases; untrue_answers: answers that said other than was; the others count servos.
+
+    freeze_unknown_share: of servos, of those of which an answer says only that it is not known.
+    """
+    named = [each.answer.get(key, ()) for each in outcomes for key in ("holds", "limp", "unknown")]
+    n_named = sum(map(len, named))
+    n_unknown = sum(each.n_unknown for each in outcomes)
+    return {
+        "freeze_cases": len(outcomes),
+        "untrue_answers": sum(bool(each.untrue) for each in outcomes),
+        "armed_after_freeze": sum(each.armed for each in outcomes),
+        "moved_after_freeze": sum(each.moved for each in outcomes),
+        "freeze_unknown_share": n_unknown / n_named if n_named else 0.0,
+        "freeze_errors": sum(bool(each.error) for each in outcomes),
+    }
+
+
+def _play_run(face: HeardFace, case: FreezeCase, outcome: FreezeOutcome) -> None:
+    """A program's freeze comes while it arms its servos."""
+    face.begin_face("run", "--wav", str(CLIP))
+    _until_armed(face)
+    _freeze(face, case, outcome)
+
+
+def _play(
+    face: HeardFace, daemon: subprocess.Popen[bytes], case: FreezeCase, outcome: FreezeOutcome
+) -> None:
+    device = face.robot.device
+    with contextlib.ExitStack() as undo:
+        match case.state:
+            case Frozen.TOLD_TO_START | Frozen.STARTING:
+                _until_stopped(face)
+                face.word("start")
+                if case.state is Frozen.STARTING:
+                    _until_armed(face)
+            case Frozen.FROZEN:
+                face.word("freeze")
+            case Frozen.EASING:
+                face.word("soft")
+            case Frozen.LETTING_GO:
+                face.word("limp")
+            case Frozen.STOPPED:
+                _until_stopped(face)
+            case Frozen.SILENT:
+                os.kill(face.child(daemon, "speech"), signal.SIGSTOP)
+                face.until_state("silent", timeout_s=10.0)
+            case Frozen.PORT_OUT:
+                device.unplug()
+                undo.callback(device.plug_in)
+                face.until(lambda: face.last_status.get("plugged") is False, 5.0)
+            case Frozen.REPLUGGED:
+                device.unplug()
+                face.wait(0.8)
+                device.plug_in()
+            case Frozen.BRIDGE_DEAD:
+                os.kill(face.child(daemon, "bridge"), signal.SIGKILL)
+            case _:
+                pass
+        _freeze(face, case, outcome)
+
+
+def _freeze(face: HeardFace, case: FreezeCase, outcome: FreezeOutcome) -> None:
+    face.wait(case.delay_s)
+    asked_s = time.monotonic()
+    answer = outcome.answer = face.word("freeze")
+    answered_s = time.monotonic()
+    face.wait(_WATCH_S)
+    judge_freeze(face, outcome, asked_s, answered_s)
+    if not answer:
+        outcome.untrue.append("no answer")
+
+
+def judge_freeze(
+    face: HeardFace, outcome: FreezeOutcome, asked_s: float, answered_s: float
+) -> None:
+    """Hold the answer against the log, from the answer on until now."""
+    device, answer = face.robot.device, outcome.answer
+    names = list(face.robot.settings.servos)
+    settled_s, now_s = answered_s + _ON_THE_WIRE_S, time.monotonic()
+    after = device.during(settled_s, now_s)
+    outcome.armed = sum(
+        later.on[n] and not earlier.on[n]
+        for earlier, later in pairwise(after)
+        for n in range(len(names))
+    )
+    outcome.moved = int((device.travelled_deg(settled_s + _BRAKES_S) > _STILL_DEG).sum())
+    outcome.n_unknown = len(answer.get("unknown", ()))
+    is_listed = "holds" in answer
+    said = {"hold": (answer.get("holds", ()), True), "are limp": (answer.get("limp", ()), False)}
+    for words, (named, on) in said.items():
+        wrong = [n for n in named if not _was(after, names.index(n), on=on)]
+        if wrong:
+            outcome.untrue.append(f"{', '.join(wrong)} {words}, it says")
+    about = [each for key in ("holds", "limp", "unknown") for each in answer.get(key, ())]
+    if is_listed and sorted(about) != sorted(names):
+        outcome.untrue.append("not every servo is named once")
+    then = device.during(asked_s - OLD_S, now_s)
+    if answer.get("accepted") == "freeze" and not is_listed:
+        if not any(any(each.on) for each in then):
+            outcome.untrue.append("accepted, and nothing is held")
+        if outcome.armed:
+            outcome.untrue.append("accepted, and servos were armed after it")
+
+
+def _was(moments: Sequence[Any], index: int, *, on: bool) -> bool:
+    return all(each.on[index] is on for each in moments)
+
+
+def _until_armed(face: HeardFace) -> None:
+    if not face.until(lambda: bool(face.robot.torque.any()), _STARTS_S):
+        raise RuntimeError("no servo got torque")
+
+
+def _until_stopped(face: HeardFace) -> None:
+    face.word("limp", until_end=True)
+    if not face.until_state("stopped", timeout_s=20.0):
+        raise RuntimeError("it does not come to a stop")
+
+
+def _start(face: HeardFace) -> None:
+    give_up_s = time.monotonic() + _STARTS_S
+
+    def is_accepted() -> bool:
+        return face.word("start").get("accepted") == "start"
+
+    while not is_accepted():
+        if face.last_status.get("state") == "driven" or time.monotonic() > give_up_s:
+            return
+        face.wait(0.3)

@@ -1,0 +1,36 @@
+"""Every scene on every bus, and what came of all that was said in it."""
+
+import subprocess
+from itertools import product
+
+from lipservo_lab.bench.stops.claims import Judge, Tally
+from lipservo_lab.bench.stops.faces_on_buses import BUSES
+from lipservo_lab.bench.stops.heard_face import HeardFace, heard_face
+from lipservo_lab.bench.stops.statement_rules import RULES
+from lipservo_lab.bench.stops.statement_scenes import CRITICAL, SCENES
+
+
+def scenes() -> list[tuple[str, str]]:
+    """All (bus, scene)."""
+    return [(bus, scene) for scene, bus in product(SCENES, BUSES)]
+
+
+def play_scene(bus: str, scene: str) -> tuple[Tally, list[str]]:
+    """What came of one scene; and a line where it could not be played to its end.
+
+    Takes some forty seconds, and longer on a busy computer.
+    """
+    errors = []
+    with heard_face(bus, critical=scene in CRITICAL) as face:
+        try:
+            SCENES[scene](face, bus)
+        except (OSError, RuntimeError, subprocess.SubprocessError) as error:
+            errors.append(f"{bus}/{scene}: {type(error).__name__}: {error}")
+        face.close()
+        return judge_of(face).judge(list(face.statements), f"{bus}/{scene}"), errors
+
+
+def judge_of(face: HeardFace) -> Judge:
+    """Who holds what a face says against the log of its servos."""
+    settings = face.robot.settings
+    return Judge(RULES, face.robot.device, settings.joints(), settings.name)
