@@ -139,11 +139,6 @@ class ServoState(IntEnum):
     SWITCHING_OFF = 5
     OFF = 6
 
-    @property
-    def word(self) -> str:
-        """The state's name in lower case with spaces, such as `switching off`."""
-        return STATE_WORDS[self]
-
 
 #: Of `ServoState`, by its number.
 STATE_WORDS = tuple(state.name.lower().replace("_", " ") for state in ServoState)

@@ -30,13 +30,6 @@ def _check_sign(value: int) -> int:
 
 #: Half a turn to each side.
 Degrees = Annotated[float, within(-180.0, 180.0)]
-#: The fastest servo known here, XL330-M077-T, makes 383 rev/min without load at 5 V (its e-manual
-#: page). Slower than 1 deg/s no mouth speaks, and Ctrl-C would not bring it home.
-Speed = Annotated[float, within(1.0, 2298.0)]
-#: Top speed within 50 ms at least, or speech is lost; within a millisecond is no limit any more.
-Acceleration = Annotated[float, within(100.0, 2_000_000.0)]
-#: Not a Literal: that would take `true` for 1.
-Sign = Annotated[int, AfterValidator(_check_sign)]
 Text = Annotated[str, StringConstraints(min_length=1)]
 
 
@@ -77,10 +70,14 @@ class BusServo(Strict):
     positive: Text
     min_deg: Degrees
     max_deg: Degrees
-    max_speed_deg_s: Speed
-    sign: Sign = 1
+    # The fastest servo known here, XL330-M077-T, makes 383 rev/min without load at 5 V (its
+    # e-manual page). Slower than 1 deg/s no mouth speaks, and Ctrl-C would not bring it home.
+    max_speed_deg_s: Annotated[float, within(1.0, 2298.0)]
+    # Not a Literal: that would take `true` for 1.
+    sign: Annotated[int, AfterValidator(_check_sign)] = 1
     zero_offset_deg: Degrees = 0.0
-    max_acceleration_deg_s2: Acceleration | None = None
+    # Top speed within 50 ms at least, or speech is lost; within a millisecond is no limit any more.
+    max_acceleration_deg_s2: Annotated[float, within(100.0, 2_000_000.0)] | None = None
 
     @property
     def address(self) -> int:

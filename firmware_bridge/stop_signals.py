@@ -20,11 +20,8 @@ from typing import Any, Final, Self
 
 #: What a person, a dropped connection, a service manager or a keyboard ends a program with: Ctrl-C,
 #: `kill` or a service's stop, a closed terminal, Ctrl-backslash. Windows has the first two.
-STOP_SIGNALS: Final = tuple(
-    signal.Signals[name]
-    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
-    if name in signal.Signals.__members__ and hasattr(signal, name)
-)
+_NAMES: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+STOP_SIGNALS: Final = tuple(signal.Signals[name] for name in _NAMES if hasattr(signal, name))
 
 Handler = Callable[[int, FrameType | None], None]
 #: What each signal did before; as `signal.signal` gives it.

@@ -96,7 +96,6 @@ class ServoModel:
     current_unit_ma: float | None
     nominal_voltage_v: float
     no_load_rpm: float
-    stall_nm: float
     stall_a: float
 
     center_pulse: ClassVar[int] = CENTER_PULSE
@@ -146,16 +145,9 @@ def register(name: str) -> Register:
     """Return the register of this name, shared by all models. Raises KeyError for another name."""
     raw = _tables()["registers"][name]
     low, high = raw.get("range", (None, None))
-    return Register(
-        name=name,
-        address=raw["address"],
-        size=raw["size"],
-        signed=raw.get("signed", False),
-        writable=raw["access"] == "RW",
-        in_eeprom=raw["area"] == "eeprom",
-        low=low,
-        high=high,
-    )
+    signed, writable = raw.get("signed", False), raw["access"] == "RW"
+    in_eeprom = raw["area"] == "eeprom"
+    return Register(name, raw["address"], raw["size"], signed, writable, in_eeprom, low, high)
 
 
 @cache
@@ -185,6 +177,5 @@ def _model(name: str, raw: Mapping[str, Any]) -> ServoModel:
         current_unit_ma=raw.get("current_unit_ma"),
         nominal_voltage_v=power["voltage_v"],
         no_load_rpm=power["no_load_rpm"],
-        stall_nm=power["stall_nm"],
         stall_a=power["stall_a"],
     )

@@ -100,12 +100,12 @@ class DynamixelKind(BusKind):
 
     def memories(self, wiring: Wiring) -> Sequence[Mapping[str, int] | None]:
         """Read and return each servo's EEPROM values; None for a servo that does not answer."""
-        from firmware_bridge.dynamixel.mounting import mounted_servos, read_identities
-        from firmware_bridge.serial_servos.serial_transport import SameAdapter
+        from firmware_bridge.dynamixel.mounting import identify_all, mounted_servos
+        from firmware_bridge.dynamixel.provisioning import unhurried_line
 
-        opener = SameAdapter(wiring.settings.port, wiring.settings.baud_rate)
-        identities = read_identities(opener, mounted_servos(wiring))
-        return [None if each is None else each.eeprom for each in identities]
+        with unhurried_line(wiring.settings.port, wiring.settings.baud_rate) as line:
+            found = identify_all(line, mounted_servos(wiring), strict=False)
+        return [None if each is None else each.eeprom for each in found]
 
 
 DYNAMIXEL: Final = DynamixelKind()

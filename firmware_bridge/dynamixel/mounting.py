@@ -1,6 +1,6 @@
 """Dynamixels mounted in a face, and whether those that answer are the ones of its YAML."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from firmware_bridge.bus_kinds import Wiring
@@ -119,18 +119,3 @@ def identify_all(
     found = [identify(line, servo) for servo in servos]
     own = line.transport if isinstance(line.transport, Transport) else None
     return checked_identities("dynamixel", own, servos, found, mismatches, strict=strict)
-
-
-def read_identities(
-    open_transport: Callable[[], Transport], servos: Sequence[MountedServo]
-) -> list[ServoIdentity | None]:
-    """Open the port, return model and EEPROM of every servo in the order given, and close the port.
-
-    None: a servo that does not answer. Raises PortError; ServoError when a servo differs from the
-    face's YAML, when a critical servo does not answer, or none does.
-    """
-    transport = open_transport()
-    try:
-        return identify_all(Line(transport), servos, strict=False)
-    finally:
-        transport.close()

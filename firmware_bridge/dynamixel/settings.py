@@ -23,11 +23,6 @@ def _check_baud_rate(value: int) -> int:
     return value
 
 
-#: Ids a Dynamixel may have: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#id
-ServoId = Annotated[int, within(0, 252)]
-#: No servo moves even itself with less; no X servo takes more.
-Milliamperes = Annotated[float, within(10.0, 5_000.0)]
-BaudRate = Annotated[int, AfterValidator(_check_baud_rate)]
 ServoModel = Literal[
     "XL330-M077", "XL330-M288", "XC330-M288", "XC330-T288", "XL430-W250", "XM430-W210", "XM430-W350"
 ]
@@ -39,7 +34,7 @@ class DynamixelSettings(BusSettings):
     backend: whether our own code or dynamixel-sdk makes the packets.
     """
 
-    baud_rate: BaudRate = 1_000_000
+    baud_rate: Annotated[int, AfterValidator(_check_baud_rate)] = 1_000_000
     backend: Literal["own", "dynamixel-sdk"] = "own"
 
     @model_validator(mode="after")
@@ -52,7 +47,8 @@ class DynamixelSettings(BusSettings):
 class _Keys(Strict):
     """The keys that come first in a servo's YAML entry."""
 
-    id: ServoId
+    # Ids a Dynamixel may have: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#id
+    id: Annotated[int, within(0, 252)]
     model: ServoModel
 
 
@@ -62,7 +58,8 @@ class DynamixelServo(BusServo, _Keys):
     max_current_ma: limit of its current; only for models that measure current.
     """
 
-    max_current_ma: Milliamperes | None = None
+    # No servo moves even itself with less; no X servo takes more.
+    max_current_ma: Annotated[float, within(10.0, 5_000.0)] | None = None
 
     @property
     def facts(self) -> ModelFacts:

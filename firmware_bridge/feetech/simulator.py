@@ -31,7 +31,7 @@ from firmware_bridge.feetech.provisioning import wanted_settings
 from firmware_bridge.serial_servos.half_duplex import BITS_PER_BYTE
 from firmware_bridge.simulator.motors import UNBOUNDED, Course, Environment, Motors
 from firmware_bridge.simulator.ports import MemoryTransport, PtyHost
-from firmware_bridge.simulator.request import SimulationRequest, TimedFault
+from firmware_bridge.simulator.request import DueFaults, SimulationRequest, TimedFault
 
 #: Not simulated here but in a ping, which lipservo never sends and others do.
 _PING: Final = 0x01
@@ -87,7 +87,6 @@ class SimulatedServo:
     """One simulated servo: its control table, whose motor has number `index` in `motors`.
 
     A goal switches torque on, as in real servos. wakes_up_stiff: torque is on after power-up.
-    n_middles: how often 128 was written to torque_enable.
     """
 
     def __init__(
@@ -98,7 +97,6 @@ class SimulatedServo:
         self.table = bytearray(_TABLE_SIZE)
         self.silent_until_s = 0.0
         self.stays_locked = False
-        self.n_middles = 0
         self._scale = PULSES_PER_DEG / self.dialect.positions_per_deg
         for name, value in _FACTORY.items():
             if name in self.dialect.registers:
@@ -197,7 +195,6 @@ class SimulatedServo:
     def _set_torque(self, value: int) -> None:
         motors, i = self._motors, self.index
         if value == _MIDDLE:
-            self.n_middles += 1
             motors.position[i] = motors.trajectory[i] = CENTER_PULSE
             return
         self.table[TORQUE_ENABLE] = value
@@ -279,7 +276,7 @@ class SimulatedChain:
         self.n_spoken_over = 0
         self._on_change = on_change
         self._logged: dict[int, tuple[int, int]] = {}
-        self._faults = [(fault.at_s, fault) for fault in faults]
+        self._faults = DueFaults(faults)
         self._until_s = {"lost": -1.0, "spoilt": -1.0, "unplug": -1.0}
         self._ends: list[tuple[float, SimulatedServo]] = []
         self._rng = random.Random(0)
@@ -301,11 +298,7 @@ class SimulatedChain:
         """Simulate all servos and due faults up to `now_s`."""
         if now_s <= self._now_s:
             return
-        due = [each for each in self._faults if each[0] <= now_s]
-        for at_s, fault in sorted(due, key=lambda each: each[0]):
-            self._faults.remove((at_s, fault))
-            if fault.every_s is not None:
-                self._faults.append((at_s + fault.every_s, fault))
+        for at_s, fault in self._faults.take(now_s):
             self._now_s = max(self._now_s, at_s)
             self.motors.advance(self._now_s)
             self._happen(fault, self._now_s)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_bridge.bus import Array
-from firmware_bridge.gate.limits import AccelerationLimit
+from firmware_bridge.gate.limits import AccelerationLimit, clip
 
 #: Plans stay so far below a joint's limits: clocks of sound and bridge differ by 0.02 %, and a
 #: target is a float.
@@ -98,8 +98,8 @@ class JointPlan:
             goal_deg = self._feasible(window.times_s, poses_deg)
             for later in np.flatnonzero(window.must_meet)[::-1].tolist():
                 later_deg, reach_deg = poses_deg[later], self._reach(window.times_s[later])
-                goal_deg = _clip(goal_deg, later_deg - reach_deg, later_deg + reach_deg)
-        goal_deg = _clip(goal_deg, before_deg - step_deg, before_deg + step_deg)
+                goal_deg = clip(goal_deg, later_deg - reach_deg, later_deg + reach_deg)
+        goal_deg = clip(goal_deg, before_deg - step_deg, before_deg + step_deg)
         smooth_deg = self._smooth.step(before_deg, goal_deg, *self._anywhere_deg, self._period_s)
         self._smooth.sent(before_deg, smooth_deg, self._period_s)
         self._planned_deg = smooth_deg
@@ -127,7 +127,7 @@ class JointPlan:
         if urgent_deg is None:
             return poses_deg
         reach_deg = self._reach(window.times_s[-1] + _NOTICE_S)
-        near_deg = _clip(poses_deg, urgent_deg - reach_deg, urgent_deg + reach_deg)
+        near_deg = clip(poses_deg, urgent_deg - reach_deg, urgent_deg + reach_deg)
         return np.where(window.must_meet[:, None], poses_deg, near_deg)
 
     def _feasible(self, times_s: Array, poses_deg: Array) -> Array:
@@ -144,7 +144,7 @@ class JointPlan:
         for _ in range(_SWEEPS):
             for n in range(len(reach_deg) - 1, -1, -1):
                 apart_deg = found_deg[n + 1] - found_deg[n] + given_deg[n]
-                excess_deg = apart_deg - _clip(apart_deg, -reach_deg[n], reach_deg[n])
+                excess_deg = apart_deg - clip(apart_deg, -reach_deg[n], reach_deg[n])
                 change_deg = 0.5 * (excess_deg - given_deg[n])
                 found_deg[n] += change_deg
                 found_deg[n + 1] -= change_deg
@@ -158,7 +158,3 @@ class JointPlan:
         gentle_deg = self._gentle_deg_s2 * time_s * time_s
         swift_deg = self._speed_deg_s * (time_s - self._rising_s)
         return np.where(time_s < 2.0 * self._rising_s, gentle_deg, swift_deg)
-
-
-def _clip(values: Array, low: Array, high: Array) -> Array:
-    return np.minimum(np.maximum(values, low), high)

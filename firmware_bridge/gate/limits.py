@@ -13,7 +13,7 @@ from firmware_bridge.bus import CATCH_UP_DEG_S, Array, all_set, any_set
 from firmware_bridge.joints import Joint
 
 
-def _clip(values: Array, low: Array, high: Array) -> Array:
+def clip(values: Array, low: Array, high: Array) -> Array:
     """Return np.clip(values, low, high), in a quarter of its time for a face's few joints."""
     clipped = np.maximum(values, low)
     return np.minimum(clipped, high, out=clipped)
@@ -96,17 +96,17 @@ class AccelerationLimit:
             return wanted
         a, change = self._acceleration, self._acceleration * step_s
         left = wanted - sent
-        moving = _clip((wanted - self._wanted) / step_s, -self._top, self._top)
+        moving = clip((wanted - self._wanted) / step_s, -self._top, self._top)
         with_it = np.where(moving * left > 0.0, np.abs(moving), 0.0)
         reach = np.abs(left) / step_s
         speed = np.minimum(
             reach, braking_speed(np.abs(left), a, step_s) + np.minimum(with_it, reach)
         )
-        velocity = _clip(np.sign(left) * speed, self._velocity - change, self._velocity + change)
-        velocity = _clip(velocity, -self._top, self._top)
+        velocity = clip(np.sign(left) * speed, self._velocity - change, self._velocity + change)
+        velocity = clip(velocity, -self._top, self._top)
         inside = (low <= sent) & (sent <= high)
         up, down = (braking_speed(room, a, step_s) for room in (high - sent, sent - low))
-        velocity = np.where(inside, _clip(velocity, -down, up), velocity)
+        velocity = np.where(inside, clip(velocity, -down, up), velocity)
         self._wanted = wanted
         return np.asarray(np.where(self._limited, sent + velocity * step_s, wanted))
 
@@ -387,7 +387,7 @@ class Limiter:
             wanted_deg, rejected = before_deg, ~no_joint
         elif not all_set(finite := np.isfinite(positions_deg)):
             wanted_deg, rejected = np.where(finite, positions_deg, before_deg), ~finite
-        in_range_deg = _clip(wanted_deg, self._low_deg, self._high_deg)
+        in_range_deg = clip(wanted_deg, self._low_deg, self._high_deg)
         since_s = max(0.0, time_s - self._sent_at_s)
         if since_s > _STALL_PERIODS * self._longest_step_s:
             self._acceleration.rest_at(before_deg)
@@ -404,10 +404,10 @@ class Limiter:
         most_deg = np.maximum(self._high_deg, before_deg)
         low_deg = np.maximum(least_deg, before_deg - step_deg)
         high_deg = np.minimum(most_deg, before_deg + step_deg)
-        reached_deg = _clip(reached_deg, low_deg, high_deg)
+        reached_deg = clip(reached_deg, low_deg, high_deg)
         sent_deg = self._prevention.cut(before_deg, reached_deg)
         if sent_deg is not reached_deg:
-            sent_deg = _clip(sent_deg, least_deg, most_deg)
+            sent_deg = clip(sent_deg, least_deg, most_deg)
         self._acceleration.sent(before_deg, sent_deg, elapsed_s)
         if self._any_late:
             self._catches_up &= np.abs(sent_deg - in_range_deg) > _SAME_DEG

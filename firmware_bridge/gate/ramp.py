@@ -10,8 +10,8 @@ from enum import IntEnum
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from firmware_bridge.bus import Array
 from firmware_bridge.joints import Joint
 
 #: Steepest slope of `ease`, at its middle.
@@ -32,25 +32,21 @@ class Ramp:
     of a steady ramp. All joints arrive together.
     """
 
-    start_deg: NDArray[np.float64]
-    goal_deg: NDArray[np.float64]
+    start_deg: Array
+    goal_deg: Array
     start_s: float
     duration_s: float
     eased: bool = False
 
     @classmethod
     def at_speed(
-        cls,
-        start_deg: NDArray[np.float64],
-        goal_deg: NDArray[np.float64],
-        start_s: float,
-        speed_deg_s: float,
+        cls, start_deg: Array, goal_deg: Array, start_s: float, speed_deg_s: float
     ) -> "Ramp":
         """Return a steady ramp on which the joint that moves farthest has `speed_deg_s`.
 
         Parameters
         ----------
-        start_deg,goal_deg : NDArray[np.float64]
+        start_deg,goal_deg : Array
             (n_joints,) degrees.
         start_s : float
             Monotonic seconds.
@@ -65,7 +61,7 @@ class Ramp:
         longest_deg = float(np.abs(goal_deg - start_deg).max(initial=0.0))
         return cls(start_deg, goal_deg, start_s, longest_deg / speed_deg_s)
 
-    def at(self, time_s: float) -> NDArray[np.float64]:
+    def at(self, time_s: float) -> Array:
         """Return the pose of the ramp at a time.
 
         Parameters
@@ -75,10 +71,12 @@ class Ramp:
 
         Returns
         -------
-        NDArray[np.float64]
+        Array
             (n_joints,) degrees; exactly the goal once the ramp is over.
         """
-        share = self._share(time_s)
+        share = 1.0
+        if not self.is_over(time_s):
+            share = max(0.0, (time_s - self.start_s) / self.duration_s)
         if self.eased:
             share = ease(share)
         return np.asarray((1.0 - share) * self.start_deg + share * self.goal_deg)
@@ -86,12 +84,6 @@ class Ramp:
     def is_over(self, time_s: float) -> bool:
         """Return whether the ramp has reached its goal at `time_s`."""
         return time_s - self.start_s >= self.duration_s
-
-    def _share(self, time_s: float) -> float:
-        """Return the share of the duration that is over at `time_s`, 0..1; 1 without a duration."""
-        if self.is_over(time_s):
-            return 1.0
-        return max(0.0, (time_s - self.start_s) / self.duration_s)
 
 
 #: Time to neutral when the joints can make it: a person waits for it.
@@ -105,9 +97,7 @@ _SAME_DEG: Final = 1e-6
 class EaseToNeutral:
     """A move from the joints' positions, (n_joints,) degrees, to neutral; at rest at both ends."""
 
-    def __init__(
-        self, joints: Sequence[Joint], start_deg: NDArray[np.float64], start_s: float
-    ) -> None:
+    def __init__(self, joints: Sequence[Joint], start_deg: Array, start_s: float) -> None:
         speeds_deg_s = np.array([joint.max_speed_deg_s for joint in joints])
         needed_s = float((EASE_PEAK_SLOPE * np.abs(start_deg) / speeds_deg_s).max(initial=0.0))
         neutral_deg = np.zeros_like(start_deg)
@@ -115,7 +105,7 @@ class EaseToNeutral:
         #: Whether every joint was told to be at neutral, which is where it goes limp.
         self.arrived = False
 
-    def at(self, time_s: float) -> NDArray[np.float64]:
+    def at(self, time_s: float) -> Array:
         """Return the pose of the move at a time.
 
         Parameters
@@ -125,19 +115,19 @@ class EaseToNeutral:
 
         Returns
         -------
-        NDArray[np.float64]
+        Array
             (n_joints,) degrees.
         """
         return self._ramp.at(time_s)
 
-    def over(self, sent_deg: NDArray[np.float64], time_s: float) -> bool:
+    def over(self, sent_deg: Array, time_s: float) -> bool:
         """Return whether the move is over: the joints were sent to neutral, or 2 s have passed.
 
         Stores in `arrived` whether they were sent to neutral.
 
         Parameters
         ----------
-        sent_deg : NDArray[np.float64]
+        sent_deg : Array
             (n_joints,) degrees: goals sent last.
         time_s : float
             Monotonic seconds.

@@ -184,10 +184,8 @@ class SingleServos:
                 return self._switch_refusal(self._index[order.name], order.switch, state)
             case ArmJog():
                 return self._jog_refusal(state)
-            case JogTo():
+            case JogTo() | JogPulse():
                 return self._jog_refusal(state) or self._goal_refusal(order)
-            case JogPulse():
-                return self._jog_refusal(state) or self._pulse_refusal(order)
             case EndJog() | StartFace():
                 return ""
 
@@ -237,41 +235,40 @@ class SingleServos:
         why = self._servos.gate.forbidden or state.value
         return f"the face is {why}: nothing can be jogged"
 
-    def _goal_refusal(self, order: JogTo) -> str:
-        index = self._index[order.name]
-        joint = self._joints[index]
+    def _goal_refusal(self, order: JogTo | JogPulse) -> str:
         if not self._jog.is_armed:
             return _NOT_ARMED
-        goal_deg = order.position_deg
-        if not (math.isfinite(goal_deg) and joint.min_deg <= goal_deg <= joint.max_deg):
-            allowed = f"{joint.min_deg:g} to {joint.max_deg:g} deg"
-            return f"{joint.name} is {goal_deg:g} deg; allowed: {allowed}"
-        return self._driven_refusal(index)
-
-    def _pulse_refusal(self, order: JogPulse) -> str:
-        index = self._index[order.name]
-        joint, pulse_us = self._joints[index], order.pulse_us
-        if not self._jog.is_armed:
-            return _NOT_ARMED
-        pulse = joint.pulse
-        if pulse is None:
-            return f"{named(joint)} takes no pulses: jog it in degrees"
-        low_us, high_us = pulse.reach_us
-        if not (math.isfinite(pulse_us) and low_us <= pulse_us <= high_us):
-            return f"{joint.name} is {pulse_us:g} us; never outside {low_us:g} to {high_us:g}"
-        sent_us = pulse.us(float(self._servos.limiter.sent_deg[index]))
-        nearest_us = min(sent_us, pulse.min_us) - BEYOND_STEP_US - _SAME_US
-        farthest_us = max(sent_us, pulse.max_us) + BEYOND_STEP_US + _SAME_US
-        if not nearest_us <= pulse_us <= farthest_us:
-            return (
-                f"{joint.name}: beyond its limits, {pulse.min_us:g} to {pulse.max_us:g} us, it "
-                f"goes {BEYOND_STEP_US:g} us at a time; it is at {sent_us:.0f}"
-            )
-        return self._driven_refusal(index)
-
-    def _driven_refusal(self, index: int) -> str:
+        index, supervision = self._index[order.name], self._servos.supervision
         joint = self._joints[index]
-        if self._servos.supervision.states[index] != ServoState.DRIVEN:
-            why = self._servos.supervision.reasons[index] or "is not driven yet"
-            return f"{named(joint)} {why}"
+        if isinstance(order, JogTo):
+            refusal = _angle_refusal(joint, order.position_deg)
+        else:
+            sent_deg = float(self._servos.limiter.sent_deg[index])
+            refusal = _pulse_refusal(joint, order.pulse_us, sent_deg)
+        if refusal or supervision.states[index] == ServoState.DRIVEN:
+            return refusal
+        return f"{named(joint)} {supervision.reasons[index] or 'is not driven yet'}"
+
+
+def _angle_refusal(joint: Joint, goal_deg: float) -> str:
+    if math.isfinite(goal_deg) and joint.min_deg <= goal_deg <= joint.max_deg:
         return ""
+    return f"{joint.name} is {goal_deg:g} deg; allowed: {joint.min_deg:g} to {joint.max_deg:g} deg"
+
+
+def _pulse_refusal(joint: Joint, pulse_us: float, sent_deg: float) -> str:
+    pulse = joint.pulse
+    if pulse is None:
+        return f"{named(joint)} takes no pulses: jog it in degrees"
+    low_us, high_us = pulse.reach_us
+    if not (math.isfinite(pulse_us) and low_us <= pulse_us <= high_us):
+        return f"{joint.name} is {pulse_us:g} us; never outside {low_us:g} to {high_us:g}"
+    sent_us = pulse.us(sent_deg)
+    nearest_us = min(sent_us, pulse.min_us) - BEYOND_STEP_US - _SAME_US
+    farthest_us = max(sent_us, pulse.max_us) + BEYOND_STEP_US + _SAME_US
+    if nearest_us <= pulse_us <= farthest_us:
+        return ""
+    return (
+        f"{joint.name}: beyond its limits, {pulse.min_us:g} to {pulse.max_us:g} us, it "
+        f"goes {BEYOND_STEP_US:g} us at a time; it is at {sent_us:.0f}"
+    )

@@ -8,38 +8,21 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal, get_args
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
 from firmware_bridge.bus import Array, ServoBus
 from firmware_bridge.bus_kinds import Wiring
 from firmware_bridge.clock import ManualClock
+from firmware_bridge.maestro import protocol
 from firmware_bridge.maestro.controller import MaestroController, check_channels
 from firmware_bridge.maestro.kind import BAUD_RATE, MAESTRO
-from firmware_bridge.maestro.protocol import (
-    CRC_ERROR,
-    GET_ERRORS,
-    GET_POSITION,
-    GO_HOME,
-    N_DATA,
-    POLOLU,
-    PROTOCOL_ERROR,
-    QUARTERS,
-    SET_ACCELERATION,
-    SET_SPEED,
-    SET_TARGET,
-    SET_TARGETS,
-    SPEED_UNIT_S,
-    TIMEOUT_ERROR,
-    WITHOUT_SET_TARGETS,
-    crc7,
-)
 from firmware_bridge.maestro.settings import MaestroSettings
 from firmware_bridge.pulse_bus import PulseBus
 from firmware_bridge.pulse_servos import PulseScale
 from firmware_bridge.simulator.ports import MemoryTransport, PtyHost, WatchedServos
-from firmware_bridge.simulator.request import SimulationRequest, TimedFault, parse_faults
+from firmware_bridge.simulator.request import DueFaults, SimulationRequest, TimedFault, parse_faults
 
 #: As it comes: https://www.pololu.com/docs/0J40/4.b .
 _SHORTEST_US, _LONGEST_US = 992.0, 2000.0
@@ -75,23 +58,18 @@ def read_faults(text: str | None) -> Sequence[PulseFault]:
 class Shaft:
     """The position of a hobby servo's shaft, as the pulse in us that would hold it there.
 
-    The shaft moves towards its pulse at constant speed. Without pulses it sags by `sags_us_s`; 0:
-    it holds its position, as a digital servo does.
+    The shaft moves towards its pulse at constant speed. Without pulses it holds its position, as
+    that of a digital servo does.
     """
 
-    def __init__(
-        self, place_us: float = 1500.0, speed_us_s: float = _SHAFT_US_S, sags_us_s: float = 0.0
-    ) -> None:
+    def __init__(self, place_us: float = 1500.0) -> None:
         self.place_us = place_us
-        self._speed_us_s, self._sags_us_s = speed_us_s, sags_us_s
 
     def move(self, pulse_us: float, seconds: float) -> None:
-        """Move the shaft for `seconds`: towards `pulse_us`, or let it sag if that is 0 (none)."""
+        """Move the shaft for `seconds`: towards `pulse_us`; 0: no pulse."""
         if pulse_us:
-            reach_us = self._speed_us_s * seconds
+            reach_us = _SHAFT_US_S * seconds
             self.place_us += min(max(pulse_us - self.place_us, -reach_us), reach_us)
-        else:
-            self.place_us -= self._sags_us_s * seconds
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,9 +103,9 @@ class _Channel:
     def move(self, seconds: float) -> None:
         """Move the pulse towards its target, and the shaft towards the pulse, for `seconds`."""
         if self.position != self.target:
-            reach = self.speed * seconds / SPEED_UNIT_S if self.speed else float("inf")
+            reach = self.speed * seconds / protocol.SPEED_UNIT_S if self.speed else float("inf")
             self.position += min(max(self.target - self.position, -reach), reach)
-        self.shaft.move(self.position / QUARTERS, seconds)
+        self.shaft.move(self.position / protocol.QUARTERS, seconds)
 
 
 class SimulatedMaestro:
@@ -153,14 +131,14 @@ class SimulatedMaestro:
         well.
         """
         self._crc, self._device = settings.crc, settings.device
-        self._is_micro = settings.model == WITHOUT_SET_TARGETS
+        self._is_micro = settings.model == protocol.WITHOUT_SET_TARGETS
         self._timeout_s = settings.serial_timeout_s or _FOREVER
-        self._range = range_us[0] * QUARTERS, range_us[1] * QUARTERS
+        self._range = range_us[0] * protocol.QUARTERS, range_us[1] * protocol.QUARTERS
         self.channels = [_Channel() for _ in range(settings.n_channels)]
         self.pulses: deque[Pulse] = deque(maxlen=100_000)
         self._on_pulse = on_pulse or (lambda _pulse: None)
         self.errors, self.deaf = 0, deaf
-        self._faults = [(fault.at_s, fault) for fault in faults]
+        self._faults = DueFaults(faults)
         self._cut = self._damage = False
         self._back_s = -_FOREVER
         self._now_s = self._heard_s = 0.0
@@ -187,13 +165,9 @@ class SimulatedMaestro:
                 channel.move(step_s)
                 if channel.position != before:
                     self._log(number)
-        if now_s - self._heard_s > self._timeout_s and not self.errors & TIMEOUT_ERROR:
-            self._fail(TIMEOUT_ERROR)
-        due = [each for each in self._faults if each[0] <= now_s]
-        for at_s, fault in due:
-            self._faults.remove((at_s, fault))
-            if fault.every_s is not None:
-                self._faults.append((at_s + fault.every_s, fault))
+        if now_s - self._heard_s > self._timeout_s and not self.errors & protocol.TIMEOUT_ERROR:
+            self._fail(protocol.TIMEOUT_ERROR)
+        for _, fault in self._faults.take(now_s):
             self._happen(fault)
 
     def receive(self, data: bytes, now_s: float, _baud_rate: int) -> None:
@@ -208,9 +182,9 @@ class SimulatedMaestro:
         for byte in data:
             if byte & 0x80 and self._message:
                 self._message.clear()
-                self._fail(PROTOCOL_ERROR)
+                self._fail(protocol.PROTOCOL_ERROR)
             if not (byte & 0x80 or self._message):
-                self._fail(PROTOCOL_ERROR)
+                self._fail(protocol.PROTOCOL_ERROR)
                 continue
             self._message.append(byte)
             if self._n_missing() <= 0:
@@ -254,46 +228,47 @@ class SimulatedMaestro:
 
     def _n_missing(self) -> int:
         message = self._message
-        head = 3 if message[0] == POLOLU else 1
+        head = 3 if message[0] == protocol.POLOLU else 1
         if len(message) < head:
             return 1
         code = message[0] if head == 1 else message[2] | 0x80
-        if code == SET_TARGETS:
+        if code == protocol.SET_TARGETS:
             n_data = 2 + 2 * message[head] if len(message) > head else 2
         else:
-            n_data = N_DATA.get(code, 0)
+            n_data = protocol.N_DATA.get(code, 0)
         return head + n_data + self._crc - len(message)
 
     def _obey(self, message: bytes, now_s: float) -> None:
         if self._crc:
             message, checksum = message[:-1], message[-1]
-            if checksum != crc7(message):
-                self._fail(CRC_ERROR)
+            if checksum != protocol.crc7(message):
+                self._fail(protocol.CRC_ERROR)
                 return
         code, data = message[0], message[1:]
-        if code == POLOLU:
+        if code == protocol.POLOLU:
             if self._device not in (None, data[0]):
                 return
             code, data = data[1] | 0x80, data[2:]
         self._heard_s = now_s
         n = len(self.channels)
-        if code == SET_TARGETS and not self._is_micro and data[0] and data[1] + data[0] <= n:
+        sets_several = code == protocol.SET_TARGETS and not self._is_micro
+        if sets_several and data[0] and data[1] + data[0] <= n:
             for each in range(data[0]):
                 self._set_target(data[1] + each, data[2 + 2 * each : 4 + 2 * each])
-        elif code == SET_TARGET and data[0] < n:
+        elif code == protocol.SET_TARGET and data[0] < n:
             self._set_target(data[0], data[1:])
-        elif code in (SET_SPEED, SET_ACCELERATION) and data[0] < n:
-            name = "speed" if code == SET_SPEED else "acceleration"
+        elif code in (protocol.SET_SPEED, protocol.SET_ACCELERATION) and data[0] < n:
+            name = "speed" if code == protocol.SET_SPEED else "acceleration"
             setattr(self.channels[data[0]], name, data[1] | data[2] << 7)
-        elif code == GET_POSITION and data[0] < n:
+        elif code == protocol.GET_POSITION and data[0] < n:
             self._answer(round(self.channels[data[0]].position), now_s)
-        elif code == GET_ERRORS:
+        elif code == protocol.GET_ERRORS:
             self._answer(self.errors, now_s)
             self.errors = 0
-        elif code == GO_HOME:
+        elif code == protocol.GO_HOME:
             self._go_home()
         else:
-            self._fail(PROTOCOL_ERROR)
+            self._fail(protocol.PROTOCOL_ERROR)
 
     def _set_target(self, number: int, data: bytes) -> None:
         channel = self.channels[number]
@@ -319,42 +294,30 @@ class SimulatedMaestro:
     def _log(self, number: int) -> None:
         channel = self.channels[number]
         place_us = round(channel.shaft.place_us, 1)
-        pulse = Pulse(self._now_s, number, channel.position / QUARTERS, place_us)
+        pulse = Pulse(self._now_s, number, channel.position / protocol.QUARTERS, place_us)
         self.pulses.append(pulse)
         self._on_pulse(pulse)
 
 
-def maestro_for(
-    wiring: Wiring,
-    faults: Sequence[PulseFault] = (),
-    on_pulse: Callable[[Pulse], None] | None = None,
-    *,
-    deaf: bool = False,
-) -> SimulatedMaestro:
+def maestro_for(wiring: Wiring, **options: Any) -> SimulatedMaestro:
     """Return a simulated Maestro with the settings and pulse limits of the face in `wiring`.
 
-    faults, on_pulse, deaf: as for `SimulatedMaestro`. Raises ServoError for servos at channels that
-    the model lacks.
+    options: as for `SimulatedMaestro`. Raises ServoError for servos at channels that the model
+    lacks.
     """
     check_channels(wiring)
     shortest = min((each.min_us for each in wiring.servos), default=_SHORTEST_US)
     longest = max((each.max_us for each in wiring.servos), default=_LONGEST_US)
     range_us = min(shortest, _SHORTEST_US), max(longest, _LONGEST_US)
-    return SimulatedMaestro(
-        wiring.settings, faults=faults, range_us=range_us, on_pulse=on_pulse, deaf=deaf
-    )
+    return SimulatedMaestro(wiring.settings, range_us=range_us, **options)
 
 
-def watched_servos(
-    wiring: Wiring,
-    faults: Sequence[PulseFault] = (),
-    on_pulse: Callable[[Pulse], None] | None = None,
-) -> WatchedServos:
+def watched_servos(wiring: Wiring, **options: Any) -> WatchedServos:
     """Return a face's servos simulated in memory: bus, clock, Maestro, and shaft angles, for tests.
 
-    faults, on_pulse: as for `SimulatedMaestro`.
+    options: as for `SimulatedMaestro`.
     """
-    maestro, clock = maestro_for(wiring, faults, on_pulse), ManualClock()
+    maestro, clock = maestro_for(wiring, **options), ManualClock()
     controller = MaestroController(wiring, lambda: MemoryTransport(maestro, clock, BAUD_RATE))
     can, scale = MAESTRO.capabilities(wiring.settings), PulseScale(wiring.servos)
     bus = PulseBus(wiring.servos, controller, clock, can, may_jump=True)
@@ -379,10 +342,10 @@ def serve(wiring: Wiring | None, link: Path | None, request: SimulationRequest) 
     """Return a host that serves a simulated Maestro at a pseudo-terminal.
 
     wiring: the servos of the face that is simulated; None: a Micro 6 without a face. link: path of
-    a symbolic link to the terminal. request.log: a file that gets every
-    change of a pulse as a line of JSON: seconds since the start, channel, pulse and shaft in us.
-    Raises ServoError for channels that the model lacks and for a log that cannot be written,
-    ValueError for an invalid script, and PortError where no terminal or link can be made.
+    a symbolic link to the terminal. request.log: a file that gets every change of a pulse as a line
+    of JSON: seconds since the start, channel, pulse and shaft in us. Raises ServoError for channels
+    that the model lacks and for a log that cannot be written, ValueError for an invalid script, and
+    PortError where no terminal or link can be made.
     """
     script = read_faults(request.faults)
     write = request.row_log()
@@ -391,5 +354,5 @@ def serve(wiring: Wiring | None, link: Path | None, request: SimulationRequest) 
         write((round(pulse.time_s, 6), pulse.channel, pulse.pulse_us, pulse.shaft_us))
 
     if wiring is None:
-        wiring = Wiring(MaestroSettings(model=WITHOUT_SET_TARGETS), (), (), 50.0)
-    return PtyHost(maestro_for(wiring, script, on_pulse), link)
+        wiring = Wiring(MaestroSettings(model=protocol.WITHOUT_SET_TARGETS), (), (), 50.0)
+    return PtyHost(maestro_for(wiring, faults=script, on_pulse=on_pulse), link)

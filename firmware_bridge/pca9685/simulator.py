@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Final, Literal, get_args
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
@@ -38,7 +38,7 @@ from firmware_bridge.pca9685.registers import (
 )
 from firmware_bridge.pulse_bus import PulseBus
 from firmware_bridge.simulator.ports import PtyHost, WatchedServos
-from firmware_bridge.simulator.request import SimulationRequest, TimedFault, parse_faults
+from firmware_bridge.simulator.request import DueFaults, SimulationRequest, TimedFault, parse_faults
 
 _SOFTWARE_RESET: Final = (0x00, bytes([0x06]))
 #: Of auto-increment: behind these comes register 0.
@@ -62,11 +62,6 @@ class ChipFault(TimedFault):
         return (
             since_s >= 0.0 and (since_s % self.every_s if self.every_s else since_s) < self.lasts_s
         )
-
-    def n_begun(self, now_s: float) -> int:
-        """Return how often the fault has begun up to the time `now_s`."""
-        since_s = now_s - self.at_s
-        return 0 if since_s < 0.0 else 1 + int(since_s / self.every_s if self.every_s else 0.0)
 
 
 #: Kinds of faults.
@@ -124,8 +119,7 @@ class SimulatedPca9685:
 
     Faults come from a script, or are set at any time: `nacks` is the number of coming transfers
     that are not acknowledged, `cut_after` the number of bytes of the next write that arrive;
-    `brown_out` is called. cuts_pulses: a write ends the pulse of its channel that is under way, as
-    was seen on some boards.
+    `brown_out` is called.
     """
 
     def __init__(
@@ -135,26 +129,23 @@ class SimulatedPca9685:
         clock_hz: float = NOMINAL_CLOCK_HZ,
         servos: Mapping[int, HobbyServo] | None = None,
         faults: Sequence[ChipFault] = (),
-        cuts_pulses: bool = False,
         on_pulse: Callable[[Pulse], None] | None = None,
         oe_is_high: Callable[[], bool] = lambda: False,
-        n_remembered: int = 200_000,
     ) -> None:
         """Start as after power-up.
 
         servos: by channel. on_pulse: called with every ended pulse, which `pulses` logs, too.
-        oe_is_high: returns whether the OE pin is high, which blocks all pulses. n_remembered: how
-        many of the newest pulses are kept in `pulses`.
+        oe_is_high: returns whether the OE pin is high, which blocks all pulses.
         """
         self.address, self._clock_hz = address, clock_hz
         self.servos = dict(servos or {})
-        self.pulses: deque[Pulse] = deque(maxlen=n_remembered)
-        self.to_others: deque[tuple[int, bytes]] = deque(maxlen=n_remembered)
+        self.pulses: deque[Pulse] = deque(maxlen=200_000)
+        self.to_others: deque[tuple[int, bytes]] = deque(maxlen=200_000)
         self.nacks, self.cut_after = 0, -1
         self.registers = bytearray(256)
-        self._on_pulse, self._cuts_pulses = on_pulse, cuts_pulses
+        self._on_pulse = on_pulse or (lambda _pulse: None)
         self._oe_is_high, self._is_blocked = oe_is_high, oe_is_high()
-        self._faults, self._n_begun = faults, [0] * len(faults)
+        self._faults, self._coming = faults, DueFaults(faults)
         self._now_s = 0.0
         self._cycle_s: float | None = None  # when the next cycle begins; None: asleep
         self._awaits_restart = False
@@ -217,13 +208,11 @@ class SimulatedPca9685:
         return any(each.kind == kind and each.is_on(self._now_s) for each in self._faults)
 
     def _happen(self) -> None:
-        for index, fault in enumerate(self._faults):
-            n_begun = fault.n_begun(self._now_s)
-            if n_begun > self._n_begun[index] and fault.kind == "brown-out":
+        for _, fault in self._coming.take(self._now_s):
+            if fault.kind == "brown-out":
                 self.brown_out()
-            elif n_begun > self._n_begun[index] and fault.kind == "cut":
+            elif fault.kind == "cut":
                 self.cut_after = 2
-            self._n_begun[index] = n_begun
 
     def brown_out(self) -> None:
         """Simulate a failure of the supply: cut the present pulses, and reset all registers."""
@@ -278,11 +267,11 @@ class SimulatedPca9685:
             if self.registers[Register.MODE1] & Mode1.SLEEP:
                 self.registers[register] = max(3, value)
         elif Register.LED0_ON_L <= register <= Register.LED15_OFF_H:
-            self._write_channel((register - Register.LED0_ON_L) // 4, register, value)
+            self._write_channel(register, value)
         elif Register.ALL_LED_ON_L <= register <= Register.ALL_LED_OFF_H:
             offset = register - Register.ALL_LED_ON_L
             for channel in range(N_CHANNELS):
-                self._write_channel(channel, Register.LED0_ON_L + 4 * channel + offset, value)
+                self._write_channel(Register.LED0_ON_L + 4 * channel + offset, value)
         elif register <= Register.ALLCALLADR:
             self.registers[register] = value & (0x1F if register == Register.MODE2 else 0xFE)
 
@@ -301,14 +290,12 @@ class SimulatedPca9685:
         restart = Mode1.RESTART if self._awaits_restart else Mode1(0)
         self.registers[Register.MODE1] = mode | restart
 
-    def _write_channel(self, channel: int, register: int, value: int) -> None:
+    def _write_channel(self, register: int, value: int) -> None:
         is_high = (register - Register.LED0_ON_L) & 1
         self.registers[register] = value & 0x1F if is_high else value
         if not self.registers[Register.MODE1] & Mode1.SLEEP:  # as 7.3.1.1: a write restarts, too
             self._awaits_restart = False
             self.registers[Register.MODE1] &= ~Mode1.RESTART & 0xFF
-        if self._cuts_pulses:
-            self._cut([channel])
 
     def _counts(self, channel: int) -> int:
         first = Register.LED0_ON_L + 4 * channel
@@ -346,8 +333,7 @@ class SimulatedPca9685:
 
     def _note(self, pulse: Pulse) -> None:
         self.pulses.append(pulse)
-        if self._on_pulse is not None:
-            self._on_pulse(pulse)
+        self._on_pulse(pulse)
 
 
 class MemoryTransfers:
@@ -450,38 +436,22 @@ class PinFifo:
         return self._is_high
 
 
-def chip_for(
-    wiring: Wiring,
-    faults: Sequence[ChipFault] = (),
-    on_pulse: Callable[[Pulse], None] | None = None,
-    oe_is_high: Callable[[], bool] = lambda: False,
-) -> SimulatedPca9685:
+def chip_for(wiring: Wiring, **options: Any) -> SimulatedPca9685:
     """Return the simulated PCA9685 of the face in `wiring`, with its servos at neutral.
 
-    faults, on_pulse, oe_is_high: as for `SimulatedPca9685`.
+    options: as for `SimulatedPca9685`.
     """
     servos = {each.channel: HobbyServo(each.us_per_deg, each.neutral_us) for each in wiring.servos}
-    settings = wiring.settings
-    return SimulatedPca9685(
-        settings.address,
-        clock_hz=settings.clock_hz,
-        servos=servos,
-        faults=faults,
-        on_pulse=on_pulse,
-        oe_is_high=oe_is_high,
-    )
+    address, clock_hz = wiring.settings.address, wiring.settings.clock_hz
+    return SimulatedPca9685(address, clock_hz=clock_hz, servos=servos, **options)
 
 
-def watched_servos(
-    wiring: Wiring,
-    faults: Sequence[ChipFault] = (),
-    on_pulse: Callable[[Pulse], None] | None = None,
-) -> WatchedServos:
+def watched_servos(wiring: Wiring, **options: Any) -> WatchedServos:
     """Return the servos of `wiring` simulated in memory: bus, clock, chip, and the shafts' angles.
 
-    faults, on_pulse: as for `SimulatedPca9685`.
+    options: as for `SimulatedPca9685`.
     """
-    chip, clock = chip_for(wiring, faults, on_pulse), ManualClock()
+    chip, clock = chip_for(wiring, **options), ManualClock()
     opener = partial(I2cChip, MemoryTransfers(chip, clock), chip.address, "simulated PCA9685")
     controller, can = controller_of(wiring, opener, clock), PCA9685.capabilities(wiring.settings)
     bus = PulseBus(wiring.servos, controller, clock, can, may_jump=True)
@@ -502,10 +472,10 @@ def simulated_wire(wiring: Wiring) -> tuple[ServoBus, ManualClock]:
 def serve(wiring: Wiring | None, link: Path | None, request: SimulationRequest) -> PtyHost:
     """Return a host that serves the simulated PCA9685 of a face at a pseudo-terminal.
 
-    link: path of a symbolic link to the terminal. request.log: a file
-    that gets every pulse as a line of JSON: start in seconds of the simulator, channel, width in
-    us. Raises ServoError if `wiring` is None or the log cannot be written, ValueError for a bad
-    script, and PortError where no terminal, link or FIFO can be made.
+    link: path of a symbolic link to the terminal. request.log: a file that gets every pulse as a
+    line of JSON: start in seconds of the simulator, channel, width in us. Raises ServoError if
+    `wiring` is None or the log cannot be written, ValueError for a bad script, and PortError where
+    no terminal, link or FIFO can be made.
     """
     if wiring is None:
         raise ServoError("a simulated PCA9685 needs --config, a face whose servos hang on one")
@@ -518,4 +488,4 @@ def serve(wiring: Wiring | None, link: Path | None, request: SimulationRequest) 
     # That of a real computer is left alone: then the OE pin leads nowhere.
     has_pin = settings.oe_gpio is not None and not settings.gpio_chip.startswith("/dev/")
     oe = {"oe_is_high": PinFifo(Path(settings.gpio_chip)).is_high} if has_pin else {}
-    return PtyHost(TerminalChip(chip_for(wiring, script, on_pulse, **oe)), link)
+    return PtyHost(TerminalChip(chip_for(wiring, faults=script, on_pulse=on_pulse, **oe)), link)

@@ -123,14 +123,10 @@ class CommandQueue:
 
     def take_changes(self) -> dict[str, float]:
         """Return and remove the newest value of each setting changed since the last call."""
-        if not self._changes:
-            return {}
         return {name: self._changes.pop(name) for name in list(self._changes)}
 
     def take_orders(self) -> list[Order]:
         """Return and remove all orders since the last call, oldest first."""
-        if not self._orders:
-            return []
         return [self._orders.popleft() for _ in range(len(self._orders))]
 
     def _checked(self, name: str, value: float) -> Setting:

@@ -11,15 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from firmware_bridge.process.commands import (
-    ARM_WORD,
-    END_WORD,
-    JOG_WORD,
-    PULSE_UNIT,
-    SERVO_WORD,
-    SET_WORD,
-    START_WORD,
-)
+from firmware_bridge.process import commands
 from firmware_bridge.process.control_socket import LONGEST_WORD, WATCH_WORD, peer
 from firmware_bridge.process.runtime_folder import (
     SOCKET_SUFFIX,
@@ -95,7 +87,9 @@ def ask(path: Path, word: str, patience_s: float = _PATIENCE_S) -> Answer:
     give_up_s = time.monotonic() + patience_s
     while True:
         with _connected(path, give_up_s) as client:
-            answer = _send_and_receive(client, word, give_up_s)
+            with contextlib.suppress(ConnectionError):  # then the answer is the end of it
+                client.send(word.encode())
+            answer = _receive(client, give_up_s)
         if answer is not None:
             return answer
         _wait_to_retry(give_up_s)
@@ -124,7 +118,8 @@ def send_stop(path: Path, level: StopLevel, *, end: bool = False) -> socket.sock
         client.setblocking(False)
         client.connect(str(path))
         with contextlib.suppress(ConnectionError):  # then the answer is the end of the connection
-            client.send(f"{level.value} {END_WORD}".encode() if end else level.value.encode())
+            words = (level.value, commands.END_WORD) if end else (level.value,)
+            client.send(" ".join(words).encode())
     except OSError:
         client.close()
         raise
@@ -140,7 +135,7 @@ def start_face(path: Path, patience_s: float = _PATIENCE_S) -> Answer:
     """
     give_up_s = time.monotonic() + patience_s
     while True:
-        answer = ask(path, START_WORD, patience_s)
+        answer = ask(path, commands.START_WORD, patience_s)
         is_stopping = answer.get("error") == START_WHILE_STOPPING
         if not is_stopping or time.monotonic() + _RETRY_S > give_up_s:
             return answer
@@ -162,7 +157,7 @@ def change_settings(path: Path, values: Mapping[str, float]) -> Answer:
     Return {"set": {name: value}}, or {"error": one line}. Raises OSError when no face answers.
     """
     pairs = [f"{name} {float(value)!r}" for name, value in values.items()]
-    word = " ".join((SET_WORD, *pairs))
+    word = " ".join((commands.SET_WORD, *pairs))
     for name in values:
         if not _is_name(name):
             return {"error": f"{name[:_LONGEST_NAME]!r}: no such setting"}
@@ -181,7 +176,7 @@ def switch_servo(path: Path, name: str, switch: ServoSwitch) -> Answer:
     The effect is in the face's answer to `status`, under `servos` and `troubles`. Raises OSError
     when no face answers.
     """
-    return _ask_of(path, SERVO_WORD, name, switch.value)
+    return _ask_of(path, commands.SERVO_WORD, name, switch.value)
 
 
 def arm_jog(path: Path) -> Answer:
@@ -189,7 +184,7 @@ def arm_jog(path: Path) -> Answer:
 
     Return {"jog": "arm"} or {"error"}. Raises OSError when no face answers.
     """
-    return ask(path, f"{JOG_WORD} {ARM_WORD}")
+    return ask(path, f"{commands.JOG_WORD} {commands.ARM_WORD}")
 
 
 def jog_servo(path: Path, name: str, position_deg: float) -> Answer:
@@ -197,7 +192,7 @@ def jog_servo(path: Path, name: str, position_deg: float) -> Answer:
 
     Jogging ends 3 s after the last jog command of any kind. Raises OSError when no face answers.
     """
-    return _ask_of(path, JOG_WORD, name, repr(float(position_deg)))
+    return _ask_of(path, commands.JOG_WORD, name, repr(float(position_deg)))
 
 
 def jog_pulse(path: Path, name: str, pulse_us: float) -> Answer:
@@ -206,7 +201,7 @@ def jog_pulse(path: Path, name: str, pulse_us: float) -> Answer:
     Beyond the servo's limits the pulse changes in small steps, so that a person can find the
     limits. Raises OSError when no face answers.
     """
-    return _ask_of(path, JOG_WORD, name, f"{float(pulse_us)!r} {PULSE_UNIT}")
+    return _ask_of(path, commands.JOG_WORD, name, f"{float(pulse_us)!r} {commands.PULSE_UNIT}")
 
 
 def end_jog(path: Path) -> Answer:
@@ -214,7 +209,7 @@ def end_jog(path: Path) -> Answer:
 
     Return {"jog": "end"} or {"error"}. Raises OSError when no face answers.
     """
-    return ask(path, f"{JOG_WORD} {END_WORD}")
+    return ask(path, f"{commands.JOG_WORD} {commands.END_WORD}")
 
 
 def _ask_of(path: Path, word: str, name: str, what: str) -> Answer:
@@ -290,18 +285,6 @@ def stop_and_wait(
             if first is None:
                 raise
             return first, None
-
-
-def _send_and_receive(client: socket.socket, word: str, give_up_s: float) -> Answer | None:
-    """Send `word` and return the answer; None: the face closed the connection.
-
-    Raises TimeoutError when no answer comes until the monotonic time `give_up_s`.
-    """
-    try:
-        client.send(word.encode())
-    except ConnectionError:
-        return None
-    return _receive(client, give_up_s)
 
 
 def _receive(client: socket.socket, give_up_s: float) -> Answer | None:

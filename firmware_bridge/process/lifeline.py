@@ -11,7 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import astuple, dataclass
-from typing import Final
+from typing import Final, get_args
 
 from firmware_bridge.stopping import StopLevel
 
@@ -79,9 +79,8 @@ class Ready:
 
 
 Message = Stopped | Started | NotStarted | Failed | Switched | Began | Ready
-_KINDS: Final = {
-    kind.__name__: kind for kind in (Stopped, Started, NotStarted, Failed, Switched, Began, Ready)
-}
+_KINDS: Final = {kind.__name__: kind for kind in get_args(Message)}
+
 _BEAT: Final = "Beat"
 
 

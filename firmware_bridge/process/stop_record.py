@@ -113,9 +113,8 @@ class StopRecord:
             by = str(before.get("stopped_by") or "a person")
             why = f"{by} stopped it, {before.get('at', 'some time ago')}"
             return StopRequest(StopLevel.LIMP, by), why
-        if before.get("is_running") and before.get("boot") != self._boot:
-            if drives_after_power_cut:
-                return None, ""
+        was_cut_off = before.get("is_running") and before.get("boot") != self._boot
+        if was_cut_off and not drives_after_power_cut:
             return StopRequest(StopLevel.LIMP, "a power cut"), _CUT_OFF
         return None, ""
 

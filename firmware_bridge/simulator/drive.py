@@ -98,10 +98,6 @@ class RegisterMemory:
             pieces.append((entry, entry.decode(bytes(shown[n] for n in behind))))
         return pieces
 
-    def map_indirect(self, address: int, data: bytes) -> None:
-        """Write `data` to indirect addresses, after `pieces` has allowed it."""
-        self.bytes[address : address + len(data)] = data
-
     def _mapping_refusal(
         self, block: IndirectBlock, address: int, data: bytes
     ) -> list[tuple[Register, int]] | StatusError:

@@ -39,37 +39,26 @@ class _Kind:
 
 _SHARE: Final = "load as a share of the stall torque"
 _REPLY_KINDS: Final = {
-    "drop_reply": _Kind(),
-    "corrupt_reply": _Kind(),
-    "truncate_reply": _Kind(),
-    "duplicate_reply": _Kind(),
+    **dict.fromkeys(("drop_reply", "corrupt_reply", "truncate_reply", "duplicate_reply"), _Kind()),
+    **dict.fromkeys(("wrong_id", "echo"), _Kind()),
     "late_reply": _Kind(Amount("seconds late", 0.0, 10.0, needed=True)),
-    "wrong_id": _Kind(),
     "error_reply": _Kind(Amount("error byte of the reply, else 1", 1, 255, whole=True)),
     "babble": _Kind(Amount("bytes of noise, else 8", 1, 1000, whole=True)),
-    "echo": _Kind(),
 }
 _SERVO_KINDS: Final = {
-    "silence": _Kind(lasts=True),
-    "reboot": _Kind(),
-    "brown_out": _Kind(lasts=True),
+    **dict.fromkeys(("reboot", "shock", "torque_lost", "baud_reset", "watchdog_trip"), _Kind()),
+    **dict.fromkeys(("silence", "brown_out", "answers_stop", "unplug"), _Kind(lasts=True)),
     "overload": _Kind(Amount(f"{_SHARE}, else 0.9", 0.0, 1.0), lasts=True),
     "overheat": _Kind(Amount("degC, else 5 above the limit", 0.0, 200.0), lasts=True),
     "undervoltage": _Kind(Amount("volt, else 0.6 of nominal", 0.0, 60.0), lasts=True),
     "overvoltage": _Kind(Amount("volt, else 1.5 of nominal", 0.0, 60.0), lasts=True),
-    "shock": _Kind(),
     "encoder_fault": _Kind(Amount("degrees that the reading jumps", -360.0, 360.0)),
     "jam": _Kind(Amount(_SHARE, 0.0, 1.0), lasts=True),
     "load": _Kind(Amount(_SHARE, 0.0, 1.0, needed=True), lasts=True),
-    "torque_lost": _Kind(),
     "id_change": _Kind(Amount("the new id", 0, 252, whole=True, needed=True)),
-    "baud_reset": _Kind(),
     "return_delay_drift": _Kind(Amount("register value, else 250", 1, 254, whole=True)),
     "limits_drift": _Kind(Amount("the new max_position_limit, else 4095", 1, 4095, whole=True)),
-    "answers_stop": _Kind(lasts=True),
-    "watchdog_trip": _Kind(),
     "pushed": _Kind(Amount("degrees", -360.0, 360.0, needed=True)),
-    "unplug": _Kind(lasts=True),
 }
 #: What happens to a status packet on its way, by chance.
 ON_REPLIES: Final = frozenset(_REPLY_KINDS)

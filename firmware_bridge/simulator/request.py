@@ -4,10 +4,10 @@ Dynamixels have a language of faults of their own: `fault_script` and `faults`.
 """
 
 import json
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Generic, TypeVar
 
 import yaml
 from pydantic import ValidationError, create_model
@@ -85,6 +85,25 @@ class SimulationRequest:
             file.write(json.dumps(row) + "\n")
 
         return write
+
+
+class DueFaults(Generic[Fault]):
+    """The faults of a script that are still to happen."""
+
+    def __init__(self, faults: Iterable[Fault]) -> None:
+        self._coming = [(fault.at_s, fault) for fault in faults]
+
+    def take(self, now_s: float) -> list[tuple[float, Fault]]:
+        """Return (time, fault) of those that begin by `now_s` and were not returned before.
+
+        Each is there once, in the order of time.
+        """
+        due = [each for each in self._coming if each[0] <= now_s]
+        for at_s, fault in due:
+            self._coming.remove((at_s, fault))
+            if fault.every_s is not None:
+                self._coming.append((at_s + fault.every_s, fault))
+        return sorted(due, key=lambda each: each[0])
 
 
 def parse_faults(text: str | None, fault: type[Fault]) -> Sequence[Fault]:

@@ -219,7 +219,7 @@ class SimulatedServo:
         for entry, value in pieces:
             self._set(entry.name, value)
         if not pieces:
-            self._table.map_indirect(address, data)
+            self._memory[address : address + len(data)] = data  # what indirect data shows
         return 0
 
     def _refusal_of_all(self, pieces: Sequence[tuple[Register, int]]) -> int:

@@ -347,7 +347,7 @@ class GoalWrite:
 class CommonFrame(Sequence[Status]):
     """The undisturbed answer to a fast sync read: the statuses of all servos, in one frame.
 
-    Statuses are made when they are read one by one; `values` has all of them at once. errors: one
+    Statuses are made when they are read one by one; `blocks` has all of them at once. errors: one
     byte for each servo, in order.
     """
 
@@ -367,21 +367,6 @@ class CommonFrame(Sequence[Status]):
     def block_of(data: np.dtype[np.void]) -> np.dtype[np.void]:
         """Return the data type of one servo's block in the frame, for data bytes of type `data`."""
         return np.dtype([("error", "u1"), ("id", "u1"), *data.descr, ("crc", "<u2")])
-
-    def values(self, block: np.dtype[np.void]) -> NDArray[np.void]:
-        """Return the fields of all servos from the frame, as one array.
-
-        Parameters
-        ----------
-        block : np.dtype[np.void]
-            Data type of one servo's block, from `block_of`.
-
-        Returns
-        -------
-        NDArray[np.void]
-            (n_servos,), in the order of the request.
-        """
-        return self.blocks(self.stream, block)
 
     @staticmethod
     def blocks(stream: bytes | bytearray, block: np.dtype[np.void]) -> NDArray[np.void]:

@@ -59,15 +59,12 @@ class Line(HalfDuplex):
 
     def ping_each(self, servo_id: int) -> list[Status]:
         """Send one ping and return every answer; two servos with one id may both answer."""
-
-        def take(stream: bytes, *, last: bool) -> list[Status] | None:
-            return self._statuses(stream) if last else None
-
         if self._has_pending() and self._pending.free_size((servo_id,), _PONG_SIZE) != _PONG_SIZE:
             self._wait_for_pending()
         request = codec.ping(servo_id)
         n_bytes = 2 * (codec.EMPTY_STATUS_SIZE + _PONG_SIZE)
-        statuses = self._transact(request, n_bytes, take, extra_wait_s=FACTORY_RETURN_DELAY_S) or []
+        take, wait_s = self._at_the_end, FACTORY_RETURN_DELAY_S
+        statuses = self._transact(request, n_bytes, take, extra_wait_s=wait_s) or []
         if not statuses:
             self._pending.note(servo_id, _PONG_SIZE, request, self._clock.now())
         return [s for s in statuses if s.servo_id == servo_id and len(s.data) == _PONG_SIZE]
@@ -77,14 +74,10 @@ class Line(HalfDuplex):
 
         Answers of two servos with one id collide: neither is in the list.
         """
-
-        def take(stream: bytes, *, last: bool) -> list[Status] | None:
-            return self._statuses(stream) if last else None
-
         self._wait_for_pending()
         request = codec.ping(BROADCAST_ID)
         n_bytes = (MAX_ID + 1) * (codec.EMPTY_STATUS_SIZE + _PONG_SIZE)
-        statuses = self._transact(request, n_bytes, take) or []
+        statuses = self._transact(request, n_bytes, self._at_the_end) or []
         self._pending.note(ANYBODY, _PONG_SIZE, request, self._clock.now())
         return [status for status in statuses if len(status.data) == _PONG_SIZE]
 
@@ -250,6 +243,9 @@ class Line(HalfDuplex):
         if self._has_pending():
             self._clock.sleep_until(self._pending.until_s)
             self._pending.expire(self._clock.now())
+
+    def _at_the_end(self, stream: bytes, *, last: bool) -> list[Status] | None:
+        return self._statuses(stream) if last else None
 
     def _statuses(self, stream: bytes) -> list[Status]:
         """Return every whole status packet in a stream, skipping all other bytes."""

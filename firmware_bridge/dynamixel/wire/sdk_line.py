@@ -7,7 +7,7 @@ It polls, and gives no partial reads: one silent servo costs a group all its sam
 import struct
 import termios
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from dynamixel_sdk import COMM_SUCCESS, GroupSyncRead, GroupSyncWrite, PacketHandler, PortHandler
 
@@ -101,16 +101,18 @@ class SdkLine(Line):
         self._sdk = transport
         self._packets = PacketHandler(2.0)
 
+    def _ask(self, ask: Callable[..., Any], *of: object) -> Any:
+        return self._sdk.call(lambda: ask(self._sdk.handler, *of))
+
     def ping(self, servo_id: int, extra_wait_s: float = 0.0) -> Status | None:
         """Ping one servo; return model number and 0, for the SDK omits firmware; None: silent."""
         del extra_wait_s  # the SDK's own is 34 ms
-        ask = self._packets.ping
-        number, result, error = self._sdk.call(lambda: ask(self._sdk.handler, servo_id))
+        number, result, error = self._ask(self._packets.ping, servo_id)
         return Status(servo_id, error, struct.pack("<HB", number, 0)) if not result else None
 
     def ping_all(self) -> list[Status]:
         """Return a status of every servo that answers a broadcast ping."""
-        found, _ = self._sdk.call(lambda: self._packets.broadcastPing(self._sdk.handler))
+        found, _ = self._ask(self._packets.broadcastPing)
         return [
             Status(each, 0, struct.pack("<HB", *model_and_firmware))
             for each, model_and_firmware in found.items()
@@ -124,10 +126,7 @@ class SdkLine(Line):
         extra_wait_s is ignored.
         """
         del extra_wait_s
-        ask = self._packets.readTxRx
-        data, result, error = self._sdk.call(
-            lambda: ask(self._sdk.handler, servo_id, address, size)
-        )
+        data, result, error = self._ask(self._packets.readTxRx, servo_id, address, size)
         return Status(servo_id, error, bytes(data)) if result == COMM_SUCCESS else None
 
     def write(
@@ -138,16 +137,13 @@ class SdkLine(Line):
         The SDK waits 34 ms; extra_wait_s is ignored.
         """
         del extra_wait_s
-        ask = self._packets.writeTxRx
-        result, error = self._sdk.call(
-            lambda: ask(self._sdk.handler, servo_id, address, len(data), list(data))
-        )
+        values = len(data), list(data)
+        result, error = self._ask(self._packets.writeTxRx, servo_id, address, *values)
         return Status(servo_id, error, b"") if result == COMM_SUCCESS else None
 
     def reboot(self, servo_id: int) -> Status | None:
         """Restart one servo; return its status, None if it does not answer."""
-        ask = self._packets.reboot
-        result, error = self._sdk.call(lambda: ask(self._sdk.handler, servo_id))
+        result, error = self._ask(self._packets.reboot, servo_id)
         return Status(servo_id, error, b"") if result == COMM_SUCCESS else None
 
     def tell(self, request: bytes) -> None:

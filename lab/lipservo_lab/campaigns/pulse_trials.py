@@ -141,7 +141,7 @@ class PulseStage:
         see, self._is_board = _seeing(self.auditor, case.bus)
         rows = [{"kind": case.kind, "at_s": at, "lasts_s": lasts} for at, lasts in case.times_s()]
         faults = simulator.read_faults(json.dumps({"faults": rows}))
-        self._watched = simulator.watched_servos(wiring, faults, see)
+        self._watched = simulator.watched_servos(wiring, faults=faults, on_pulse=see)
         self.bus, self.clock = self._watched.bus, self._watched.clock
         self._claims = 0
 

@@ -9,7 +9,7 @@ from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.bus import budget
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.doctor import Severity, examine
-from firmware_bridge.dynamixel.mounting import read_identities
+from firmware_bridge.dynamixel.mounting import identify_all
 from firmware_bridge.dynamixel.provisioning import (
     read_settings,
     scan,
@@ -169,7 +169,7 @@ def test_a_bus_that_is_too_slow_is_told_what_to_do():
 def test_what_servos_hold_is_read_for_whoever_compares_it():
     face = MemoryFace(3)
     face.chain.servos[2]["id"] = 77
-    first, second, third = read_identities(face.open, face.servos)
+    first, second, third = identify_all(Line(face.open()), face.servos, strict=False)
 
     assert (first.model_number, first.firmware) == (1200, 52)
     assert (second.eeprom["homing_offset"], second.eeprom["drive_mode"]) == (0, 0)
@@ -191,7 +191,7 @@ def test_servos_that_differ_from_the_yaml_are_refused_with_the_remedy(register, 
     face = MemoryFace(3)
     face.chain.servos[1][register] = value
     with pytest.raises(ServoError) as error:
-        read_identities(face.open, face.servos)
+        identify_all(Line(face.open()), face.servos, strict=False)
 
     first, last = str(error.value).splitlines()
     assert first.startswith(f"servo 'joint_2' (id 2) {said}")

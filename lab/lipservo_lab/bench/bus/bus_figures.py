@@ -100,7 +100,7 @@ def _own_calls(port: str) -> dict[str, Callable[[], object]]:
 def decode(answers: Sequence[Status]) -> list[list[int]]:
     """Currents, velocities and positions of those who answered."""
     if isinstance(answers, CommonFrame):
-        values = answers.values(_MOTION_BLOCK)
+        values = CommonFrame.blocks(answers.stream, _MOTION_BLOCK)
     else:
         values = np.frombuffer(b"".join([each.data for each in answers]), dtype=_MOTION)
     return [values[name].tolist() for name in ("current", "velocity", "position")]
