@@ -29,9 +29,9 @@ from firmware_bridge.feetech.control_table import (
 from firmware_bridge.feetech.mounting import MountedServo, mounted_servos
 from firmware_bridge.feetech.provisioning import wanted_settings
 from firmware_bridge.serial_servos.half_duplex import BITS_PER_BYTE
+from firmware_bridge.simulation_request import DueFaults, SimulationRequest, TimedFault
 from firmware_bridge.simulator.motors import UNBOUNDED, Course, Environment, Motors
 from firmware_bridge.simulator.ports import MemoryTransport, PtyHost
-from firmware_bridge.simulator.request import DueFaults, SimulationRequest, TimedFault
 
 #: Not simulated here but in a ping, which lipservo never sends and others do.
 _PING: Final = 0x01

@@ -42,7 +42,7 @@ class ChangeLog:
         self._lifeline = lifeline
         self._on_health = on_health
         self._plugged, self._state = True, FaceState.STOPPED
-        self._n_given_up = len(bridge.given_up)
+        self._given_up = set(bridge.given_up)
         self._n_changes = bridge.n_trouble_changes
         self._trouble_since_s = float("inf")
         self._troubles: tuple[str, ...] = ()
@@ -61,11 +61,11 @@ class ChangeLog:
                 _LOG.warning("the port of the servos is gone")
         if bridge.state is not self._state:
             self._log_state(bridge.state)
-        if len(bridge.given_up) != self._n_given_up:
-            for index, why in list(bridge.given_up.items())[self._n_given_up :]:
+        if bridge.given_up.keys() != self._given_up:
+            for index in bridge.given_up.keys() - self._given_up:
                 if self._lifeline is not None:
-                    self._lifeline.tell(Failed(index, why))
-            self._n_given_up = len(bridge.given_up)
+                    self._lifeline.tell(Failed(index, bridge.given_up[index]))
+            self._given_up = set(bridge.given_up)
         if bridge.n_trouble_changes != self._n_changes:
             self._n_changes = bridge.n_trouble_changes
             self._trouble_since_s = time_s

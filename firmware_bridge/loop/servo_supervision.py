@@ -25,6 +25,8 @@ from firmware_bridge.loop.torque_gate import SWITCHED_OFF
 
 #: A servo that has not answered for so long has no power or no cable: its goals are withheld.
 SILENT_S: Final = 0.5
+#: In so many ticks, too: a servo that misses one answer after a late tick is not silent.
+_SILENT_TICKS: Final = 3
 #: After a hardware error the cause needs time to go. Ours.
 _COOL_DOWN_S: Final = 1.0
 #: So far below its limit a servo must be before it works again, degrees.
@@ -118,6 +120,7 @@ class ServoSupervision:
         self._critical = np.array([joint.critical for joint in joints])
         self._any_critical = bool(self._critical.any())
         self._until_s = np.zeros(n)
+        self._n_silent = np.zeros(n, dtype=np.int64)  # ticks in a row
         self._failures: list[deque[float]] = [deque(maxlen=_REBOOTS) for _ in joints]
         self._next = 0
         for index, why in (given_up or {}).items():
@@ -220,6 +223,8 @@ class ServoSupervision:
         """
         if self._all_normal(health):
             return None
+        # Silence counts ticks as well: of one late tick a single lost answer would be half a second.
+        self._n_silent = np.where(health.silent_s >= SILENT_S, self._n_silent + 1, 0)
         n = len(self.states)
         for k in range(n):
             index = (self._next + k) % n
@@ -255,7 +260,7 @@ class ServoSupervision:
     ) -> tuple[ServoEvent | None, str]:
         """Return what happens to servo `i` by its readings, and the reason in words."""
         state, torque = self.states[i], health.torque[i]
-        is_silent, errors = health.silent_s[i] >= SILENT_S, int(health.hardware_errors[i])
+        is_silent, errors = self._n_silent[i] >= _SILENT_TICKS, int(health.hardware_errors[i])
         if state == _DRIVEN:
             return self._seen_driven(i, health)
         if time_s < self._until_s[i]:
@@ -285,7 +290,7 @@ class ServoSupervision:
     def _seen_driven(self, i: int, health: Health) -> tuple[ServoEvent | None, str]:
         """Return the same for a driven servo."""
         errors = int(health.hardware_errors[i])
-        if health.silent_s[i] >= SILENT_S:
+        if self._n_silent[i] >= _SILENT_TICKS:
             return ServoEvent.SILENT, "does not answer"
         if errors:
             return ServoEvent.ERROR, describe_errors(errors)

@@ -21,8 +21,13 @@ from firmware_bridge.maestro.kind import BAUD_RATE, MAESTRO
 from firmware_bridge.maestro.settings import MaestroSettings
 from firmware_bridge.pulse_bus import PulseBus
 from firmware_bridge.pulse_servos import PulseScale
+from firmware_bridge.simulation_request import (
+    DueFaults,
+    SimulationRequest,
+    TimedFault,
+    parse_faults,
+)
 from firmware_bridge.simulator.ports import MemoryTransport, PtyHost, WatchedServos
-from firmware_bridge.simulator.request import DueFaults, SimulationRequest, TimedFault, parse_faults
 
 #: As it comes: https://www.pololu.com/docs/0J40/4.b .
 _SHORTEST_US, _LONGEST_US = 992.0, 2000.0

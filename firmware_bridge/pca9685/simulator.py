@@ -37,8 +37,13 @@ from firmware_bridge.pca9685.registers import (
     counts_of,
 )
 from firmware_bridge.pulse_bus import PulseBus
+from firmware_bridge.simulation_request import (
+    DueFaults,
+    SimulationRequest,
+    TimedFault,
+    parse_faults,
+)
 from firmware_bridge.simulator.ports import PtyHost, WatchedServos
-from firmware_bridge.simulator.request import DueFaults, SimulationRequest, TimedFault, parse_faults
 
 _SOFTWARE_RESET: Final = (0x00, bytes([0x06]))
 #: Of auto-increment: behind these comes register 0.

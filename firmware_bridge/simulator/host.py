@@ -10,10 +10,10 @@ from firmware_bridge.dynamixel.control_table import baud_rates, servo_models
 from firmware_bridge.dynamixel.mounting import mounted_servos
 from firmware_bridge.dynamixel.wire.codec import MAX_ID
 from firmware_bridge.errors import ServoError
+from firmware_bridge.simulation_request import SimulationRequest
 from firmware_bridge.simulator.chain import SimulatedChain, chain_for
 from firmware_bridge.simulator.fault_script import read_faults
 from firmware_bridge.simulator.ports import MemoryTransport, PtyHost
-from firmware_bridge.simulator.request import SimulationRequest
 from firmware_bridge.simulator.wire import WireRules
 
 #: Of servos of no face.

@@ -6,8 +6,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from lipservo_lab.bench.statements.claims import Tally
 from lipservo_lab.bench.bus.feetech_restarts import MOST_OVER, over_bound, restarts
+from lipservo_lab.bench.statements.campaign import play_scene, scenes
+from lipservo_lab.bench.statements.claims import Tally
 from lipservo_lab.bench.statements.freeze_cases import (
     freeze_batches,
     freeze_cases,
@@ -18,7 +19,6 @@ from lipservo_lab.bench.stops.idle_connections import stop_beside_idle
 from lipservo_lab.bench.stops.signal_campaign import play_signal, signal_cases, signal_figures
 from lipservo_lab.bench.stops.started_again import LEVELS, play_starts
 from lipservo_lab.bench.stops.starved_face import play_starved
-from lipservo_lab.bench.statements.campaign import play_scene, scenes
 from lipservo_lab.bench.stops.stop_campaign import play_batch
 from lipservo_lab.bench.stops.stop_cases import batches, stop_cases, stop_figures
 from lipservo_lab.campaigns.fault_campaign import Outcome, cases, play, trials_of

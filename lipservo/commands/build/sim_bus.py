@@ -75,7 +75,7 @@ def sim_bus(
     from firmware_bridge.bus_kinds import bus_kind
     from firmware_bridge.errors import BusError
     from firmware_bridge.process.operating_system import run_on_time
-    from firmware_bridge.simulator.request import SimulationRequest
+    from firmware_bridge.simulation_request import SimulationRequest
     from lipservo.runtime.servos.assembly import load_settings
 
     face = None if config is None else load_settings(config)[0]

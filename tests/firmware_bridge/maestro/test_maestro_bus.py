@@ -19,8 +19,8 @@ from firmware_bridge.maestro.kind import BAUD_RATE, MAESTRO
 from firmware_bridge.maestro.release import MaestroRelease
 from firmware_bridge.maestro.simulator import PulseFault, Shaft, maestro_for, read_faults, serve
 from firmware_bridge.pulse_bus import STAGGER_S, KeptPulses, PulseBus
+from firmware_bridge.simulation_request import SimulationRequest
 from firmware_bridge.simulator.ports import MemoryTransport
-from firmware_bridge.simulator.request import SimulationRequest
 from firmware_bridge.stopping import StopLevel
 from lipservo.settings.settings import load_shipped_face
 

@@ -103,7 +103,10 @@ def fastest_deg_s(case: Restart) -> float:
 
 
 class _WatchedShaft:
-    """A chain whose motion is looked at in steps. fastest: of one shaft, so far, pulses a second."""
+    """A chain whose motion is looked at in steps.
+
+    fastest: of one shaft, so far, pulses a second.
+    """
 
     def __init__(self, chain: SimulatedChain, index: int) -> None:
         self._chain, self._index = chain, index

@@ -4,10 +4,10 @@ import subprocess
 from itertools import product
 
 from lipservo_lab.bench.statements.claims import Judge, Tally
-from lipservo_lab.bench.stops.faces_on_buses import BUSES
 from lipservo_lab.bench.statements.heard_face import HeardFace, heard_face
 from lipservo_lab.bench.statements.rules import RULES
 from lipservo_lab.bench.statements.scenes import CRITICAL, SCENES
+from lipservo_lab.bench.stops.faces_on_buses import BUSES
 
 
 def scenes() -> list[tuple[str, str]]:

@@ -17,8 +17,8 @@ from itertools import groupby, pairwise
 from typing import Any, Final
 
 from lipservo_lab.bench.statements.claims import OLD_S
-from lipservo_lab.bench.stops.faces_on_buses import BUSES
 from lipservo_lab.bench.statements.heard_face import HeardFace, heard_face
+from lipservo_lab.bench.stops.faces_on_buses import BUSES
 from lipservo_lab.bench.stops.raw_control import Answer
 from lipservo_lab.bench.stops.robot_at_port import CLIP
 

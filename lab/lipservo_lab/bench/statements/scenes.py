@@ -12,8 +12,8 @@ import subprocess
 from collections.abc import Callable
 from typing import Final
 
-from lipservo_lab.bench.stops.faces_on_buses import SERIAL
 from lipservo_lab.bench.statements.heard_face import HeardFace
+from lipservo_lab.bench.stops.faces_on_buses import SERIAL
 from lipservo_lab.bench.stops.robot_at_port import CLIP, children_of
 
 _DAEMON: Final = ("daemon", "--listen", "none")

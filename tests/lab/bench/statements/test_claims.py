@@ -4,8 +4,8 @@ import re
 
 import pytest
 from lipservo_lab.bench.statements.claims import Judge, Rule, Statement, Verdict, nothing, template
-from lipservo_lab.bench.stops.logged_device import LoggedDevice, Moment
 from lipservo_lab.bench.statements.rules import RULES
+from lipservo_lab.bench.stops.logged_device import LoggedDevice, Moment
 
 from firmware_bridge.joints import Joint
 

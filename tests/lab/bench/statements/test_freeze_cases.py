@@ -4,7 +4,6 @@ import time
 from types import SimpleNamespace
 
 import pytest
-from lipservo_lab.bench.stops.faces_on_buses import BUSES
 from lipservo_lab.bench.statements.freeze_cases import (
     FreezeCase,
     FreezeOutcome,
@@ -15,6 +14,7 @@ from lipservo_lab.bench.statements.freeze_cases import (
     judge_freeze,
     play_freezes,
 )
+from lipservo_lab.bench.stops.faces_on_buses import BUSES
 from lipservo_lab.bench.stops.logged_device import LoggedDevice, Moment
 
 CASES = list(freeze_cases())

@@ -1,10 +1,10 @@
 """The scenes in which statements are heard, on real processes."""
 
 import pytest
-from lipservo_lab.bench.stops.faces_on_buses import BUSES
-from lipservo_lab.bench.statements.heard_face import flattened, heard_face
 from lipservo_lab.bench.statements.campaign import judge_of, scenes
+from lipservo_lab.bench.statements.heard_face import flattened, heard_face
 from lipservo_lab.bench.statements.scenes import SCENES
+from lipservo_lab.bench.stops.faces_on_buses import BUSES
 
 
 def test_every_scene_is_played_on_every_bus():
