@@ -103,10 +103,7 @@ def fastest_deg_s(case: Restart) -> float:
 
 
 class _WatchedShaft:
-    """A chain whose motion is looked at in steps.
-
-    fastest: of one shaft, so far, pulses a second.
-    """
+    """A chain whose motion is looked at in steps. fastest: speed of one shaft, pulses a second."""
 
     def __init__(self, chain: SimulatedChain, index: int) -> None:
         self._chain, self._index = chain, index
@@ -139,3 +136,4 @@ def _restart(chain: SimulatedChain, index: int, now_s: float, lasts_s: float) ->
     servo = chain.servos[index]
     servo.power_up()
     servo.silent_until_s = now_s + lasts_s
+    chain.motors.velocity[index] = 0.0  # of before; limp, it stands
