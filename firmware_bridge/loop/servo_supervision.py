@@ -223,7 +223,7 @@ class ServoSupervision:
         """
         if self._all_normal(health):
             return None
-        # Silence counts ticks as well: of one late tick a single lost answer would be half a second.
+        # Silence counts ticks, too: after a late one a single lost answer would be half a second.
         self._n_silent = np.where(health.silent_s >= SILENT_S, self._n_silent + 1, 0)
         n = len(self.states)
         for k in range(n):

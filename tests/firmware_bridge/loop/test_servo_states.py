@@ -2,7 +2,9 @@
 
 The grid is the machine, told a second time by hand. In a cell: the new state, and what is done: off
 (its torque goes off), on (it comes on), again (it is restarted). A dot: the event means nothing; x:
-nothing can cause it, or tell it from another. Behind an event stands how often it had come before.
+nothing can cause it, or tell it from another. Behind an event stands how often it had come before:
+of a servo that does not follow the fourth time test_servo_supervision.py tells, since one that is
+jammed in the simulator has an overload first.
 What follows at once has no moment of its own: a servo that is ready is driven as soon as it has
 confirmed, and one that is switched off is off as soon as it has.
 """
@@ -26,7 +28,7 @@ silent                 | waiting            | waiting          | .              
 hardware error         | cooling, off       | cooling          | .                | cooling          | .               | x                    | .
 too hot                | cooling, off       | x                | .                | x                | .               | .                    | .
 does not follow        | cooling, off       | x                | x                | x                | x               | x                    | x
-does not follow, often | failed, off        | x                | x                | x                | x               | x                    | x
+does not follow, often | x failed, off      | x                | x                | x                | x               | x                    | x
 watchdog tripped       | waiting, on        | x                | x                | x                | .               | x                    | .
 torque lost            | waiting, on        | x                | x                | x                | x               | x                    | x
 still on               | x                  | x                | cooling, off     | x                | failed, off     | x                    | off, off
@@ -108,7 +110,7 @@ class Face:
 
     def jam(self):
         self.motors.jammed[SUBJECT] = True
-        self.motors.position[SUBJECT] += 400.0
+        self.motors.position[SUBJECT] += 250.0  # inside its range, where it may be tried again
 
     def bring(self, state, event):
         """Into a state, as it is come to."""
@@ -136,21 +138,15 @@ class Face:
         if state == "rebooting":
             self.until("rebooting")
 
-    def fail_often(self, event):
+    def fail_often(self):
         """As often as a servo may; then in a state for the last time."""
-        if event == "does not follow":
-            self.jam()
-            for _ in range(TRIES):
-                self.until("cooling")
-                self.until("driven")
-        else:
-            for _ in range(TRIES):
-                self.servo.latch(SHOCK_ERROR)
-                self.until("rebooting")
-                self.until("driven")
-                self.tick(0.5)
+        for _ in range(TRIES):
             self.servo.latch(SHOCK_ERROR)
-            self.until("cooling")
+            self.until("rebooting")
+            self.until("driven")
+            self.tick(0.5)
+        self.servo.latch(SHOCK_ERROR)
+        self.until("cooling")
 
 
 def cause(face, state, event):
@@ -221,11 +217,10 @@ def test_in_every_state_an_event_does_what_the_grid_says_and_no_more(state, even
     with face.face.bus:
         face.bring(state, name)
         if often:
-            face.fail_often(name)
+            face.fail_often()
         assert face.keeps or face.state == state
         n_restarts, had_torque = face.n_restarts, face.servo.torque_on
-        if not (often and name == "does not follow"):  # it is jammed already
-            cause(face, state, name)
+        cause(face, state, name)
         end_s = face.face.clock.now() + (PATIENCE_S if then != state or does else BRIEF_S)
         seen = [face.state]
         while face.face.clock.now() < end_s and (seen[-1] == state or name in ORDERS):
