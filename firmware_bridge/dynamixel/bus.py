@@ -162,16 +162,14 @@ class DynamixelBus(SerialBus[Line]):
         pulses = self._mounting.pulses(positions_deg)
         taken = (self._cache.low <= pulses) & (pulses <= self._cache.high)
         if all_set(taken):
-            self._cache.errors = self._cache.no_errors
             self._watchdogs.keep(line)
-            self._cache.goals = pulses
+            self._cache.set_goals(pulses)
             line.tell(self._goal_write.request(pulses))
             return
-        self._cache.errors = np.where(taken, 0, StatusError.DATA_LIMIT).astype(np.uint8)
+        self._cache.set_goals(pulses, taken, StatusError.DATA_LIMIT)
         if not any_set(taken):
             return
         self._watchdogs.keep(line)
-        self._cache.goals = np.where(taken, pulses, self._cache.goals)
         blocks = [(self._ids[n], struct.pack("<i", int(pulses[n]))) for n in np.flatnonzero(taken)]
         line.tell(codec.sync_write(_GOAL, 4, blocks))
 

@@ -158,14 +158,13 @@ class FeetechBus(SerialBus[Line]):
         torque, since_s = self._torque, self._sent_s
         self._sent_s = line.transport.clock.now()
         if all_set(taken):
-            cache.errors, cache.goals = cache.no_errors, pulses
+            cache.set_goals(pulses)
             if all_set(torque.driven) and not any_set(self._behind):
                 line.tell(self._goal_write.request(pulses, self._speeds(pulses, since_s)))
                 self._sent = pulses
                 return
         else:
-            cache.errors = np.where(taken, 0, GOAL_OUT_OF_RANGE).astype(np.uint8)
-            cache.goals = np.where(taken, pulses, cache.goals)
+            cache.set_goals(pulses, taken, GOAL_OUT_OF_RANGE)
         # Whose goals were withheld for a while follows at its own top speed.
         self._behind = (self._behind | torque.doubted) & (torque.doubted | torque.driven)
         reach = np.trunc(self._top_pulses_s * min(self._sent_s - since_s, self._period_s))

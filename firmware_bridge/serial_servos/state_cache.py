@@ -80,6 +80,26 @@ class ServoStateCache:
             array[index] = value
             setattr(self, name, read_only(array))
 
+    def set_goals(
+        self, pulses: Array, taken: NDArray[np.bool_] | None = None, error: int = 0
+    ) -> None:
+        """Store the goals that are sent now; servos that are sent none keep theirs.
+
+        Parameters
+        ----------
+        pulses : Array
+            (n_servos,) pulses.
+        taken : NDArray[np.bool_] | None
+            (n_servos,): which servos are sent theirs; None: all.
+        error : int
+            Number of the error of the others.
+        """
+        if taken is None:
+            self.errors, self.goals = self.no_errors, pulses
+            return
+        self.errors = np.where(taken, 0, error).astype(np.uint8)
+        self.goals = np.where(taken, pulses, self.goals)
+
     def take_identity(
         self, index: int, found: ServoIdentity, hottest_degc: float, now_s: float
     ) -> None:

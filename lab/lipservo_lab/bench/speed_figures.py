@@ -13,7 +13,6 @@ from pathlib import Path
 from statistics import median
 
 import numpy as np
-import soundfile
 
 from firmware_bridge.clock import ManualClock
 from lipservo.commands.options import DEFAULT_FACE
@@ -86,17 +85,6 @@ def miss_rates(corpus_folder: Path) -> dict[str, float]:
         f"miss_rate_{name}": miss_rate(model.animphos, strategy, sentences)
         for name, strategy in STRATEGIES.items()
     }
-
-
-#: Length of the file that is made of a shorter recording.
-REPLAYED_S = 20.0
-
-
-def repeated(recording: Path, path: Path, duration_s: float = REPLAYED_S) -> Path:
-    """Write the recording over and over until `duration_s`, as WAV at its own rate."""
-    samples, rate_hz = soundfile.read(recording, dtype="float32")
-    soundfile.write(path, samples[np.arange(round(duration_s * rate_hz)) % len(samples)], rate_hz)
-    return path
 
 
 def replay_figures(recording: Path, n_times: int) -> dict[str, float]:

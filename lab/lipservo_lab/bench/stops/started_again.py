@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from lipservo_lab.bench.speed_figures import repeated
 from lipservo_lab.bench.stops.busy_computer import ProcessorShare, processor_share
 from lipservo_lab.bench.stops.raw_control import request_stop
 from lipservo_lab.bench.stops.robot_at_port import CLIP
 from lipservo_lab.bench.stops.running_face import RunningFace, running_face
+from lipservo_lab.repeated_recording import repeated
 
 LEVELS: Final = ("soft", "limp", "freeze")
 _SOUND_S: Final = 3600.0

@@ -19,7 +19,6 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import Final
 
-from lipservo_lab.bench.speed_figures import repeated
 from lipservo_lab.bench.stops.busy_computer import (
     ProcessorShare,
     processor_s,
@@ -28,6 +27,7 @@ from lipservo_lab.bench.stops.busy_computer import (
 )
 from lipservo_lab.bench.stops.robot_at_port import CLIP, children_of
 from lipservo_lab.bench.stops.running_face import RunningFace, running_face
+from lipservo_lab.repeated_recording import repeated
 
 _FACE: Final = "face_head"
 #: Those that speech moves all the time.

@@ -366,7 +366,8 @@ def replay(
     as_json: Json = False,
 ) -> None:
     """Measure the speed of `replay`, and of its recogniser with sound ahead and without."""
-    from lipservo_lab.bench.speed_figures import repeated, replay_figures
+    from lipservo_lab.bench.speed_figures import replay_figures
+    from lipservo_lab.repeated_recording import repeated
 
     if sound is not None:
         figures = replay_figures(sound, times)
