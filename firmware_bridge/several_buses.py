@@ -135,7 +135,7 @@ class BusThread:
             return 0.0 if self._running is None else self._clock.now() - self._since_s
 
     def excuse(self, seconds: float) -> None:
-        """Count the present job `seconds` less: it had no processor, or nobody to wait for it."""
+        """Count the present job `seconds` less: it had no processor, or no caller."""
         with self._changed:
             self._since_s += seconds
 
@@ -501,7 +501,7 @@ class SeveralBuses:
     def _check(self) -> None:
         """Raise PortGone where a bus is lost, or a job of it has run for more than 5 s.
 
-        Time in which nobody looked does not count: the whole program may have stood still.
+        Time without a look at the bus does not count: the whole program may have stood still.
         """
         now_s = self._clock.now()
         paused_s, self._looked_s = now_s - self._looked_s - _PAUSE_S, now_s

@@ -1,4 +1,4 @@
-"""What is asked of a simulator at a port: servos, a fault script, a log.
+"""The request for a simulator at a port: servos, a fault script, a log.
 
 Dynamixels have a language of faults of their own: `fault_script` and `faults`.
 """

@@ -1,7 +1,7 @@
 """State machines as data: rows of state, event, guard, new state and actions.
 
-Whoever owns a machine keeps its state, fires events, and does the actions of the row that is found.
-What it remembers besides the state is data (who asked, since when), never a second state.
+The owner of a machine keeps its state, fires events, and does the actions of the row that is found.
+Besides the state it keeps data (a request, a time), never a second state.
 """
 
 from collections.abc import Callable, Iterator, Sequence

@@ -35,7 +35,7 @@ class ChangeLog:
     ) -> None:
         """Begin with what `bridge` is now, at monotonic `now_s`.
 
-        lifeline: told of servos that are given up. on_health: called with all servos' condition
+        lifeline: gets the servos that are given up. on_health: called with all servos' condition
         every 10 s.
         """
         self._bridge = bridge

@@ -401,7 +401,7 @@ class LifeCycle:
         return {**self._bridge.torque_by_name(), **self._kept()}
 
     def _end_of_stop(self, report: StopReport, *, waits: bool) -> dict[str, object]:
-        """Return what clients that requested a stop are told of its end."""
+        """Return what clients that requested a stop get about its end."""
         return {"waits": waits, **report.as_dict(), **self._kept()}
 
     def _kept(self) -> dict[str, object]:

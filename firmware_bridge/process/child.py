@@ -26,7 +26,7 @@ class HeartbeatTimeouts:
     """The longest silence in s: `start_s` until a process's first heartbeat, `run_s` afterwards.
 
     What a process waited for a processor does not count, but the silence ends after `patience`
-    times as long: nobody knows then what it does.
+    times as long: what it does is unknown then.
     """
 
     start_s: float

@@ -302,7 +302,7 @@ def _receive(client: socket.socket, give_up_s: float) -> Answer | None:
 
 
 def _answer_in(raw: bytes) -> Answer:
-    """Return a message of a face without control characters, whoever made its socket.
+    """Return a message of a face without control characters, also of a foreign socket.
 
     Raises OSError for what no face says.
     """

@@ -81,7 +81,7 @@ def searched_folders() -> list[Path]:
     """Return readable folders where faces may listen: the service's, ours, for root all users'.
 
     Left out are unreadable folders, and any that does not belong, alone, to the user whose number
-    is in its path (to us where none is): whoever made it, its files cannot be trusted.
+    is in its path (to us where none is): the files of another cannot be trusted.
     """
     _check_system()
     if own := os.environ.get(_OWN_VARIABLE, ""):

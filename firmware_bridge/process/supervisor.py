@@ -31,8 +31,8 @@ from firmware_bridge.process.operating_system import ServiceNotice
 from firmware_bridge.process.stop_record import StopRecord
 from firmware_bridge.process.supervisor_table import (
     SUPERVISOR_TABLE,
-    Asked,
     Phase,
+    Requested,
     SupervisorAction,
     SupervisorEvent,
 )
@@ -123,7 +123,7 @@ class Supervisor:
         self._servo_names = tuple(servos.can)
         self._notice = notice
         self._record = StopRecord() if record is None else record
-        self._tell_kept, self._told_problem = tell_kept, ""
+        self._tell_kept, self._known_problem = tell_kept, ""
         self._phase = Phase.WAITING
         self._request: StopRequest | None = self._record.stopped
         self._n_ready = 0
@@ -178,15 +178,15 @@ class Supervisor:
         self._watch_speech(speech_status, now_s)
         self._watch_bridge(bridge_status, now_s)
         self._tell_service(now_s)
-        if self._record.problem != self._told_problem:
-            self._told_problem = self._record.problem
-            self._tell_kept(self._told_problem)
+        if self._record.problem != self._known_problem:
+            self._known_problem = self._record.problem
+            self._tell_kept(self._known_problem)
         return self.report
 
     def due_s(self, now_s: float) -> float:
         """Return the next time at which `step` must run even without a message."""
         due = []
-        if not (self._holds(Asked.END) and self._speech.child.pid is None):
+        if not (self._holds(Requested.END) and self._speech.child.pid is None):
             due.append(self._speech.next_s(now_s))
         if self._release is not None:
             due.append(self._release.next_s)
@@ -204,7 +204,7 @@ class Supervisor:
             "stopped": None if stop is None else stop.level.value,
             "stopped_by": None if stop is None else stop.requested_by,
             "stop_report": None if report is None else {**report.as_dict(), "at_s": self._at_s},
-            "can_start": self._holds(Asked.KEPT),
+            "can_start": self._holds(Requested.KEPT),
             "torque_on": False if report and report.complete and not report.released else None,
             "troubles": [each for each in (self._port_error, self._start_error) if each],
         }
@@ -229,20 +229,20 @@ class Supervisor:
             self._do(action)
         return True
 
-    def _holds(self, asked: Asked) -> bool:
-        """Return whether this was asked for last, and holds."""
+    def _holds(self, requested: Requested) -> bool:
+        """Return whether this was requested last, and holds."""
         request = self._request
-        match asked:
-            case Asked.END:
+        match requested:
+            case Requested.END:
                 return request is not None and request.ends
-            case Asked.STOP:
+            case Requested.STOP:
                 return request is not None and request.level in _LIMP_LEVELS
-            case Asked.FREEZE:
+            case Requested.FREEZE:
                 return request is not None and request.level is StopLevel.FREEZE
-            case Asked.FIRST:
+            case Requested.FIRST:
                 return self._n_ready == 0
-            case Asked.KEPT:
-                return self._stop_report is not None and not self._holds(Asked.END)
+            case Requested.KEPT:
+                return self._stop_report is not None and not self._holds(Requested.END)
 
     def _do(self, action: SupervisorAction) -> None:
         match action:
@@ -257,7 +257,7 @@ class Supervisor:
             case SupervisorAction.KILL_BRIDGE:
                 self._bridge.child.send(signal.SIGKILL)
             case SupervisorAction.LET_GO:
-                timeout_s = _SERVO_TIMEOUT_S if self._holds(Asked.STOP) else 0.0
+                timeout_s = _SERVO_TIMEOUT_S if self._holds(Requested.STOP) else 0.0
                 self._release = self._servos.make_release(timeout_s)
                 self._release_s = self._now_s
             case SupervisorAction.DROP_RELEASE:
@@ -305,8 +305,8 @@ class Supervisor:
 
     def _hold_stop(self, request: StopRequest) -> None:
         """Keep a stop whatever process dies: soft replaces freeze, and limp replaces any stop."""
-        ends = request.ends or self._holds(Asked.END)
-        if not self._holds(Asked.STOP) or request.level is StopLevel.LIMP:
+        ends = request.ends or self._holds(Requested.END)
+        if not self._holds(Requested.STOP) or request.level is StopLevel.LIMP:
             self._request = replace(request, ends=ends)
             self._record.stop(request)
         elif self._request is not None:
@@ -334,7 +334,7 @@ class Supervisor:
         self._signal_s = min(self._signal_s, now_s)
         level = StopLevel.SOFT if n_signals == 1 else StopLevel.LIMP
         _LOG.info("stop requested: %s, by %s", level.value, name)
-        if level is StopLevel.SOFT and self._request is not None and self._holds(Asked.STOP):
+        if level is StopLevel.SOFT and self._request is not None and self._holds(Requested.STOP):
             self._request = replace(self._request, ends=True)
         else:
             # A service manager's end is no person's stop: nothing of it outlives this process.
@@ -362,7 +362,7 @@ class Supervisor:
                 return
 
     def _obey_stop(self, request: StopRequest) -> None:
-        was_frozen = self._holds(Asked.FREEZE)
+        was_frozen = self._holds(Requested.FREEZE)
         self._hold_stop(request)
         if request.level is not StopLevel.FREEZE:
             self._fire(SupervisorEvent.STOP)
@@ -374,11 +374,11 @@ class Supervisor:
     def _refusal(self, order: Order) -> str:
         """Return in a line why an order is refused while no bridge runs; empty: accepted."""
         match order:
-            case StartFace() if self._holds(Asked.KEPT):
+            case StartFace() if self._holds(Requested.KEPT):
                 return ""
-            case StartFace() if self._holds(Asked.STOP):
+            case StartFace() if self._holds(Requested.STOP):
                 return START_WHILE_STOPPING
-            case StartFace() if self._holds(Asked.FREEZE):
+            case StartFace() if self._holds(Requested.FREEZE):
                 return "the bridge of the frozen face is being replaced: start it in a moment"
             case StartFace():
                 return "the face is being started already"
@@ -401,11 +401,11 @@ class Supervisor:
     def _watch_speech(self, ended: int | None, now_s: float) -> None:
         speech = self._speech
         if ended is not None:
-            if not self._holds(Asked.END):
+            if not self._holds(Requested.END):
                 speech.note_end(ended, now_s)
         elif speech.child.pid is not None:
             speech.kill_if_hung(now_s)
-        elif not self._holds(Asked.END) and now_s >= speech.due_s:
+        elif not self._holds(Requested.END) and now_s >= speech.due_s:
             zero = [] if self._zero_s is None else ["--zero-s", repr(self._zero_s)]
             speech.start(zero, now_s)
 
@@ -421,7 +421,7 @@ class Supervisor:
         elif self._phase is Phase.STOPPED:
             if now_s >= self._release_again_s:
                 self._fire(SupervisorEvent.AGAIN)
-        elif self._holds(Asked.STOP) or now_s >= self._bridge.due_s:
+        elif self._holds(Requested.STOP) or now_s >= self._bridge.due_s:
             self._fire(SupervisorEvent.DUE)
 
     def _start_bridge(self) -> None:
@@ -459,7 +459,7 @@ class Supervisor:
             report = self._report_of(release)
             _LOG.log(report.log_level, "%s", report.line())
             unconfirmed = ExitStatus.UNCONFIRMED if report.unconfirmed else ExitStatus.ENDED_WELL
-            is_own = self._holds(Asked.STOP) or self._bridge_status == ExitStatus.UNCONFIRMED
+            is_own = self._holds(Requested.STOP) or self._bridge_status == ExitStatus.UNCONFIRMED
             self._conclude(report, unconfirmed if is_own else self._bridge_status)
             self._fire(SupervisorEvent.RELEASED)
         elif release.port_error:
@@ -468,7 +468,7 @@ class Supervisor:
                 _LOG.warning("torque cannot be switched off yet: %s", self._port_error)
             if now_s >= self._give_up_s():
                 failed = max(self._bridge_status, 1)
-                status = ExitStatus.UNCONFIRMED if self._holds(Asked.STOP) else failed
+                status = ExitStatus.UNCONFIRMED if self._holds(Requested.STOP) else failed
                 self._conclude(self._report_of(release), status)
                 self._fire(SupervisorEvent.PORT_STUCK)
 
@@ -476,7 +476,7 @@ class Supervisor:
         """Return the monotonic time until which a lost port is waited for; infinity: for ever."""
         if self._n_ready == 0:
             return self._release_s + _START_TIMEOUT_S
-        if not self._holds(Asked.STOP):
+        if not self._holds(Requested.STOP):
             is_over = self._phase is Phase.GIVING_UP
             return self._release_s + PORT_WAIT_S if is_over else float("inf")
         # Who stopped it by the socket can ask how it is, and signal.
@@ -488,12 +488,12 @@ class Supervisor:
         return let_go_report(let_go, release.unconfirmed, confirms=confirms)
 
     def _conclude(self, report: StopReport, status: int) -> None:
-        """Note what the servos said when torque was off, and with what the process would exit."""
+        """Note the report of torque off, and with what the process would exit."""
         self._end_report, self._at_s = report, round(time.time(), 3)
         self.exit_status = int(status)
 
     def _tell_stopped(self) -> None:
-        """Report the end of a stop to who asked for it; the face waits, limp, for a start."""
+        """Report the end of a stop to waiting clients; the face waits, limp, for a start."""
         self._drop_release()
         report = self._stop_report = self._end_report
         self._bridge_status = 0

@@ -9,7 +9,7 @@ from firmware_bridge.state_table import Row, StateTable
 class Phase(Enum):
     """The state of a face as its supervisor sees it, in words for clients while no bridge answers.
 
-    A stop that a person requested is kept beside it: `Asked`.
+    A stop that a person requested is kept beside it: `Requested`.
     """
 
     WAITING = "the bridge is down and starts again"
@@ -40,8 +40,8 @@ class SupervisorEvent(StrEnum):
     AGAIN = "again"  # servos that did not confirm a stop are to be let go once more
 
 
-class Asked(StrEnum):
-    """What was asked for last, and holds: the guards of the rows."""
+class Requested(StrEnum):
+    """What was requested last, and holds: the guards of the rows."""
 
     END = "a stop that ends the process, or a signal"
     STOP = "a stop"
@@ -74,24 +74,24 @@ _END_ROWS: Final = tuple(
     for event in (*_OUT, _E.ENDED_WELL)
     for states in ((_ALIVE if event is _E.ENDED_WELL else _DOWN),)
     for row in (
-        Row(states, event, _P.OVER, (_A.TELL_END,), when=Asked.END),
-        Row(states, event, _P.STOPPED, (_A.TELL_STOPPED,), when=Asked.STOP),
+        Row(states, event, _P.OVER, (_A.TELL_END,), when=Requested.END),
+        Row(states, event, _P.STOPPED, (_A.TELL_STOPPED,), when=Requested.STOP),
     )
 )
-SUPERVISOR_TABLE: Final = StateTable[Phase, SupervisorEvent, Asked, SupervisorAction](
+SUPERVISOR_TABLE: Final = StateTable[Phase, SupervisorEvent, Requested, SupervisorAction](
     (
         # A stop of an earlier process holds: its servos are let go before anything else.
-        Row((_P.WAITING,), _E.DUE, _P.RELEASING, (_A.LET_GO,), when=Asked.STOP),
+        Row((_P.WAITING,), _E.DUE, _P.RELEASING, (_A.LET_GO,), when=Requested.STOP),
         Row((_P.WAITING,), _E.DUE, _P.STARTING, (_A.START_BRIDGE,)),
         Row(_ALIVE, _E.READY, _P.RUNNING, (_A.TELL_READY,)),
-        *(Row(_ALIVE, each, _P.RELEASING, (_A.LET_GO,), when=Asked.STOP) for each in _FAILURES),
+        *(Row(_ALIVE, each, _P.RELEASING, (_A.LET_GO,), when=Requested.STOP) for each in _FAILURES),
         # What is held stays held.
-        Row(_ALIVE, _E.DIED, _P.WAITING, when=Asked.FREEZE),
+        Row(_ALIVE, _E.DIED, _P.WAITING, when=Requested.FREEZE),
         Row(_ALIVE, _E.DIED, _P.RELEASING, (_A.LET_GO,)),
         Row((_P.RETURNING,), _E.FAILED, _P.RELEASING, (_A.STOP_SINCE_FAILED, _A.LET_GO)),
         Row((_P.RETURNING,), _E.HOPELESS, _P.RELEASING, (_A.STOP_SINCE_FAILED, _A.LET_GO)),
-        Row((_P.STARTING, _P.RUNNING), _E.FAILED, _P.WAITING, when=Asked.FREEZE),
-        Row((_P.STARTING,), _E.FAILED, _P.GIVING_UP, (_A.LET_GO,), when=Asked.FIRST),
+        Row((_P.STARTING, _P.RUNNING), _E.FAILED, _P.WAITING, when=Requested.FREEZE),
+        Row((_P.STARTING,), _E.FAILED, _P.GIVING_UP, (_A.LET_GO,), when=Requested.FIRST),
         Row((_P.STARTING, _P.RUNNING), _E.FAILED, _P.RELEASING, (_A.LET_GO,)),
         Row((_P.STARTING, _P.RUNNING), _E.HOPELESS, _P.GIVING_UP, (_A.LET_GO,)),
         *_END_ROWS,
@@ -102,11 +102,11 @@ SUPERVISOR_TABLE: Final = StateTable[Phase, SupervisorEvent, Asked, SupervisorAc
         Row(_ALIVE, _E.FREEZE, None, (_A.KILL_BRIDGE,)),
         Row(_ALIVE, _E.STOP, None, (_A.KILL_BRIDGE,)),
         # Whatever still holds is held, by the next bridge.
-        Row((_P.RELEASING,), _E.FREEZE, _P.WAITING, (_A.DROP_RELEASE,), when=Asked.FREEZE),
+        Row((_P.RELEASING,), _E.FREEZE, _P.WAITING, (_A.DROP_RELEASE,), when=Requested.FREEZE),
         Row((_P.GIVING_UP,), _E.STOP, _P.RELEASING),
         Row((_P.WAITING,), _E.STOP, _P.RELEASING, (_A.LET_GO,)),
         Row((_P.WAITING,), _E.SIGNAL, _P.RELEASING, (_A.LET_GO,)),
-        Row((_P.STOPPED,), _E.STOP, _P.OVER, (_A.TELL_END,), when=Asked.END),
+        Row((_P.STOPPED,), _E.STOP, _P.OVER, (_A.TELL_END,), when=Requested.END),
         Row((_P.STOPPED,), _E.STOP, _P.RELEASING, (_A.LET_GO,)),
         Row((_P.STOPPED,), _E.SIGNAL, _P.OVER, (_A.TELL_END,)),
         Row((_P.STOPPED,), _E.AGAIN, _P.RELEASING, (_A.LET_GO,)),
@@ -115,7 +115,7 @@ SUPERVISOR_TABLE: Final = StateTable[Phase, SupervisorEvent, Asked, SupervisorAc
             _E.START,
             _P.RETURNING,
             (_A.DROP_RELEASE, _A.START_ANEW),
-            when=Asked.KEPT,
+            when=Requested.KEPT,
         ),
     )
 )

@@ -185,7 +185,7 @@ class SerialRelease(ABC, Generic[_Line]):
     def find(self, addresses: Sequence[int]) -> Sequence[int]:
         """Send torque off at every baud rate; return `addresses` and the ids that answer.
 
-        A chain has one rate: once ids are known at a rate, no further rates are asked.
+        A chain has one rate: once ids are known at a rate, no further rates are tried.
         """
         line, found = self._line, set(addresses)
         for rate in self._rates:
@@ -213,7 +213,7 @@ class SerialRelease(ABC, Generic[_Line]):
 
     @abstractmethod
     def _wait_out(self) -> None:
-        """Ask whom nobody is: until its time is over the packets before are on the wire."""
+        """Read an id that no servo has: when its time is over, all packets are on the wire."""
 
     @abstractmethod
     def _scan(self, known: Collection[int]) -> Collection[int]:

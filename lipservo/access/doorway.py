@@ -1,7 +1,7 @@
 """The room for connections that have not sent their request yet, kept so that a stop gets in.
 
 Both servers that clients reach over TCP use it: that of voice agents, and the dashboard's. A client
-that sends nothing, or a byte a second, costs nobody else a place: the oldest makes room.
+that sends nothing, or a byte a second, costs no other a place: the oldest makes room.
 """
 
 import asyncio

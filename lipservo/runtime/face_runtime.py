@@ -234,8 +234,8 @@ class _Run:
     def observe(self, _tick: StreetTick) -> None:
         """Pass settings changed since the last tick from the command queue to the speech side.
 
-        Called once a tick, as for every `TickObserver`; systemd hears that ticks go on, those of a
-        stopped face that waits among them.
+        Called once a tick, as for every `TickObserver`; systemd is notified that ticks go on, also
+        those of a stopped face.
         """
         self.notice.alive()
         if changes := self.commands.take_changes():

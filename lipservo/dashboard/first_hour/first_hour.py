@@ -153,7 +153,7 @@ class FirstHour:
     def let_go(self) -> NothingDrivenError:
         """Let go of the servos of a step that is dead, or hangs; return what they have confirmed.
 
-        A step that runs is ended, softly where it hears. Blocks for some seconds.
+        A step that runs is ended, softly where it answers. Blocks for some seconds.
         """
         step = self._step
         if step is not None and step.runs:

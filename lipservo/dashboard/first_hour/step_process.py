@@ -197,7 +197,7 @@ class StepProcess:
     def _note(self, line: bytes) -> None:
         text = line.decode("utf-8", "replace").strip()[:_LONGEST_NOTE]
         if text:
-            said = text.removeprefix(_COMPLAINS)
+            complaint = text.removeprefix(_COMPLAINS)
             before = self._complaint[: _MOST_NOTES - 1] if text.startswith(_COMPLAINS) else None
-            self._complaint = [] if before is None else [*before, said]
-            self.notes.append(said)
+            self._complaint = [] if before is None else [*before, complaint]
+            self.notes.append(complaint)

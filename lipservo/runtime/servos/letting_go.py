@@ -72,7 +72,7 @@ class Outcome:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether there was no problem, and each servo confirmed torque off, or holds as asked."""
+        """Whether there was no problem, and each servo confirmed, or holds as requested."""
         return not (self.problem or self.unconfirmed or self.unknown)
 
     def as_dict(self) -> dict[str, Any]:

@@ -32,7 +32,7 @@ MOST_OVER: Final = 1.1
 RESTARTS_S: Final = (0.01, 0.02, 0.04, 0.06, 0.08, 0.095, 0.105, 0.15, 0.2, 0.3, 0.5)
 _MODELS: Final = ("STS3215", "SCS0009")
 #: At so many moments of the motion to and fro.
-_N_MOMENTS: Final = 3
+_N_TIMES: Final = 3
 _N_SERVOS: Final = 4
 _BAUD_RATE: Final = 1_000_000
 _RATE_HZ: Final = 50.0
@@ -54,9 +54,9 @@ class Restart:
 
 def restarts() -> Iterator[Restart]:
     """All that are tried."""
-    moments_s = _FROM_S + np.arange(_N_MOMENTS) / _N_MOMENTS / _MOTION_HZ
+    times_s = _FROM_S + np.arange(_N_TIMES) / _N_TIMES / _MOTION_HZ
     for model, at_s, lasts_s, stiff in product(
-        _MODELS, moments_s.tolist(), RESTARTS_S, (False, True)
+        _MODELS, times_s.tolist(), RESTARTS_S, (False, True)
     ):
         yield Restart(model, at_s, lasts_s, stiff)
 

@@ -1,4 +1,4 @@
-"""Every scene on every bus, and what came of all that was said in it."""
+"""Every scene on every bus, and what came of all statements in it."""
 
 import subprocess
 from itertools import product

@@ -1,8 +1,8 @@
 """What a sentence claims of torque, and whether the servos' own log agrees.
 
 A rule is data: the pattern of a sentence, a key or an exit status, and what that claims. A claim is
-true where it was so at some moment from a little before the sentence was asked for until it was
-heard. What is said to be unknown is never untrue, and is counted.
+true where it was so at some moment from a little before the sentence was requested until it was
+heard. What is called unknown is never untrue, and is counted.
 """
 
 import re
@@ -27,7 +27,7 @@ _KIND: Final = re.compile(r"\w+ (?:[\w ]+: )?")
 
 @dataclass(frozen=True, slots=True)
 class Statement:
-    """Something that was said: asked for at `since_s`, heard at `until_s`, monotonic seconds.
+    """A statement: requested at `since_s`, heard at `until_s`, monotonic seconds.
 
     text: with the kind before it, as `status servos.jaw: driven`. about: the object that it is part
     of; of a line: `began_s`, when its process was started.
@@ -64,10 +64,10 @@ class Heard:
     addresses: tuple[int, ...]
 
     @property
-    def moments(self) -> list[Moment]:
-        """What was so while it was said."""
-        said = self.statement
-        return self.device.during(said.since_s - OLD_S, said.until_s)
+    def records(self) -> list[Moment]:
+        """The records of the log while it was made."""
+        made = self.statement
+        return self.device.during(made.since_s - OLD_S, made.until_s)
 
     def servos(self, who: str) -> list[int]:
         """Indices of the servos: of `all`, or of those that the group `who` names."""
@@ -95,7 +95,7 @@ def nothing(_heard: Heard) -> Verdict:
 
 
 def unknown(_heard: Heard) -> Verdict:
-    """It says that nobody knows, or that it may be either."""
+    """It says that this is unknown, or that it may be either."""
     return Verdict.UNKNOWN
 
 
@@ -109,12 +109,12 @@ class Torque:
     def __call__(self, heard: Heard) -> Verdict:
         """Whether it was so at some moment."""
         if self.who == "any":
-            return _verdict(holds=any(any(each.on) for each in heard.moments))
+            return _verdict(holds=any(any(each.on) for each in heard.records))
         servos = heard.servos(self.who)
         if not servos:
             return Verdict.UNTRUE  # it names nobody of this face
         return _verdict(
-            holds=any(all(each.on[n] is self.on for n in servos) for each in heard.moments)
+            holds=any(all(each.on[n] is self.on for n in servos) for each in heard.records)
         )
 
 
@@ -129,7 +129,7 @@ class AtLeast:
         """Whether it was so at some moment."""
         n = min(int(heard.match[self.count]), len(heard.names))  # a board may have more channels
         return _verdict(
-            holds=any(sum(on is self.on for on in each.on) >= n for each in heard.moments)
+            holds=any(sum(on is self.on for on in each.on) >= n for each in heard.records)
         )
 
 
@@ -144,7 +144,7 @@ class Count:
         """Whether it was so at some moment."""
         n = int(heard.match[self.count])
         return _verdict(
-            holds=any(sum(on is self.on for on in each.on) == n for each in heard.moments)
+            holds=any(sum(on is self.on for on in each.on) == n for each in heard.records)
         )
 
 
@@ -172,11 +172,11 @@ class WasOn:
 
     def __call__(self, heard: Heard) -> Verdict:
         """Whether each of them had."""
-        said = heard.statement
-        began_s = float(said.about.get("began_s", said.since_s))
-        moments = heard.device.during(began_s, said.until_s)
+        made = heard.statement
+        began_s = float(made.about.get("began_s", made.since_s))
+        records = heard.device.during(began_s, made.until_s)
         servos = heard.servos(self.who)
-        return _verdict(holds=all(any(each.on[n] for each in moments) for n in servos))
+        return _verdict(holds=all(any(each.on[n] for each in records) for n in servos))
 
 
 def limp_state(heard: Heard) -> Verdict:
@@ -185,7 +185,7 @@ def limp_state(heard: Heard) -> Verdict:
     doubted = [each["name"] for each in about.get("health", ()) if each["torque_on"] is not False]
     doubted += (about.get("stop_report") or {}).get("unconfirmed", ())
     limp = [n for n, name in enumerate(heard.names) if name not in doubted]
-    if any(not any(each.on[n] for n in limp) for each in heard.moments):
+    if any(not any(each.on[n] for n in limp) for each in heard.records):
         return Verdict.TRUE
     return Verdict.UNKNOWN if about.get("torque_on") is None else Verdict.UNTRUE
 
@@ -193,10 +193,10 @@ def limp_state(heard: Heard) -> Verdict:
 def sent_pulse(heard: Heard) -> Verdict:
     """`sent_us` of a servo: the pulse that it gets, or got last."""
     (index,), us = heard.servos("who"), float(heard.match["us"])
-    for each in heard.moments:
+    for each in heard.records:
         if each.on[index] and abs(each.pulses_us[index] - us) <= _PULSE_US:
             return Verdict.TRUE
-    if any(each.on[index] for each in heard.moments):
+    if any(each.on[index] for each in heard.records):
         return Verdict.UNTRUE
     before = heard.device.during(0.0, heard.statement.until_s)
     last = next((each for each in reversed(before) if each.on[index]), None)
@@ -221,7 +221,7 @@ class Tally:
     """What came of many statements.
 
     templates: the different ones that claimed something. listed: of what was untrue or unjudged,
-    how often each was said, and one of them with what the log showed.
+    how often each was made, and one of them with what the log showed.
     """
 
     verdicts: Counter[Verdict] = field(default_factory=Counter)
@@ -257,7 +257,7 @@ class Tally:
     def figures(self) -> dict[str, Any]:
         """How many claimed something, how many different ones, and how many were untrue.
 
-        unjudged: no rule knows them. unknown_share: of those that claimed something, how many said
+        unjudged: no rule knows them. unknown_share: of all claims, how many claimed
         only that it is not known. says_nothing: of torque, by a rule.
         """
         n_claims = sum(self.verdicts[each] for each in _CLAIMS)
@@ -287,29 +287,29 @@ class Judge:
     def judge(self, statements: Iterable[Statement], where: str = "") -> Tally:
         """What came of statements: of each sentence in them, by the first rule that it matches."""
         tally = Tally()
-        for said in statements:
-            key = said.text.partition(": ")[0]
+        for made in statements:
+            key = made.text.partition(": ")[0]
             if key in self._silent:  # whatever the number
                 tally.verdicts[Verdict.SILENT] += 1
                 continue
-            for text in self._sentences(said.text):
-                self._judge(said, text, where, tally)
+            for text in self._sentences(made.text):
+                self._judge(made, text, where, tally)
         return tally
 
-    def _judge(self, said: Statement, text: str, where: str, tally: Tally) -> None:
+    def _judge(self, made: Statement, text: str, where: str, tally: Tally) -> None:
         short = template(text, self._names)
         found = ((rule, rule.pattern.fullmatch(text)) for rule in self._rules)
         rule, match = next(((r, m) for r, m in found if m is not None), (None, None))
         if rule is None or match is None:
             tally.add(Verdict.UNJUDGED, short, where, text)
             return
-        heard = Heard(said, match, self._device, self._names, self._addresses)
+        heard = Heard(made, match, self._device, self._names, self._addresses)
         verdict, truth = rule.claim(heard), ""
         if verdict is Verdict.SILENT and text.startswith("status ") and rule.any_value:
             self._silent.add(text.partition(": ")[0])
         if verdict is Verdict.UNTRUE:
-            seen = dict.fromkeys("".join("01"[on] for on in m.on) for m in heard.moments)
-            truth = f" [torque was {', '.join(seen)}; state {said.about.get('state')}]"
+            seen = dict.fromkeys("".join("01"[on] for on in m.on) for m in heard.records)
+            truth = f" [torque was {', '.join(seen)}; state {made.about.get('state')}]"
         tally.add(verdict, short, where, f"{text}{truth}")
 
     def _sentences(self, text: str) -> list[str]:

@@ -35,7 +35,7 @@ class Frozen(StrEnum):
     """The state in which the freeze comes."""
 
     RUN_STARTING = "run starting"  # a plain `run` arms its servos
-    TOLD_TO_START = "told to start"  # a stopped daemon with a critical servo
+    START_REQUESTED = "told to start"  # a stopped daemon with a critical servo
     STARTING = "starting"  # the same, once its first servo has torque
     DRIVEN = "driven"
     FROZEN = "frozen"
@@ -51,7 +51,7 @@ class Frozen(StrEnum):
 #: How long after the state has begun the freeze comes.
 _DELAYS_S: Final[dict[Frozen, tuple[float, ...]]] = {
     Frozen.RUN_STARTING: (0.0, 0.02, 0.3),
-    Frozen.TOLD_TO_START: (0.0, 0.3),
+    Frozen.START_REQUESTED: (0.0, 0.3),
     Frozen.STARTING: (0.0, 0.02, 0.05, 0.12, 0.3, 0.55),
     Frozen.DRIVEN: (0.0, 0.37),
     Frozen.FROZEN: (0.2,),
@@ -155,7 +155,7 @@ def play_freezes(cases: Sequence[FreezeCase]) -> list[FreezeOutcome]:
 
 
 def freeze_figures(outcomes: Sequence[FreezeOutcome]) -> dict[str, Any]:
-    """freeze_cases; untrue_answers: answers that said other than was; the others count servos.
+    """freeze_cases; untrue_answers: answers that were not so; the others count servos.
 
     freeze_unknown_share: of servos, of those of which an answer says only that it is not known.
     """
@@ -185,7 +185,7 @@ def _play(
     device = face.robot.device
     with contextlib.ExitStack() as undo:
         match case.state:
-            case Frozen.TOLD_TO_START | Frozen.STARTING:
+            case Frozen.START_REQUESTED | Frozen.STARTING:
                 _until_stopped(face)
                 face.word("start")
                 if case.state is Frozen.STARTING:
@@ -218,17 +218,17 @@ def _play(
 
 def _freeze(face: HeardFace, case: FreezeCase, outcome: FreezeOutcome) -> None:
     face.wait(case.delay_s)
-    asked_s = time.monotonic()
+    requested_s = time.monotonic()
     answer = outcome.answer = face.word("freeze")
     answered_s = time.monotonic()
     face.wait(_WATCH_S)
-    judge_freeze(face, outcome, asked_s, answered_s)
+    judge_freeze(face, outcome, requested_s, answered_s)
     if not answer:
         outcome.untrue.append("no answer")
 
 
 def judge_freeze(
-    face: HeardFace, outcome: FreezeOutcome, asked_s: float, answered_s: float
+    face: HeardFace, outcome: FreezeOutcome, requested_s: float, answered_s: float
 ) -> None:
     """Hold the answer against the log, from the answer on until now."""
     device, answer = face.robot.device, outcome.answer
@@ -243,15 +243,18 @@ def judge_freeze(
     outcome.moved = int((device.travelled_deg(settled_s + _BRAKES_S) > _STILL_DEG).sum())
     outcome.n_unknown = len(answer.get("unknown", ()))
     is_listed = "holds" in answer
-    said = {"hold": (answer.get("holds", ()), True), "are limp": (answer.get("limp", ()), False)}
-    for words, (named, on) in said.items():
+    named_as = {
+        "hold": (answer.get("holds", ()), True),
+        "are limp": (answer.get("limp", ()), False),
+    }
+    for words, (named, on) in named_as.items():
         wrong = [n for n in named if not _was(after, names.index(n), on=on)]
         if wrong:
             outcome.untrue.append(f"{', '.join(wrong)} {words}, it says")
     about = [each for key in ("holds", "limp", "unknown") for each in answer.get(key, ())]
     if is_listed and sorted(about) != sorted(names):
         outcome.untrue.append("not every servo is named once")
-    then = device.during(asked_s - OLD_S, now_s)
+    then = device.during(requested_s - OLD_S, now_s)
     if answer.get("accepted") == "freeze" and not is_listed:
         if not any(any(each.on) for each in then):
             outcome.untrue.append("accepted, and nothing is held")
@@ -259,8 +262,8 @@ def judge_freeze(
             outcome.untrue.append("accepted, and servos were armed after it")
 
 
-def _was(moments: Sequence[Any], index: int, *, on: bool) -> bool:
-    return all(each.on[index] is on for each in moments)
+def _was(records: Sequence[Any], index: int, *, on: bool) -> bool:
+    return all(each.on[index] is on for each in records)
 
 
 def _until_armed(face: HeardFace) -> None:

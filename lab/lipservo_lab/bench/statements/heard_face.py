@@ -1,6 +1,6 @@
-"""Real `lipservo` processes at logged servos, and all that they say, with the times they said it.
+"""Real `lipservo` processes at logged servos, and all that they say, with its times.
 
-What is said: each key of a status, each line on standard output and error, each answer on the
+Statements are: each key of a status, each line on standard output and error, each answer on the
 control socket, each exit status.
 """
 
@@ -33,7 +33,7 @@ _END_S: Final = 12.0
 
 
 class HeardFace:
-    """A robot, the processes started at it, and what they have said so far."""
+    """A robot, the processes started at it, and their statements so far."""
 
     def __init__(self, robot: RobotAtPort) -> None:
         """Listen to what is started from now on."""
@@ -98,14 +98,14 @@ class HeardFace:
 
         until_end: the report of the end of a stop is waited for as well.
         """
-        asked_s = time.monotonic()
+        requested_s = time.monotonic()
         answer: Answer | None = None
-        with contextlib.suppress(OSError), connected(self.control, asked_s + _END_S) as client:
+        with contextlib.suppress(OSError), connected(self.control, requested_s + _END_S) as client:
             client.send(word.encode())
-            answer = receive(client, asked_s + _ANSWER_S)
-            self._note_all(f"answer to {word.split()[0]}", answer or {}, asked_s)
+            answer = receive(client, requested_s + _ANSWER_S)
+            self._note_all(f"answer to {word.split()[0]}", answer or {}, requested_s)
             if until_end and answer:
-                end = receive(client, asked_s + _END_S)
+                end = receive(client, requested_s + _END_S)
                 self._note_all(f"end of {word.split()[0]}", end or {}, time.monotonic())
         return answer or {}
 
@@ -118,7 +118,7 @@ class HeardFace:
         return found[-1]
 
     def wait(self, seconds: float) -> None:
-        """Let time pass; the status is asked for meanwhile."""
+        """Let time pass; the status is requested meanwhile."""
         time.sleep(seconds)
 
     def until(self, condition: Any, timeout_s: float = _COMES_S) -> bool:
@@ -167,10 +167,10 @@ class HeardFace:
 
     def _poll(self) -> None:
         while not self._is_over.wait(_POLL_S):
-            asked_s = time.monotonic()
+            requested_s = time.monotonic()
             with contextlib.suppress(OSError, ValueError):
                 found = request(self.control, "status", _ANSWER_S)
-                self._note_all("status", found, asked_s)
+                self._note_all("status", found, requested_s)
                 self.last_status = found
                 continue
             self.last_status = {}
@@ -200,10 +200,10 @@ class HeardFace:
         if line.strip():
             self._note(f"says {line}", now_s, now_s, {"began_s": began_s})
 
-    def _note_all(self, kind: str, found: Mapping[str, Any], asked_s: float) -> None:
+    def _note_all(self, kind: str, found: Mapping[str, Any], requested_s: float) -> None:
         now_s = time.monotonic()
         for key, value in flattened(found):
-            self._note(f"{kind} {key}: {value}", asked_s, now_s, found)
+            self._note(f"{kind} {key}: {value}", requested_s, now_s, found)
 
     def _note(self, text: str, since_s: float, until_s: float, about: Mapping[str, Any]) -> None:
         self.statements.append(Statement(text, since_s, until_s, about))

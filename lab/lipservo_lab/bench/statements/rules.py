@@ -1,7 +1,7 @@
 """What each sentence, key and exit status of a face claims of its servos' torque: a table.
 
 The first pattern that a whole statement matches counts. A statement that none matches is unjudged,
-and is listed: a new sentence needs a line here. `{S}` stands for wherever a sentence is said: a
+and is listed: a new sentence needs a line here. `{S}` stands for wherever a sentence stands: a
 line, a trouble in the status, an error in an answer; `{servo}` for a servo by its name and address.
 FACE is the face's name.
 """

@@ -1,7 +1,7 @@
 """Simulated servos of any bus that keep an exact log of their own torque, pulses and shafts.
 
 The log is written where bytes arrive, by the simulator alone: nothing that a program says of the
-servos reaches it. What the campaigns hold against what is said.
+servos reaches it. What the campaigns hold statements against.
 """
 
 import threading
@@ -62,7 +62,7 @@ class SerialTruth:
     pulses_us: tuple[float, ...] = ()
 
     def __init__(self, chain: Any, silence: str) -> None:
-        """Look at `chain`. silence: the attribute that says until when a servo hears nothing."""
+        """Look at `chain`. silence: the attribute that has the end of a servo's silence."""
         self._chain, self._motors, self._silence = chain, chain.motors, silence
 
     @property
@@ -103,7 +103,7 @@ class MaestroTruth:
         return self._scale.joints_deg(np.array([each.shaft.place_us for each in self._channels]))
 
     def mute(self, index: int | None, *, muted: bool) -> None:
-        """Hang: a Maestro goes on with its pulses, and hears nothing. index: None alone."""
+        """Hang: a Maestro goes on with its pulses, and reads nothing. index: None alone."""
         if index is not None:
             raise ValueError("a Maestro's channels do not answer one by one")
         self._maestro.deaf = muted
@@ -144,7 +144,7 @@ class Pca9685Truth:
 class LoggedDevice:
     """A simulated device that a `PtyHost` serves, which logs each change of torque and pulses.
 
-    device: the simulator. moments: the log, oldest first; shafts: (time, degrees of each), some
+    device: the simulator. records: the log, oldest first; shafts: (time, degrees of each), some
     fifty a second. The host's thread writes both, and any thread may read them.
     """
 
@@ -155,7 +155,7 @@ class LoggedDevice:
         self._is_out = threading.Event()
         self._shafts_s = 0.0
         self.shafts: list[tuple[float, NDArray[np.float64]]] = []
-        self.moments = [Moment(time.monotonic(), truth.on, truth.pulses_us)]
+        self.records = [Moment(time.monotonic(), truth.on, truth.pulses_us)]
 
     @property
     def plugged(self) -> bool:
@@ -199,10 +199,10 @@ class LoggedDevice:
 
     def during(self, since_s: float, until_s: float) -> list[Moment]:
         """What was so at some time from `since_s` to `until_s`: one moment at least."""
-        moments = self.moments
-        first = bisect_right(moments, since_s, key=lambda each: each.time_s)
-        last = bisect_right(moments, until_s, key=lambda each: each.time_s)
-        return moments[max(0, first - 1) : max(1, last)]
+        records = self.records
+        first = bisect_right(records, since_s, key=lambda each: each.time_s)
+        last = bisect_right(records, until_s, key=lambda each: each.time_s)
+        return records[max(0, first - 1) : max(1, last)]
 
     def travelled_deg(self, since_s: float, until_s: float = _FOREVER) -> NDArray[np.float64]:
         """How far each shaft travelled between its extremes, (n_servos,) degrees."""
@@ -213,9 +213,9 @@ class LoggedDevice:
 
     def _note(self) -> None:
         now_s, truth = time.monotonic(), self.truth
-        on, pulses_us, last = truth.on, truth.pulses_us, self.moments[-1]
+        on, pulses_us, last = truth.on, truth.pulses_us, self.records[-1]
         if on != last.on or pulses_us != last.pulses_us:
-            self.moments.append(Moment(now_s, on, pulses_us))
+            self.records.append(Moment(now_s, on, pulses_us))
         if now_s - self._shafts_s >= _SHAFTS_EVERY_S:
             self._shafts_s = now_s
             self.shafts.append((now_s, truth.shafts_deg().copy()))

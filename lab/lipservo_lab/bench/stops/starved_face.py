@@ -50,7 +50,7 @@ _CALLED_SILENT: Final = re.compile(r"servo '(\w+)' \(id \d+\) does not (?:answer
 
 @dataclass(slots=True)
 class StarvedOutcome:
-    """What came of it. said: a line for each thing that must not be.
+    """What came of it. failures: a line for each thing that must not be.
 
     called_silent: lines that say of healthy servos that they do not answer; no bar.
     """
@@ -64,11 +64,11 @@ class StarvedOutcome:
     hung_killed: int = 0
     driven: list[float] = field(default_factory=list)
     minutes: float = 0.0
-    said: list[str] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
 
 
 class StarvedFace:
-    """A running face whose processes starve, with what its log has said so far."""
+    """A running face whose processes starve, with its log so far."""
 
     def __init__(
         self, face: RunningFace, shares: dict[str, ProcessorShare], log: TextIOWrapper
@@ -123,14 +123,14 @@ class StarvedFace:
             self._n_hung += 1
             self.outcome.killed_starved = self._n_hung - self.outcome.held
             if self.outcome.killed_starved > 0:
-                self.outcome.said.append(f"killed although it was not held: {line.strip()}")
+                self.outcome.failures.append(f"killed although it was not held: {line.strip()}")
         self.outcome.called_silent += len(_CALLED_SILENT.findall(line))
         named = set(_NAMED.findall(line))
         for name in named - self._named_now:
             self.named.append(name)
             if name not in self._excused:
                 self.outcome.accused += 1
-                self.outcome.said.append(f"accused although it was not jammed: {line.strip()}")
+                self.outcome.failures.append(f"accused although it was not jammed: {line.strip()}")
         if named or "driven again" in line:
             self._named_now = named
 
@@ -147,7 +147,7 @@ class StarvedFace:
         self.outcome.jams += 1
         self._shares["speech"].share = _SPEAKS_SHARE
         if not self.step_until(lambda: self._is_driven(name)):
-            self.outcome.said.append(f"{name} was not driven, and could not be jammed")
+            self.outcome.failures.append(f"{name} was not driven, and could not be jammed")
             return
         bridge = self.face.child("bridge")
         began_s, n_named = processor_s(bridge), len(self.named)
@@ -156,11 +156,11 @@ class StarvedFace:
         self.step_until(
             lambda: name in self.named[n_named:] or processor_s(bridge) > began_s + NAMED_WITHIN_S
         )
-        took_s = processor_s(bridge) - began_s
-        if name in self.named[n_named:] and took_s <= NAMED_WITHIN_S:
+        needed_s = processor_s(bridge) - began_s
+        if name in self.named[n_named:] and needed_s <= NAMED_WITHIN_S:
             self.outcome.jams_named += 1
         else:
-            self.outcome.said.append(f"{name} was jammed, and not named in {took_s:.1f} s")
+            self.outcome.failures.append(f"{name} was jammed, and not named in {needed_s:.1f} s")
         motors.jammed[index] = False
         self._shares["speech"].share = _SHARE
         if self.step_until(lambda: self._is_driven(name)):
@@ -170,7 +170,7 @@ class StarvedFace:
         """Hold a process by SIGSTOP, once it has sent a heartbeat, until it is killed."""
         if not self.step_until(lambda: self._beats(kind)):
             self.outcome.held += 1
-            self.outcome.said.append(f"{kind} did not begin, and could not be held")
+            self.outcome.failures.append(f"{kind} did not begin, and could not be held")
             return
         pid = self.face.child(kind)
         self.outcome.held += 1
@@ -181,7 +181,9 @@ class StarvedFace:
         while state_of(pid) and time.monotonic() < held_s + _HUNG_S[kind] + _TO_LOOK_S:
             time.sleep(0.01)
         if state_of(pid):
-            self.outcome.said.append(f"{kind} was held, and not killed within {_HUNG_S[kind]:g} s")
+            self.outcome.failures.append(
+                f"{kind} was held, and not killed within {_HUNG_S[kind]:g} s"
+            )
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGCONT)
         else:

@@ -49,17 +49,17 @@ class StopClient(StrEnum):
     API = "api"  # POST /api/stop that waits for the end
     CONTROL = "control"  # /control of the agent server
     CONNECT = "connect"  # a process: lipservo.connect().stop()
-    NOBODY = "nobody"  # none: the face itself must let go, with all its processes dead
+    NO_ONE = "nobody"  # none: the face itself must let go, with all its processes dead
 
     @property
     def loads_s(self) -> float:
         """How long it may take before it can request anything."""
-        is_loaded = (StopClient.COMMAND, StopClient.CONNECT, StopClient.NOBODY)
+        is_loaded = (StopClient.COMMAND, StopClient.CONNECT, StopClient.NO_ONE)
         return LOADS_S if self in is_loaded else 0.0
 
 
 #: Those who request something.
-CLIENTS: Final = tuple(each for each in StopClient if each is not StopClient.NOBODY)
+CLIENTS: Final = tuple(each for each in StopClient if each is not StopClient.NO_ONE)
 
 
 #: Which of a daemon's doors a client needs, for the fewest processes in each case.
@@ -107,7 +107,7 @@ def request_stop_by(
         case StopClient.CONNECT:
             requested.process = robot.start_python("-c", _CONNECT, at.agents, level.value)
             return requested
-        case StopClient.NOBODY:
+        case StopClient.NO_ONE:
             return requested
         case StopClient.SOCKET:
             work = partial(request_stop, at.control, level.value, _LONGEST_S)
