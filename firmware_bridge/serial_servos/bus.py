@@ -129,7 +129,7 @@ class SerialBus(ABC, Generic[_Line]):
             if confirmed.all():
                 break
             line.tell(request)
-        self._cache.enabled &= ~confirmed
+        self._cache.enabled[confirmed] = False
         return confirmed
 
     def remarks(self) -> Sequence[str]:

@@ -93,7 +93,7 @@ def fastest_deg_s(case: Restart) -> float:
             if not has_restarted and time_s >= case.at_s:
                 has_restarted = True
                 _restart(chain, 1, clock.now(), case.lasts_s)
-                watched.fastest = 0.0
+                watched.begin()
             angle = 2.0 * np.pi * _MOTION_HZ * time_s
             wanted_deg = _AMPLITUDE_DEG * np.sin(angle + np.arange(_N_SERVOS))
             channel.publish(ServoTargets(time_s + 0.01, wanted_deg))
@@ -108,6 +108,9 @@ class _WatchedShaft:
     def __init__(self, chain: SimulatedChain, index: int) -> None:
         self._chain, self._index = chain, index
         self._now_s = self.fastest = 0.0
+
+    def begin(self) -> None:
+        self.fastest = 0.0
 
     @property
     def plugged(self) -> bool:
