@@ -141,7 +141,8 @@ def test_of_a_start_and_a_stop_in_one_tick_the_stop_holds(first):
 
 
 def test_a_stop_while_a_person_starts_the_face_again_is_answered_and_not_undone():
-    robot = Robot(servos=mounted(3, critical=True), stops=[(1.0, "limp")], waits=True)
+    stops = [(1.0, "limp"), (6.0, "limp")]  # a frozen face is held beyond the program's end
+    robot = Robot(servos=mounted(3, critical=True), stops=stops, waits=True)
     obstacle = robot.face.bus.obstacle
 
     def stop_in_the_middle(index):
