@@ -3,14 +3,13 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_bridge.bus import Array
-from firmware_bridge.dynamixel.control_table import PULSES_PER_DEG, VELOCITY_UNIT_DEG_S, ServoModel
-from firmware_bridge.feetech.control_table import ServoModel as FeetechModel
+from firmware_bridge.dynamixel.control_table import PULSES_PER_DEG, VELOCITY_UNIT_DEG_S
 
 #: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#profile-acceleration108 and the next entry
 VELOCITY_UNIT: Final = VELOCITY_UNIT_DEG_S * PULSES_PER_DEG
@@ -125,7 +124,24 @@ class Environment:
     standby_a: float = 0.017  # XL330 specifications
 
 
-AnyModel = ServoModel | FeetechModel
+class MotorModel(Protocol):
+    """The data of the motor of one servo model."""
+
+    @property
+    def nominal_voltage_v(self) -> float:
+        """The voltage in V at which the other data are true."""
+
+    @property
+    def no_load_deg_s(self) -> float:
+        """Top speed without load, in degrees per second."""
+
+    @property
+    def stall_a(self) -> float:
+        """Current at stall, in A."""
+
+    @property
+    def current_unit_ma(self) -> float | None:
+        """The unit in mA of the present-current register; None: that register counts load."""
 
 
 class Motors:
@@ -137,7 +153,7 @@ class Motors:
     Set goal, torque, course, load and jam, call `advance`, and read the other arrays.
     """
 
-    def __init__(self, models: Sequence[AnyModel], environment: Environment) -> None:
+    def __init__(self, models: Sequence[MotorModel], environment: Environment) -> None:
         n = len(models)
         self._environment = environment
         self.no_load = np.array([m.no_load_deg_s * PULSES_PER_DEG for m in models])

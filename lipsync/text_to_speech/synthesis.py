@@ -123,7 +123,7 @@ def checked_text(text: str, longest: int) -> str:
         )
     written = readable(text)
     if not written.strip():
-        raise UnspeakableTextError("the text is empty; write what to speak")
+        raise UnspeakableTextError("the text is empty; write words to speak")
     return written
 
 

@@ -105,7 +105,9 @@ class Outcome:
 
     def _held_words(self) -> str:
         """Return which servos of a frozen face hold, which are limp, and which may be either."""
-        parts = [f"held where it is: {len(self.holds)} servos hold" if self.holds else ""]
+        n = len(self.holds)
+        held = "1 servo holds" if n == 1 else f"{n} servos hold"
+        parts = [f"held where it is: {held}"]
         if self.limp:
             limp = f"{', '.join(self.limp)} limp" if self.holds else f"{len(self.limp)} servos limp"
             parts.append(limp)
@@ -162,6 +164,9 @@ def _await_stop(
     outcome.port = answer.get("port")
     outcome.not_kept = str((report or answer).get("not_kept", ""))
     if level is StopLevel.FREEZE:
+        if "holds" not in answer:
+            outcome.problem = f"{answer.get('error', 'accepted, but does not say what it holds')}"
+            return outcome
         outcome.holds, outcome.limp = list(answer["holds"]), list(answer["limp"])
         outcome.unknown = list(answer["unknown"])
         if not (outcome.holds or outcome.unknown):

@@ -39,11 +39,12 @@ def own_folder(monkeypatch):
     return session
 
 
+HELD = {"holds": ["jaw"], "limp": ["left"], "unknown": []}
 SERVOS = {"servos": {"jaw": "driven", "left": "cooling"}, "troubles": []}
 
 
 @contextmanager
-def face(name, unconfirmed=None, status=SERVOS):
+def face(name, unconfirmed=None, status=SERVOS, held=HELD):
     """A face that listens and ends when told; no servos behind it."""
     over = threading.Event()
     path = runtime_folder() / f"{name}-{os.getpid()}.sock"
@@ -52,7 +53,7 @@ def face(name, unconfirmed=None, status=SERVOS):
     def loop(control):
         while not over.wait(0.001):
             request = control.poll()
-            control.answer(lambda: status)
+            control.answer(lambda: status, lambda: held)
             if request is not None:
                 heard.append(request.level)
                 if request.level is not StopLevel.FREEZE:
@@ -108,6 +109,27 @@ def test_stop_without_a_name_stops_all_and_with_one_only_that(options, level):
     assert (one.exit_code, both.exit_code) == (0, 0)
     assert (tim, tom) == ([level, level], [level])
     assert "running: tim, tom" in str(unknown.exception)
+
+
+@pytest.mark.parametrize(
+    ("held", "line", "status"),
+    [
+        (HELD, "tim: held where it is: 1 servo holds; left limp", 0),
+        (
+            {"holds": [], "limp": ["jaw", "left"], "unknown": []},
+            "tim: nothing is held; 2 servos limp",
+            1,
+        ),
+        ({"holds": ["jaw"], "limp": [], "unknown": ["left"]}, "not known of left", 1),
+        ({}, "tim: accepted, but does not say what it holds", 1),
+    ],
+)
+def test_a_freeze_says_what_is_held_and_its_exit_status_too(held, line, status):
+    with face("tim", held=held):
+        frozen = invoke("stop", "--freeze")
+
+    assert line in frozen.stdout
+    assert frozen.exit_code == status
 
 
 def test_every_face_is_sent_the_stop_before_one_in_trouble_is_waited_for():

@@ -24,12 +24,12 @@ def of_bridge():
         return face_status(bridge_for(face.settings, bus, MemoryTargetChannel(), rate_hz=30.0))
 
 
-def test_bridge_and_speech_fill_in_every_field_but_what_only_a_loop_that_stops_knows(of_bridge):
+def test_bridge_and_speech_fill_in_every_field_but_what_only_a_loop_or_a_servo_knows(of_bridge):
     about = {"name": "tom", "port": "/dev/x", "config": "face_jaw", "sounds": "."}
     status = whole_status({**of_bridge, **about}, SPEECH)
 
     unknown = [name for name, value in status.as_dict().items() if value is None]
-    assert unknown == ["stopped", "stopped_by", "stop_report", "can_start"]
+    assert unknown == ["stopped", "stopped_by", "stop_report", "can_start", "torque_on"]
     assert list(status.bridge.servos) == ["jaw"]
     assert status.speech is SPEECH
     assert asdict(SPEECH).items() <= status.as_dict().items()
