@@ -189,4 +189,4 @@ def starved_figures(
         "starts": n_starts,
         "started_again": starts.count("") / n_starts,
     }
-    return figures, [*outcome.said, *filter(None, starts)]
+    return figures, [*outcome.failures, *filter(None, starts)]

@@ -282,7 +282,7 @@ def _play(case: StopCase, face: RunningFace, outcome: StopOutcome, *, has_start:
     if requested.process is not None:
         requested.process.kill()  # it would request the stop once more of a face that is driven
     outcome.answers = list(requested.answers)
-    if outcome.undone or case.client in (StopClient.SIGNAL, StopClient.NOBODY):
+    if outcome.undone or case.client in (StopClient.SIGNAL, StopClient.NO_ONE):
         face.spent = True
     elif not has_start:
         outcome.no_start = case.is_plain

@@ -75,7 +75,7 @@ class StopCase:
     @property
     def is_plain(self) -> bool:
         """Whether a daemon waits afterwards, limp, until a person starts it."""
-        by_person = self.client not in (StopClient.SIGNAL, StopClient.NOBODY)
+        by_person = self.client not in (StopClient.SIGNAL, StopClient.NO_ONE)
         return self.level is not StopLevel.FREEZE and by_person
 
 
@@ -123,7 +123,7 @@ def _on_buses() -> Iterator[StopCase]:
     for bus, level, moment_s in product(BUSES, StopLevel, _ARMING_S):
         yield StopCase(level, Trouble.START_AGAIN, moment_s, bus=bus)
     for bus, moment_s in product(BUSES, _KILLED_S):
-        yield StopCase(StopLevel.LIMP, Trouble.EVERYBODY_KILLED, moment_s, StopClient.NOBODY, bus)
+        yield StopCase(StopLevel.LIMP, Trouble.EVERYBODY_KILLED, moment_s, StopClient.NO_ONE, bus)
 
 
 def _exists(level: StopLevel, client: StopClient) -> bool:

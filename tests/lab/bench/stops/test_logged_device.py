@@ -20,7 +20,7 @@ def test_the_servos_of_every_bus_are_limp_in_the_beginning(bus):
     device = logged_servos(wiring(bus))
     device.advance(0.1)
 
-    assert [each.on for each in device.moments] == [(False,) * 4]
+    assert [each.on for each in device.records] == [(False,) * 4]
     assert device.plugged
     assert device.truth.shafts_deg().shape == (4,)
     assert bus in SERIAL or device.truth.pulses_us == (0.0,) * 4
@@ -35,11 +35,11 @@ def test_each_change_of_torque_is_logged_when_it_comes():
         assert bus.enable_torque(1) == ""
         assert bus.disable_torque(1)
 
-    changes = [each.on[1] for each in device.moments]
+    changes = [each.on[1] for each in device.records]
     assert changes == [False, True, False]
-    times_s = [each.time_s for each in device.moments]
-    assert device.during(times_s[1], times_s[1]) == device.moments[1:2]
-    assert device.during(times_s[0] - 5.0, times_s[0] - 4.0) == device.moments[:1]
+    times_s = [each.time_s for each in device.records]
+    assert device.during(times_s[1], times_s[1]) == device.records[1:2]
+    assert device.during(times_s[0] - 5.0, times_s[0] - 4.0) == device.records[:1]
 
 
 def test_while_the_plug_is_out_nothing_arrives_and_servos_stay_as_they_are():
