@@ -16,7 +16,7 @@ OFF, ON, HALF = (False, False), (True, True), (True, False)
 class Log:
     """The log of two servos: limp, from 10 s on both on, from 20 s on the jaw alone."""
 
-    moments = (
+    records = (
         Moment(0.0, OFF, (0.0, 0.0)),
         Moment(10.0, ON, (1500.0, 1600.0)),
         Moment(20.0, HALF, (1500.0, 0.0)),
@@ -51,7 +51,7 @@ def verdict(text, at_s, about=None):
         ("says bridge: every servo is driven again", 12.0, 25.0),
         ("says bridge: stopped; the face is at rest and limp: confirmed by 2 servos", 5.0, 25.0),
         ("says a_face: held where it is until the next stop", 12.0, 5.0),
-        ("says a_face: held where it is: 1 servos hold; lip limp", 25.0, 12.0),
+        ("says a_face: held where it is: 1 servo holds; lip limp", 25.0, 12.0),
         ("says a_face: nothing is held; 2 servos limp", 5.0, 25.0),
         ("says a face: driven, 2 of 2 servos driven", 12.0, 25.0),
         ("says a face  process 7  /dev/x  silent, 0 of 2 servos driven", 5.0, 12.0),

@@ -21,13 +21,13 @@ CASES = list(freeze_cases())
 CASE = FreezeCase("dynamixel", Frozen.STARTING, 0.0)
 
 
-def judged(answer, *moments):
-    """The outcome of an answer at 10 s ago. moments: (seconds after the answer, torque)."""
+def judged(answer, *records):
+    """The outcome of an answer at 10 s ago. records: (seconds after the answer, torque)."""
     answered_s = time.monotonic() - 10.0
-    log = [Moment(answered_s + at_s, on) for at_s, on in moments]
+    log = [Moment(answered_s + at_s, on) for at_s, on in records]
     device = SimpleNamespace(
         during=lambda since_s, until_s: LoggedDevice.during(
-            SimpleNamespace(moments=log), since_s, until_s
+            SimpleNamespace(records=log), since_s, until_s
         ),
         travelled_deg=lambda _since_s: LoggedDevice.travelled_deg(
             SimpleNamespace(shafts=[], truth=SimpleNamespace(on=(False, False))), 0.0

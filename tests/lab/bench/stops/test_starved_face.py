@@ -16,6 +16,6 @@ def test_a_face_that_starves_for_a_minute_accuses_nobody_and_names_what_is_broke
         pytest.skip(str(error))
     outcome = play_starved(1.0, lambda _n_done, _n: None)
 
-    assert (outcome.accused, outcome.killed_starved) == (0, 0), outcome.said
-    assert outcome.jams_named == outcome.jams == 1, outcome.said
-    assert outcome.hung_killed == outcome.held == 1, outcome.said
+    assert (outcome.accused, outcome.killed_starved) == (0, 0), outcome.failures
+    assert outcome.jams_named == outcome.jams == 1, outcome.failures
+    assert outcome.hung_killed == outcome.held == 1, outcome.failures
