@@ -211,7 +211,7 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"says FACE hangs: it does not answer; processes .* are killed", nothing),
     (r"says FACE: held where it is until the next stop", _ALL_ON),
     (
-        r"says FACE: held where it is: {n} hold(?:; (?P<limp>[\w, ]+) limp)?"
+        r"says FACE: held where it is: {n} holds?(?:; (?P<limp>[\w, ]+) limp)?"
         r"(?:; not known of [\w, ]+)?{kept}",
         Each(AtLeast(on=True), Torque(on=False, who="limp")),
     ),
