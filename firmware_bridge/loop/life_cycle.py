@@ -306,6 +306,7 @@ class LifeCycle:
             case LifeAction.ARM | LifeAction.ARM_AGAIN:
                 by_person = action is LifeAction.ARM_AGAIN
                 self._bridge.start(self._may_continue, by_person=by_person)
+                _LOG.debug("armed: %s", self._bridge.torque_by_name())
                 self._fire(LifeEvent.STARTED)
             case LifeAction.KEEP:
                 self._bridge.start_frozen()

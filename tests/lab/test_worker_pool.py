@@ -51,7 +51,7 @@ def settle(until):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("program", "n_processes"),
-    [(["-c", STUBBORN], 5), (LIPSERVO, 3), ([*LIPSERVO, "--stops"], 7)],
+    [(["-c", STUBBORN], 5), (LIPSERVO, 3), ([*LIPSERVO, "--stops", "--only", "stops"], 7)],
     ids=["stubborn", "faults", "stops"],
 )
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])

@@ -122,8 +122,8 @@ class StepProcess:
         except OSError as error:
             self._over(f"cannot be started: {error.strerror}")
             return
-        with process:
-            assert process.stdin is not None
+        assert process.stdin is not None
+        with process.stdin:
             os.set_blocking(process.stdin.fileno(), False)
             self._process = process
             signalled = self._follow(process)
@@ -182,17 +182,19 @@ class StepProcess:
 
     def _read_events(self, process: "subprocess.Popen[bytes]") -> None:
         assert process.stdout is not None
-        while line := process.stdout.readline(_LONGEST_LINE):
-            try:
-                event = dict(json.loads(line))
-                self.events[str(event.pop("event"))] = event
-            except (ValueError, KeyError, TypeError):
-                self._note(line)
+        with process.stdout:
+            while line := process.stdout.readline(_LONGEST_LINE):
+                try:
+                    event = dict(json.loads(line))
+                    self.events[str(event.pop("event"))] = event
+                except (ValueError, KeyError, TypeError):
+                    self._note(line)
 
     def _read_notes(self, process: "subprocess.Popen[bytes]") -> None:
         assert process.stderr is not None
-        while line := process.stderr.readline(_LONGEST_LINE):
-            self._note(line)
+        with process.stderr:  # of the guard of its port too, which outlives a step that dies
+            while line := process.stderr.readline(_LONGEST_LINE):
+                self._note(line)
 
     def _note(self, line: bytes) -> None:
         text = line.decode("utf-8", "replace").strip()[:_LONGEST_NOTE]

@@ -3,7 +3,6 @@
 Its layers, from the outermost: the route of stops, the access policy, the API and the pages.
 """
 
-import asyncio
 import contextlib
 import os
 import socket
@@ -14,7 +13,6 @@ from typing import Final
 
 import uvicorn
 from fastapi import FastAPI
-from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from lipservo.access.doorway import ACCEPTED, BACKLOG, HEAD_S, MOST_HEADS, Doorway, scaled
@@ -30,7 +28,7 @@ from lipservo.dashboard.web.access_layer import (
     Send,
 )
 from lipservo.dashboard.web.api import make_api
-from lipservo.dashboard.web.stop_route import StopRoute, is_stop
+from lipservo.dashboard.web.stop_route import StopRoute, http_connections
 from lipsync.face.model import load_face
 
 #: What the API answers; everything else is a page.
@@ -106,44 +104,6 @@ def with_access(
     return StopRoute(RequestLimit(admitted), link, token)
 
 
-def _http_connections(heads: Doorway, stops: Doorway) -> type[asyncio.Protocol]:
-    """Return the class of a server's HTTP connections.
-
-    Each waits in `heads` for the head of its next request, or the body of a stop, and in `stops`
-    for the answer to a stop. `RequestLimit` bounds those that wait for another answer.
-    """
-
-    class Connection(H11Protocol):
-        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-            super().connection_made(transport)
-            heads.enter(transport)
-
-        def data_received(self, data: bytes) -> None:
-            super().data_received(data)
-            self._wait()
-
-        def on_response_complete(self) -> None:
-            super().on_response_complete()
-            self._wait()
-
-        def connection_lost(self, exc: Exception | None) -> None:
-            super().connection_lost(exc)
-            heads.leave(self.transport)
-            stops.leave(self.transport)
-
-        def _wait(self) -> None:
-            cycle, room = self.cycle, None
-            if cycle is None or cycle.response_complete:
-                # What has become a WebSocket sends no further head.
-                room = heads if self.transport.get_protocol() is self else None
-            elif is_stop(cycle.scope):
-                room = heads if cycle.more_body else stops
-            for each in (heads, stops):
-                each.enter(self.transport) if each is room else each.leave(self.transport)
-
-    return Connection
-
-
 class _BoundedSocket(WebSocketsSansIOProtocol):
     """A WebSocket whose client is disconnected when it answers no ping, even with data unsent."""
 
@@ -185,7 +145,7 @@ def server_of(
         ws_ping_interval=ping_s,
         ws_ping_timeout=ping_s,
         ws_per_message_deflate=False,
-        http=_http_connections(Doorway(MOST_HEADS, HEAD_S), Doorway(_MOST_STOPS)),
+        http=http_connections(Doorway(MOST_HEADS, HEAD_S), Doorway(_MOST_STOPS)),
         loop="asyncio",  # of which is known how many connections it accepts before it reads
         backlog=scaled(ACCEPTED),
         timeout_graceful_shutdown=round(_CLOSING_S),

@@ -1,10 +1,12 @@
 """`POST /api/stop`, answered before everything else of the dashboard.
 
-The outermost ASGI layer: it checks a stop by the policy (`lipservo/access/admission.py`) and sends
-it to the face's control socket (`control_client.send_stop`), in the event loop. It needs no thread,
-search, status or disk, so that nothing else in the dashboard can delay it.
+Its connection finds room in the server however many others wait. The outermost ASGI layer checks it
+by the policy (`lipservo/access/admission.py`) and sends it to the face's control socket
+(`control_client.send_stop`), in the event loop. It needs no thread, search, status or disk, so that
+nothing else in the dashboard can delay it.
 """
 
+import asyncio
 import json
 import logging
 from collections.abc import Mapping
@@ -14,10 +16,12 @@ from typing import Any, Final
 
 from lipservo_client.protocol import FaceError
 from pydantic import ValidationError
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from firmware_bridge.process.control_client import send_stop
 from firmware_bridge.stopping import StopLevel
 from lipservo.access.admission import Policy, Refusal, Request, refusal, request_of_scope
+from lipservo.access.doorway import Doorway
 from lipservo.agents.control_session import stop_answer
 from lipservo.dashboard.face_link import FaceLink, NothingDrivenError
 from lipservo.dashboard.web.access_layer import App, Receive, Scope, Send, answer_json, cors_headers
@@ -40,6 +44,44 @@ class _BadBodyError(Exception):
 def is_stop(scope: Mapping[str, Any]) -> bool:
     """Return whether an ASGI scope is of a request to stop the face."""
     return (scope["type"], scope.get("path"), scope.get("method")) == ("http", PATH, "POST")
+
+
+def http_connections(heads: Doorway, stops: Doorway) -> type[asyncio.Protocol]:
+    """Return the class of a server's HTTP connections.
+
+    Each waits in `heads` for the head of its next request, or the body of a stop, and in `stops`
+    for the answer to a stop. `RequestLimit` bounds those that wait for another answer.
+    """
+
+    class Connection(H11Protocol):
+        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+            super().connection_made(transport)
+            heads.enter(transport)
+
+        def data_received(self, data: bytes) -> None:
+            super().data_received(data)
+            self._wait()
+
+        def on_response_complete(self) -> None:
+            super().on_response_complete()
+            self._wait()
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            super().connection_lost(exc)
+            heads.leave(self.transport)
+            stops.leave(self.transport)
+
+        def _wait(self) -> None:
+            cycle, room = self.cycle, None
+            if cycle is None or cycle.response_complete:
+                # What has become a WebSocket sends no further head.
+                room = heads if self.transport.get_protocol() is self else None
+            elif is_stop(cycle.scope):
+                room = heads if cycle.more_body else stops
+            for each in (heads, stops):
+                each.enter(self.transport) if each is room else each.leave(self.transport)
+
+    return Connection
 
 
 class StopRoute:

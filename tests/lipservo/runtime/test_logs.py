@@ -55,8 +55,8 @@ def test_a_complaint_is_json_too():
 def test_in_detail_it_says_more_and_who_says_it(sound):
     plain, detailed = run("run", "--wav", sound), run("-v", "run", "--wav", sound)
 
-    assert "torque is on" not in plain.stderr
-    assert "DEBUG firmware_bridge.loop.life_cycle: torque is on\n" in detailed.stderr
+    assert "armed" not in plain.stderr
+    assert "DEBUG firmware_bridge.loop.life_cycle: armed: {'holds': ['jaw', " in detailed.stderr
     assert "INFO firmware_bridge.loop.life_cycle: stopped; the face is" in detailed.stderr
 
 

@@ -8,7 +8,7 @@ pytestmark = pytest.mark.slow
 
 
 def reported(page, text):
-    page.locator(REPORT, has_text=text).wait_for(timeout=8000)
+    page.locator(REPORT, has_text=text).wait_for(timeout=20_000)
 
 
 def test_stop_says_what_the_servos_confirmed_and_a_second_press_lets_go(opened, face):
