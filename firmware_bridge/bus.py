@@ -37,6 +37,12 @@ def any_set(values: NDArray[np.bool_] | NDArray[np.number]) -> bool:
     return bool(values.tobytes().strip(b"\0"))
 
 
+def check_shape(positions_deg: Array, shape: tuple[int, ...]) -> None:
+    """Raise ValueError where positions do not have the shape (n_servos,) of a bus's goals."""
+    if positions_deg.shape != shape:
+        raise ValueError(f"expected positions of shape {shape}, got {positions_deg.shape}")
+
+
 def all_set(flags: NDArray[np.bool_]) -> bool:
     """Return whether all flags are true; their bytes are tested, which is quicker than `all()`.
 

@@ -80,22 +80,6 @@ class KnownTorque:
         states.flags.writeable = False
         self.states = states
 
-    def off_since(self, since_s: float) -> NDArray[np.bool_]:
-        """Return which servos are known to be off by evidence that came at `since_s` or later.
-
-        Parameters
-        ----------
-        since_s : float
-            Monotonic seconds.
-
-        Returns
-        -------
-        NDArray[np.bool_]
-            (n,).
-        """
-        off: NDArray[np.bool_] = (self.at_s >= since_s) & (self.states == _OFF)
-        return off
-
     @property
     def any_on(self) -> bool | None:
         """Whether any servo is on; None: none is known to be, and not every one to be off."""
@@ -112,6 +96,17 @@ class KnownTorque:
     def as_json(self) -> list[bool | None]:
         """Return for each servo True (on), False (off) or None (unknown)."""
         return [AS_JSON[each] for each in self.states.tolist()]
+
+    def records(self, now_s: float) -> list[dict[str, bool | float | None]]:
+        """Return for each servo {on, age_s}: as of `as_json`, and the age of its newest evidence.
+
+        age_s: None before any evidence.
+        """
+        ages_s = np.maximum(0.0, now_s - self.at_s).tolist()
+        return [
+            {"on": on, "age_s": round(age_s, 3) if age_s < np.inf else None}
+            for on, age_s in zip(self.as_json(), ages_s, strict=True)
+        ]
 
     def _set(self, index: int, state: int) -> None:
         if self.states.item(index) != state:

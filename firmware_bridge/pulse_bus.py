@@ -26,6 +26,7 @@ from firmware_bridge.bus import (
     Readings,
     all_set,
     any_set,
+    check_shape,
 )
 from firmware_bridge.capabilities import BusCapabilities
 from firmware_bridge.clock import Clock
@@ -233,10 +234,7 @@ class PulseBus:
         ValueError
             positions_deg has another shape.
         """
-        if positions_deg.shape != self._goal_us.shape:
-            raise ValueError(
-                f"expected positions of shape {self._goal_us.shape}, got {positions_deg.shape}"
-            )
+        check_shape(positions_deg, self._goal_us.shape)
         self._check_open()
         scale = self._scale
         pulses_us = scale.pulses_us(positions_deg)

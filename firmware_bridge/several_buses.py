@@ -17,7 +17,7 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.bus import Array, Feedback, Health, Readings, ServoBus, all_set
+from firmware_bridge.bus import Array, Feedback, Health, Readings, ServoBus, all_set, check_shape
 from firmware_bridge.capabilities import mixed_capabilities
 from firmware_bridge.clock import Clock
 from firmware_bridge.errors import BusError, PortError, PortGone
@@ -292,10 +292,7 @@ class SeveralBuses:
         ValueError
             positions_deg has another shape.
         """
-        if positions_deg.shape != (self._n_servos,):
-            raise ValueError(
-                f"expected positions of shape {(self._n_servos,)}, got {positions_deg.shape}"
-            )
+        check_shape(positions_deg, (self._n_servos,))
         self._check()
         for each in self._threads.values():
             each.hand(_WRITE, partial(each.bus.write_positions, positions_deg[each.at]))

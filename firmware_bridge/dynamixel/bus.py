@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from firmware_bridge.bus import Array, Feedback, Health, Readings, all_set, any_set
+from firmware_bridge.bus import Array, Feedback, Health, Readings, all_set, any_set, check_shape
 from firmware_bridge.dynamixel.control_table import CAPABILITIES, register
 from firmware_bridge.dynamixel.mounting import MountedServo, identify_all
 from firmware_bridge.dynamixel.present_state import PresentState
@@ -154,10 +154,7 @@ class DynamixelBus(SerialBus[Line]):
         ValueError
             positions_deg has another shape.
         """
-        if positions_deg.shape != self._cache.goals.shape:
-            raise ValueError(
-                f"expected positions of shape {self._cache.goals.shape}, got {positions_deg.shape}"
-            )
+        check_shape(positions_deg, self._cache.goals.shape)
         line = self._line or self.line  # the property raises
         pulses = self._mounting.pulses(positions_deg)
         taken = (self._cache.low <= pulses) & (pulses <= self._cache.high)

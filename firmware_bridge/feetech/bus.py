@@ -14,6 +14,7 @@ from firmware_bridge.bus import (
     Readings,
     all_set,
     any_set,
+    check_shape,
 )
 from firmware_bridge.feetech import codec
 from firmware_bridge.feetech.codec import EMPTY_SIZE, GoalWrite, SpanRead, Status, statuses_in
@@ -148,10 +149,7 @@ class FeetechBus(SerialBus[Line]):
             positions_deg has another shape.
         """
         cache = self._cache
-        if positions_deg.shape != cache.goals.shape:
-            raise ValueError(
-                f"expected positions of shape {cache.goals.shape}, got {positions_deg.shape}"
-            )
+        check_shape(positions_deg, cache.goals.shape)
         line = self._line or self.line  # the property raises
         pulses = self._mounting.pulses(positions_deg)
         taken = (cache.low <= pulses) & (pulses <= cache.high)

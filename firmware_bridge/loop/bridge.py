@@ -231,6 +231,10 @@ class Bridge:
             known[_TORQUE_KEYS[Torque(state)]].append(name)
         return known
 
+    def torque_records(self) -> dict[str, dict[str, bool | float | None]]:
+        """Return `KnownTorque.records` by joint name, their ages at the last tick."""
+        return dict(zip(self.names, self.torque.records(self._tick_s), strict=True))
+
     def start(
         self, may_continue: Callable[[], bool] = lambda: True, *, by_person: bool = False
     ) -> None:
@@ -404,6 +408,7 @@ class Bridge:
                 self._n_armed += 1
 
     def _begin(self) -> None:
+        """Let targets and goals begin where the servos stand. Raises PortError."""
         readings = self._servos.read()
         present_deg, self._tick_s = readings.start_deg(self.capabilities), readings.time_s
         self._servos.limiter.start_from(present_deg, self._tick_s)
@@ -499,10 +504,10 @@ def face_status(bridge: Bridge) -> dict[str, object]:
     """Return the face's status as one object for JSON; too slow for every tick.
 
     state: a `FaceState`; plugged: whether the port is open; torque_on: as of
-    `KnownTorque.any_on`; servos: as from `Bridge.servo_words`; troubles: a line for each servo that
-    is not driven; jogged: joints that a person jogs, by name; health: a `ServoHealth` for each
-    servo that was polled, None for what was never read; capabilities: what the bus can do; pulses:
-    as from `Bridge.pulses`; *_total: how
+    `KnownTorque.any_on`; torque: as from `Bridge.torque_records`; servos: as from
+    `Bridge.servo_words`; troubles: a line for each servo that is not driven; jogged: joints that a
+    person jogs, by name; health: a `ServoHealth` for each servo that was polled, None for what was
+    never read; capabilities: what the bus can do; pulses: as from `Bridge.pulses`; *_total: how
     often the gate changed a goal, over all joints; the counts are those of `BridgeStatus`.
     """
     status = bridge.status
@@ -514,6 +519,7 @@ def face_status(bridge: Bridge) -> dict[str, object]:
         "state": status.state.value,
         "plugged": bridge.plugged,
         "torque_on": bridge.torque.any_on,
+        "torque": bridge.torque_records(),
         "servos": bridge.servo_words(),
         "troubles": list(bridge.troubles),
         "jogged": list(bridge.jogged),

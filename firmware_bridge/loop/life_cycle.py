@@ -358,16 +358,17 @@ class LifeCycle:
         go, changes nothing.
         """
         level, before = request.level, self._request
+        _LOG.info("stop requested: %s, by %s", level.value, request.requested_by)
+        event = LifeEvent.STOP_AND_END if request.ends else LifeEvent.STOP
+        event = LifeEvent.FREEZE if level is StopLevel.FREEZE else event
+        if LIFE_TABLE.find(self._state, event, self._holds) is None:
+            return
         if self._links.lifeline is not None:
             self._links.lifeline.tell(Stopped(level, request.ends, request.requested_by))
-        event = LifeEvent.STOP_AND_END if request.ends else LifeEvent.STOP
-        self._level, level_before = level, self._level
-        if self._fire(LifeEvent.FREEZE if level is StopLevel.FREEZE else event):
-            ends = request.ends or (before is not None and before.ends)
-            self._request = replace(request, ends=ends)
-        else:
-            self._level = level_before
-        _LOG.info("stop requested: %s, by %s", level.value, request.requested_by)
+        self._level = level
+        self._fire(event)
+        ends = request.ends or (before is not None and before.ends)
+        self._request = replace(request, ends=ends)
 
     @property
     def _is_kept(self) -> bool:

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.bus import GOAL_OUT_OF_RANGE, Array, Feedback, Health, Readings
+from firmware_bridge.bus import GOAL_OUT_OF_RANGE, Array, Feedback, Health, Readings, check_shape
 from firmware_bridge.capabilities import IN_MEMORY, BusCapabilities
 from firmware_bridge.clock import Clock
 from firmware_bridge.errors import PortError
@@ -100,10 +100,7 @@ class SimulatedBus:
         ValueError
             positions_deg has another shape.
         """
-        if positions_deg.shape != self._goals_deg.shape:
-            raise ValueError(
-                f"expected positions of shape {self._goals_deg.shape}, got {positions_deg.shape}"
-            )
+        check_shape(positions_deg, self._goals_deg.shape)
         self._move()
         taken = (self._min_deg <= positions_deg) & (positions_deg <= self._max_deg)
         self._goals_deg = np.where(taken, positions_deg, self._goals_deg)

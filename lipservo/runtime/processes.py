@@ -280,9 +280,7 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
         stack.callback(record.close)
         board.write_stopped(is_stopped=record.stopped is not None)
         if record.stopped is not None:
-            _LOG.warning(
-                "starts %s, and `lipservo start` drives it: %s", can.released_words, record.why
-            )
+            _LOG.warning("not driven until `lipservo start`: %s", record.why)
         writer, reader = channel_pair()
         command = [sys.executable, "-P", "-m", "lipservo"]
         whole = request_json(replace(request, control=listener.path))

@@ -24,7 +24,7 @@ def test_before_any_evidence_nothing_is_known():
 
     assert torque.as_json() == [None, None]
     assert torque.states.tolist() == [Torque.UNKNOWN, Torque.UNKNOWN]
-    assert not torque.off_since(-1e9).any()
+    assert torque.records(5.0) == [{"on": None, "age_s": None}] * 2
 
 
 def test_what_a_servo_confirmed_is_known_of_it_alone_and_since_when():
@@ -58,15 +58,14 @@ def test_a_face_holds_lies_limp_or_nobody_knows(states):
     assert torque.all_on == (states == (True, True))
 
 
-def test_off_counts_only_by_evidence_that_is_no_older_than_the_question():
-    torque = known(False, False, True)
+def test_what_is_known_is_told_with_the_age_of_its_evidence():
+    torque = known(False, True)
     torque.note(LIP, 3.0, on=False)
+    torque.forget([JAW])
 
-    assert torque.off_since(1.0).tolist() == [True, True, False]
-    assert torque.off_since(3.0).tolist() == [False, True, False]
-    assert torque.off_since(3.1).tolist() == [False, False, False]
-    torque.forget([LIP])
-    assert torque.off_since(0.0).tolist() == [True, False, False]
+    assert torque.records(3.5)[LIP] == {"on": False, "age_s": 0.5}
+    assert torque.records(3.5)[JAW] == {"on": None, "age_s": 2.5}
+    assert torque.records(2.9)[LIP]["age_s"] == 0.0, "a tick is planned before what it hears"
 
 
 @pytest.mark.parametrize("change", ["note", "forget", "forget all", "take"])

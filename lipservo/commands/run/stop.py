@@ -6,6 +6,7 @@ They import only what they need, to start quickly.
 import sys
 import time
 from collections.abc import Sequence
+from errno import EPROTO
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -209,30 +210,30 @@ def _status_of(face: RunningFace) -> dict[str, Any]:
         return {**found, "state": "hangs: does not answer; `lipservo stop --limp` ends it"}
     except PermissionError:
         return {**found, "state": "may not be queried; use sudo"}
-    except OSError:
-        return {**found, "state": "has just ended"}
+    except OSError as error:
+        return {**found, "state": error.strerror if error.errno == EPROTO else "has just ended"}
     return {"state": "runs", **found, **answer, "pid": face.pid}
 
 
 def _state(status: dict[str, Any]) -> str:
-    """Return a face's state as text: its stop report, a missing port, or its driven servos."""
+    """Return a face's state as text: its stop report, a missing port, or its servos that hold."""
     report = status.get("stop_report")
     if status["state"] == "stopped" and report is not None:
         n, left = len(report["confirmed"]), ", ".join(report["unconfirmed"])
         words = [report.get("released_words"), f"limp, confirmed by {n} servos"]
         limp = "; ".join(filter(None, words if n else words[:1])) or words[1]
         limp += f", NOT by {left}" if left else ""
-        return f"stopped by {status.get('stopped_by')}: {limp}; `lipservo start` drives it"
+        limp += "; `lipservo start` drives it" if status.get("can_start") else ""
+        return f"stopped by {status.get('stopped_by')}: {limp}"
     if status.get("plugged") is False:
         return f"{status['state']}, but its port is gone: no servo can be reached"
     return f"{status['state']}{_servos(status)}"
 
 
 def _servos(status: dict[str, Any]) -> str:
-    states = list(dict(status.get("servos") or {}).values())
-    if not states:
-        return ""
-    return f", {states.count('driven')} of {len(states)} servos driven"
+    known = [each.get("on") for each in dict(status.get("torque") or {}).values()]
+    unknown = f", not known of {known.count(None)}" if None in known else ""
+    return f", {known.count(True)} of {len(known)} servos hold{unknown}" if known else ""
 
 
 def _motion(status: dict[str, Any]) -> str:

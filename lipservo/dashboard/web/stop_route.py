@@ -33,14 +33,6 @@ _LONGEST_BODY: Final = 1024
 _AT_ONCE: Final = StopBody()
 
 
-class _BadBodyError(Exception):
-    """The error for a body that is no valid stop: an HTTP status and one line."""
-
-    def __init__(self, status: HTTPStatus, text: str) -> None:
-        super().__init__(text)
-        self.status = status
-
-
 def is_stop(scope: Mapping[str, Any]) -> bool:
     """Return whether an ASGI scope is of a request to stop the face."""
     return (scope["type"], scope.get("path"), scope.get("method")) == ("http", PATH, "POST")
@@ -111,16 +103,13 @@ class StopRoute:
         self, request: Request, policy: Policy, receive: Receive
     ) -> tuple[int, dict[str, Any]]:
         try:
-            refused = refusal(request, policy, is_stop=True)
-            stop = _AT_ONCE if refused else await _parsed(receive)
-            if stop.end and not refused:  # more than a stop: what ends waits for no start
-                refused = refusal(request, policy)
-        except _BadBodyError as error:
-            refused = Refusal(error.status, str(error))
+            stop = refusal(request, policy, is_stop=True) or await _parsed(receive)
+            if isinstance(stop, StopBody) and stop.end:  # more than a stop: it waits for no start
+                stop = refusal(request, policy) or stop
         except ValueError:
-            refused = Refusal(HTTPStatus.BAD_REQUEST, "the request cannot be read")
-        if refused:
-            return refused.status, {"error": refused.text}
+            stop = Refusal(HTTPStatus.BAD_REQUEST, "the request cannot be read")
+        if isinstance(stop, Refusal):
+            return stop.status, {"error": stop.text}
         try:
             return 200, await stop_face(self._link, stop)
         except FaceError as error:
@@ -163,26 +152,25 @@ async def stop_face(link: FaceLink, stop: StopBody) -> dict[str, Any]:
     return {"accepted": answer.get("accepted"), **({"report": report} if stop.wait_s else {})}
 
 
-async def _parsed(receive: Receive) -> StopBody:
-    """Return the parsed body of a stop, a soft stop for an empty one. Raises _BadBodyError."""
+async def _parsed(receive: Receive) -> StopBody | Refusal:
+    """Return the parsed body of a stop, a soft stop for an empty one, or why it is none."""
     body, is_whole = b"", False
     while not is_whole:  # the server drops who sends it too slowly
         message = await receive()
         if message["type"] == "http.disconnect":
-            raise _BadBodyError(HTTPStatus.BAD_REQUEST, "the client has gone")
+            return Refusal(HTTPStatus.BAD_REQUEST, "the client has gone")
         body += message.get("body", b"")
         if len(body) > _LONGEST_BODY:
             long = f"the body is longer than {_LONGEST_BODY} bytes"
-            raise _BadBodyError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, long)
+            return Refusal(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, long)
         is_whole = not message.get("more_body")
     if not body:
         return _AT_ONCE
     try:
         json.loads(body)
     except (ValueError, RecursionError):
-        raise _BadBodyError(HTTPStatus.BAD_REQUEST, "the body is no JSON") from None
+        return Refusal(HTTPStatus.BAD_REQUEST, "the body is no JSON")
     try:
         return StopBody.model_validate_json(body)
     except ValidationError as error:
-        line = first_error(error.errors())
-        raise _BadBodyError(HTTPStatus.UNPROCESSABLE_ENTITY, line) from None
+        return Refusal(HTTPStatus.UNPROCESSABLE_ENTITY, first_error(error.errors()))

@@ -106,11 +106,9 @@ class Outcome:
     def _held_words(self) -> str:
         """Return which servos of a frozen face hold, which are limp, and which may be either."""
         n = len(self.holds)
-        held = "1 servo holds" if n == 1 else f"{n} servos hold"
-        parts = [f"held where it is: {held}"]
+        parts = [f"held where it is: {'1 servo holds' if n == 1 else f'{n} servos hold'}"]
         if self.limp:
-            limp = f"{', '.join(self.limp)} limp" if self.holds else f"{len(self.limp)} servos limp"
-            parts.append(limp)
+            parts.append(f"{', '.join(self.limp) if n else f'{len(self.limp)} servos'} limp")
         if self.unknown:
             parts.append(f"not known of {', '.join(self.unknown)}")
         if not self.holds:

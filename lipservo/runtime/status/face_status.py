@@ -19,12 +19,13 @@ class BridgeSide:
     force, and stopped_by: its requester; stop_report: the servos' report of that stop
     (`StopReport`), None before it; can_start: whether a person can start the face now; plugged:
     whether the port exists; torque_on: whether any servo is known to hold, False: every one is
-    known to be off; servos: the state of each, by name; troubles: a line for each servo that is not
-    driven; jogged: joints that a person jogs; health: readings of each servo (`ServoHealth`), None
-    for one never received; capabilities: what the bus can do (`BusCapabilities`); pulses: of each
-    hobby servo, by name, its limits and the pulse it gets; n_ticks to n_rejected_targets: the
-    counts of `BridgeStatus`; *_total: how often the gate changed a goal, over all servos;
-    bridge_pid: the process that drives them.
+    known to be off; torque: on and age_s of each, by name, on None where it is not known; servos:
+    the state of each, by name; troubles: a line for each servo that is not driven; jogged: joints
+    that a person jogs; health: readings of each servo (`ServoHealth`), None for one never received;
+    capabilities: what the bus can do (`BusCapabilities`); pulses: of each hobby servo, by name, its
+    limits and the pulse it gets; n_ticks to n_rejected_targets: the counts of `BridgeStatus`;
+    *_total: how often the gate changed a goal, over all servos; bridge_pid: the process that drives
+    them.
     """
 
     name: str = ""
@@ -38,6 +39,7 @@ class BridgeSide:
     can_start: bool | None = None
     plugged: bool | None = None
     torque_on: bool | None = None
+    torque: Mapping[str, Mapping[str, bool | float | None]] = field(default_factory=dict)
     servos: Mapping[str, str] = field(default_factory=dict)
     troubles: Sequence[str] = ()
     jogged: Sequence[str] = ()

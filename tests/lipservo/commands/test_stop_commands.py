@@ -40,7 +40,11 @@ def own_folder(monkeypatch):
 
 
 HELD = {"holds": ["jaw"], "limp": ["left"], "unknown": []}
-SERVOS = {"servos": {"jaw": "driven", "left": "cooling"}, "troubles": []}
+SERVOS = {
+    "servos": {"jaw": "driven", "left": "cooling"},
+    "torque": {"jaw": {"on": True, "age_s": 0.0}, "left": {"on": None, "age_s": 0.7}},
+    "troubles": [],
+}
 
 
 @contextmanager
@@ -310,14 +314,19 @@ def test_status_shows_servos_and_no_dead_faces(own_folder):
         shown = invoke("status").stdout
 
     assert shown.startswith("tom ")
-    assert "1 of 2 servos driven" in shown
+    assert "1 of 2 servos hold, not known of 1" in shown
     assert "tim" not in shown
 
 
 def test_status_of_a_face_without_its_plug_counts_no_servos():
-    """It said "driven, 0 of 10 servos driven"."""
     servos = dict.fromkeys(["jaw", "left"], "waiting")
-    unplugged = {"state": "driven", "plugged": False, "servos": servos, "troubles": []}
+    unplugged = {
+        "state": "driven",
+        "plugged": False,
+        "servos": servos,
+        "torque": {name: {"on": None} for name in servos},
+        "troubles": [],
+    }
     with face("tom", status=unplugged):
         shown = invoke("status").stdout
 

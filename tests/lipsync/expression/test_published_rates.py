@@ -5,7 +5,7 @@ from random import Random
 import numpy as np
 import pytest
 from lipservo_lab.evaluation.expression.expression_figures import (
-    blink_intervals_s,
+    blink_cues,
     blinks_per_min,
     cues_of,
     gaze_shifts,
@@ -58,7 +58,7 @@ def test_blinks_a_minute_lie_within_the_ranges_of_people(talking, dialogue, list
 
 def test_no_two_blinks_begin_within_four_tenths_of_a_second(talking, dialogue):
     for track in (talking, dialogue):
-        assert blink_intervals_s(track.column("lid_left")).min() >= 0.4 - 1e-9
+        assert np.diff(blink_cues(track.column("lid_left"))).min() * CUE_PERIOD_S >= 0.4 - 1e-9
 
 
 @pytest.mark.parametrize(("name", "share"), [("talking", 0.41), ("listening", 0.75)])

@@ -29,7 +29,6 @@ class TickTracer:
         self._is_in_tick = False
         self.n_files: list[int] = []
         self.n_hops: list[int] = []
-        self.all_files: set[str] = set()
 
     def profile(self, frame: FrameType, event: str, _arg: Any) -> None:
         """Count a call of a function of ours, a generator's resumption included."""
@@ -49,7 +48,6 @@ class TickTracer:
         if is_over and self._is_in_tick:
             self.n_files.append(len(self._files))
             self.n_hops.append(self._hops)
-            self.all_files |= self._files
         self._is_in_tick = not is_over
         self._files, self._hops = set(), 0
 

@@ -43,7 +43,7 @@ _NOT_OF_TORQUE: Final = (
     r"status (?:name|config|sounds|port|pid|bridge_pid|plugged|jogged|word|words|sound|recognizer"
     r"|engine|weights|strategy|hears|moved_by|output|output_lost|listens_on|speaking|arousal"
     r"|mouth_closes|is_resting|delay_ms|fallback_level|fallback_reasons|stopped|stopped_by"
-    r"|can_start|stop_report|n_\w+|\w+_total|(?:settings|expression|capabilities)\.\w+"
+    r"|can_start|torque\.\w+\.age_s|stop_report|n_\w+|\w+_total|(?:settings|expression|capabilities)\.\w+"
     r"|pulses\.\w+\.(?:neutral_us|us_per_deg|min_us|max_us)"
     r"|health\.\w+\.(?:servo_id|temperature_degc|load|voltage_v|current_ma|hardware_errors"
     r"|n_reboots|n_unanswered)|stop_report\.(?:at_s|at_rest|dry_run|released_words)): .*"
@@ -54,9 +54,9 @@ _STATUS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"status torque_on: null", unknown),
     (r"status torque_on: true", Torque(on=True, who="any")),
     (r"status torque_on: false", _ALL_OFF),
-    (r"status health\.(?P<who>\w+)\.torque_on: null", unknown),
-    (r"status health\.(?P<who>\w+)\.torque_on: true", _IS_ON),
-    (r"status health\.(?P<who>\w+)\.torque_on: false", _IS_OFF),
+    (r"status (?:torque|health)\.\w+\.(?:torque_)?on: null", unknown),
+    (r"status (?:torque|health)\.(?P<who>\w+)\.(?:torque_)?on: true", _IS_ON),
+    (r"status (?:torque|health)\.(?P<who>\w+)\.(?:torque_)?on: false", _IS_OFF),
     (
         r"status (?:servos\.(?P<who>\w+)|health\.(?P<same>\w+)\.state): driven",
         Torque(True, "who|same"),
@@ -178,7 +178,7 @@ _OF_A_FACE: Final[tuple[tuple[str, Claim], ...]] = (
     (r"{S}stopping: SIG\w+", nothing),
     (r"{S}frozen: held until the next stop", nothing),
     (r"{S}torque cannot be switched off yet: .*", unknown),
-    (r"{S}starts {limp}, and `lipservo start` drives it: .*", _ALL_OFF),
+    (r"{S}not driven until `lipservo start`: .*", nothing),
     (r"{S}stays {limp}: (?P<who>\w+): .*", _IS_OFF),
     (r"{S}critical {servo} .*; all is {limp}", _ALL_OFF),
     (r"{S}critical {servo} .*; the face was stopped", nothing),
@@ -218,7 +218,7 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"says FACE: nothing is held(?:; \d+ servos? limp)?{kept}", _ALL_OFF),
     (r"says FACE: nothing is known to be held; .*", unknown),
     (r"says FACE: servo \w+ comes on when the face is started", nothing),
-    (r"says FACE: driven, (?P<n>\d+) of \d+ servos driven", Count(on=True)),
+    (r"says FACE: driven, (?P<n>\d+) of \d+ servos hold", Count(on=True)),
     (r"{S}will stop, but has not confirmed it within .*", unknown),
     (r"{S}hangs: .*", unknown),
     (r"{S}has (?:gone|just ended).*", unknown),
@@ -245,7 +245,7 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
     ),
     (r"{face}stopped by .*: {limp}(?:; .*)?", _ALL_OFF),
     (
-        r"{face}[\w ]+, (?P<n>\d+) of \d+ servos driven",
+        r"{face}[\w ]+, (?P<n>\d+) of \d+ servos hold(?:, not known of \d+)?",
         Count(on=True),
     ),
     (r"{face}.*", nothing),

@@ -63,22 +63,6 @@ def blinks_per_min(lid: Array, counts: NDArray[np.bool_]) -> float:
     return float(counts[blink_cues(lid)].sum()) / minutes
 
 
-def blink_intervals_s(lid: Array) -> Array:
-    """Return the times from the beginning of each blink to that of the next.
-
-    Parameters
-    ----------
-    lid : Array
-        (n,).
-
-    Returns
-    -------
-    Array
-        (n_blinks - 1,) s.
-    """
-    return np.diff(blink_cues(lid)) * CUE_PERIOD_S
-
-
 #: Between two saccades gaze holds; rounding alone moves it less.
 _HOLDS_DEG = 1e-6
 
