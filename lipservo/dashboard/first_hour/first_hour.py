@@ -335,10 +335,9 @@ class FirstHour:
         words, step = "No step runs: no servo is driven now.", self._step
         if step is not None and step.released:
             words += f" {step.released}."
-        if step is None or step.let_go:
-            return NothingDrivenError(words, is_limp=True)
-        words += " The last step ended without a word of its servos: switch their supply off."
-        return NothingDrivenError(words, is_limp=False)
+        if not (is_limp := step is None or step.let_go):
+            words += " The last step ended without a word of its servos: switch their supply off."
+        return NothingDrivenError(words, is_limp=is_limp)
 
     def _release(self, step: StepProcess) -> None:
         """Switch torque off at the port of a step that has ended without a word of its servos."""

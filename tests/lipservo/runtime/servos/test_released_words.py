@@ -13,7 +13,8 @@ REPORT = {
 }  # fmt: skip
 STATUS = {
     "state": "stopped", "stopped": "soft", "stopped_by": "stop (1, root)", "stop_report": REPORT,
-    "can_start": True, "servos": {"jaw": "waiting", "lip": "waiting"}, "capabilities": PULSES.as_dict(),
+    "can_start": True, "servos": {"jaw": "waiting", "lip": "waiting"},
+    "capabilities": PULSES.as_dict(),
     "health": [{"name": name, "servo_id": 1, "state": "driven", "temperature_degc": None,
                 "load": None, "voltage_v": None, "torque_on": False} for name in ("jaw", "lip")],
 }  # fmt: skip
