@@ -227,13 +227,10 @@ def _state(status: dict[str, Any]) -> str:
         return f"stopped by {status.get('stopped_by')}: {limp}"
     if status.get("plugged") is False:
         return f"{status['state']}, but its port is gone: no servo can be reached"
-    return f"{status['state']}{_servos(status)}"
-
-
-def _servos(status: dict[str, Any]) -> str:
     known = [each.get("on") for each in dict(status.get("torque") or {}).values()]
+    held = f", {known.count(True)} of {len(known)} servos hold" if known else ""
     unknown = f", not known of {known.count(None)}" if None in known else ""
-    return f", {known.count(True)} of {len(known)} servos hold{unknown}" if known else ""
+    return f"{status['state']}{held}{unknown}"
 
 
 def _motion(status: dict[str, Any]) -> str:
