@@ -109,16 +109,13 @@ def start(face: FaceName = None, control: Control = None, as_json: Json = False)
         answer = start_face(each.path)
         return answer if "error" in answer else _come_back(each)
 
-    def words(answer: dict[str, Any]) -> str:
-        return f"driven{_servos(answer)}"
-
-    ask_faces(face, control, started, words, as_json=as_json)
+    ask_faces(face, control, started, lambda one: f"driven{_servos(one)}", as_json=as_json)
 
 
 def _come_back(face: RunningFace) -> dict[str, Any]:
     """Poll a started face until all servos hold that are not switched off, 20 s at most.
 
-    Returns {"state", "servos"}, the servos by name, or {"error": why} if they do not.
+    Returns {"state", "servos", "torque"} as of a status, or {"error": why} if they do not.
     """
     give_up_s = time.monotonic() + _START_S
     while True:
@@ -129,7 +126,7 @@ def _come_back(face: RunningFace) -> dict[str, Any]:
         state, servos = found.get("state"), dict(found.get("servos") or {})
         troubles = "; ".join(found.get("troubles") or ())
         if state == "driven" and servos and set(servos.values()) - {"off"} == {"driven"}:
-            return {"state": state, "servos": servos}
+            return {"state": state, "servos": servos, "torque": found.get("torque")}
         if state not in _ON_ITS_WAY:
             return {"error": troubles or f"not driven: {state}"}
         if time.monotonic() > give_up_s:
@@ -227,10 +224,13 @@ def _state(status: dict[str, Any]) -> str:
         return f"stopped by {status.get('stopped_by')}: {limp}"
     if status.get("plugged") is False:
         return f"{status['state']}, but its port is gone: no servo can be reached"
+    return f"{status['state']}{_servos(status)}"
+
+
+def _servos(status: dict[str, Any]) -> str:
     known = [each.get("on") for each in dict(status.get("torque") or {}).values()]
-    held = f", {known.count(True)} of {len(known)} servos hold" if known else ""
     unknown = f", not known of {known.count(None)}" if None in known else ""
-    return f"{status['state']}{held}{unknown}"
+    return f", {known.count(True)} of {len(known)} servos hold{unknown}" if known else ""
 
 
 def _motion(status: dict[str, Any]) -> str:
