@@ -152,6 +152,36 @@ def test_places_are_those_of_the_servos_that_know_them(face):
     assert [each["temperature_degc"] for each in health] == [None, 25.0, None, 25.0]
 
 
+def test_limits_widen_on_the_bus_of_each_joint(face):
+    reached = {}
+    face.lips.widen = lambda joints: reached.update(lips=joints.tolist())
+    face.neck.widen = lambda joints: reached.update(neck=joints.tolist())
+    face.bus.widen(np.array([True, False, False, True]))
+    drive_until(face, lambda: len(reached) == 2)
+
+    assert reached == {"lips": [True, False], "neck": [False, True]}
+
+
+def test_a_port_that_goes_while_places_are_read_is_no_reading(face):
+    def gone():
+        raise PortGone("/dev/x: gone; plug the adapter in again")
+
+    face.lips.read = gone
+    with pytest.raises(PortError, match="/dev/x: gone"):
+        face.bus.read()
+
+
+def test_what_a_bus_said_within_a_tick_is_no_older_than_on_a_bus_alone(face):
+    face.bridge.start()
+    drive(face, 5)
+    face.lips.may_go.clear()
+    face.clock.advance(0.5 / SLOW_HZ)
+    assert (face.bus.feedback().age_s[LIPS] == 0.0).all()
+
+    face.clock.advance(1.0 / SLOW_HZ)
+    assert (face.bus.feedback().age_s[LIPS] == 1.5 / SLOW_HZ).all()
+
+
 def test_a_bus_that_stalls_delays_no_other_and_sends_its_newest_goal_afterwards(face):
     face.bridge.start()
     drive(face, 100)

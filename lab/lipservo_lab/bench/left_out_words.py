@@ -176,7 +176,7 @@ class _Lips:
 
 
 _Key = tuple[str, int, str]
-_PAIRED = ("ratio", "gap_r")
+_PAIRED = ("ratio", "gap_r", "gap_rmse_mm")  # r alone hides a mouth that opens half as wide
 
 
 @dataclass(slots=True)
@@ -194,7 +194,7 @@ class _Scores:
         return {
             "strategy": strategy,
             "lookahead_ms": lookahead_ms,
-            **{key: _rounded(found[key]) for key in ("ratio", "gap_r", "closure_hits")},
+            **{key: _rounded(found[key]) for key in (*_PAIRED, "closure_hits")},
             **{f"{key}_95": list(map(_rounded, ends)) for key, ends in intervals.items()},
             "best_shift_ms": self.lips[strategy, lookahead_ms, name].best_ms(),
             "frames": int(sums[:, 0].sum()),

@@ -81,6 +81,20 @@ def test_a_servo_that_does_not_take_its_watchdog_gets_no_torque():
     assert not face.chain.servos[0].torque_on
 
 
+def test_a_servo_that_is_kept_is_not_said_to_have_tripped_any_more():
+    face = MemoryFace(4)
+    with face.bus:
+        enable_all(face)
+        face.chain.servos[2].trip_watchdog()
+        for _ in range(8):
+            face.bus.feedback()
+            tripped = face.bus.look_after().watchdog_tripped
+        assert tripped.tolist() == [False, False, True, False]
+
+        assert face.bus.keep_torque(2)
+        assert not any(face.bus.look_after().watchdog_tripped.any() for _ in range(4))
+
+
 def test_a_servo_that_switched_its_watchdog_off_gets_it_back_and_one_that_tripped_does_not():
     """A restart forgets the setting; a trip is told of, and ends with the next goals."""
     face = MemoryFace(2)

@@ -148,6 +148,34 @@ def test_speeds_are_in_the_unit_that_the_servo_is_set_to(phase):
     assert speed == {0x0C: 683, 0x08: 14}[phase]
 
 
+@pytest.mark.parametrize("register", ["goal_speed", "torque_limit"])
+def test_a_servo_that_does_not_keep_the_bounds_of_its_start_gets_no_torque(register, monkeypatch):
+    on = wired()
+    servo = on.chain.servos[0]
+    write, at = type(servo).write, servo.dialect.registers[register].address
+    monkeypatch.setattr(
+        type(servo), "write", lambda to, address, data: address == at or write(to, address, data)
+    )
+    with on.bus as bus:
+        assert bus.enable_torque(0) == "does not take its slow start"
+        assert not servo["torque_enable"]
+
+
+def test_a_servo_that_does_not_show_its_torque_is_switched_off_again(monkeypatch):
+    on = wired()
+    servo, torque_enable = on.chain.servos[0], 40
+    read = type(servo).read
+
+    def limp_by_its_word(of, address, size):
+        return b"\0" if (address, size) == (torque_enable, 1) else read(of, address, size)
+
+    with on.bus as bus:
+        monkeypatch.setattr(type(servo), "read", limp_by_its_word)
+        assert bus.enable_torque(0) == "does not switch its torque on"
+        assert any(change.torque for change in on.chain.changes)
+        assert not servo["torque_enable"]
+
+
 def test_a_goal_to_a_limp_servo_is_kept_for_later():
     """A goal on the wire would switch its torque on."""
     on = wired()
@@ -171,6 +199,15 @@ def test_servos_that_wake_up_stiff_are_told_of_and_held_where_they_stand_before_
         enabled(on)
         assert {change.goal for change in on.chain.changes} == {2048}
     assert not any(servo["torque_enable"] for servo in on.chain.servos)
+
+
+def test_a_servo_that_is_kept_stays_where_it_stands_and_gets_goals():
+    on = wired(wakes_up_stiff=True, set_up=lambda chain: chain.servos[0].stand_at(2100))
+    with on.bus as bus:
+        assert bus.keep_torque(0)
+        assert on.chain.servos[0]["goal_position"] == on.chain.servos[0].place == 2100
+        run(on, 1.0, 1.0)
+        assert bus.read().positions_deg[0] == pytest.approx(1.0, abs=0.2)
 
 
 def test_after_a_brown_out_that_brings_torque_back_a_servo_is_let_go_and_starts_slowly_again():
@@ -387,6 +424,7 @@ def test_a_servo_that_is_set_up_otherwise_gets_no_torque(register, value, words)
 def test_a_servo_outside_its_own_range_must_be_moved_by_hand():
     on = wired(set_up=lambda chain: chain.servos[0].stand_at(3000))
     with on.bus as bus:
+        assert [bool(bus.obstacle(index)) for index in range(N)] == [True, False, False, False]
         assert "outside its own range; move it into" in bus.enable_torque(0)
         assert not bus.read().torque.any()
 

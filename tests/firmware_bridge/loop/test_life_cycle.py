@@ -18,6 +18,14 @@ def interrupt():
     os.kill(os.getpid(), signal.SIGINT)
 
 
+def test_of_a_port_that_is_there_nobody_says_that_it_is_gone(caplog):
+    robot = Robot()
+    robot.live(10.0, {2.0: interrupt})
+
+    assert robot.stiff == []
+    assert "port is gone" not in caplog.text
+
+
 @pytest.mark.parametrize("level", ["soft", "limp"])
 @pytest.mark.parametrize("stop_s", [1.0, 2.2, 3.05, 3.3])
 def test_a_stop_while_the_plug_is_out_or_just_in_again_is_never_undone(level, stop_s):

@@ -205,6 +205,32 @@ def test_a_replug_keeps_the_pulses_that_the_maestro_kept():
             assert pulses_us[-1] == 1450.0
 
 
+def test_servos_that_are_kept_go_on_at_once_and_none_waits_for_its_turn():
+    face = put_together()
+    with face.bus:
+        face.bridge.start()
+        drive(face, 3.0)
+        n_pulses = len(face.maestro.pulses)
+
+        assert all(face.bus.keep_torque(index) for index in range(N))
+        assert face.bus.torque.as_json() == [True] * N
+        drive(face, 0.5)
+        assert all(each.pulse_us > 0.0 for each in list(face.maestro.pulses)[n_pulses:])
+
+
+def test_a_bus_that_is_entered_again_files_its_pulses_to_the_last(tmp_path):
+    kept = tmp_path / "pulses.json"
+    face = put_together(kept=kept)
+    for goal_deg in (0.0, 2.0):
+        with face.bus:
+            assert face.bus.enable_torque(0) == ""
+            for _ in range(50):
+                face.clock.advance(0.02)
+                face.bus.write_positions(np.full(N, goal_deg))
+            sent_us = last_us(face)[0]
+        assert json.loads(kept.read_text())["pulses_us"]["0"] == sent_us
+
+
 def test_a_servo_found_with_a_pulse_keeps_it_until_it_is_started_or_let_go():
     face = put_together()
     face.maestro.receive(bytes.fromhex("84 00 20 32"), 0.0, BAUD_RATE)  # 1608 us
@@ -353,6 +379,19 @@ def test_a_channel_that_does_something_else_gets_no_pulses():
         assert "its channel is set for something else" in face.bridge.troubles[0]
 
 
+def test_a_channel_that_misses_one_pulse_is_not_accused():
+    face = put_together()
+    channel, missed = face.maestro.channels[1], []
+    set_target = channel.set_target
+    channel.set_target = lambda *to: set_target(*to) if missed else missed.append(to)
+    with face.bus:
+        face.bridge.start()
+        drive(face, 4.0)
+
+        assert missed
+        assert face.bridge.troubles == ()
+
+
 @pytest.mark.parametrize("knows", [False, True])
 @pytest.mark.parametrize("model", ["micro6", "mini18"])
 def test_whatever_is_at_a_port_is_let_go(knows, model):
@@ -411,6 +450,19 @@ def test_of_a_maestro_that_hangs_no_servo_is_said_to_have_no_pulses():
         face.maestro.deaf = False
         assert face.bus.disable_all().all()
     assert last_us(face) == [0.0] * N
+
+
+def test_of_a_maestro_that_hangs_after_a_replug_no_pulse_is_known():
+    face = put_together()
+    with face.bus:
+        face.bridge.start()
+        drive(face, 3.0)
+        assert face.bus.torque.as_json() == [True] * N
+        heard, get_position = face.maestro.receive, 0x90
+        face.maestro.receive = lambda data, *at: data[0] == get_position or heard(data, *at)
+        face.bus.reopen()
+
+        assert face.bus.torque.as_json() == [None] * N
 
 
 def test_the_doctor_says_what_happens_when_the_computer_dies(monkeypatch):

@@ -236,6 +236,9 @@ def test_servos_that_did_not_confirm_a_stop_are_let_go_again_until_they_do(face)
     face.play(6.0)
     assert list(ask_waits(face)["stop_report"]["unconfirmed"]) == ["left"]
     assert ask_waits(face)["torque_on"] is None
+    assert face.supervisor.due_s(face.clock.now()) <= face.clock.now() + 10.0, (
+        "they are not forgotten"
+    )
     face.play(25.0)
 
     assert ask_waits(face)["stop_report"]["unconfirmed"] == {}
@@ -333,6 +336,13 @@ def test_servos_that_a_person_switched_off_are_told_to_every_bridge_until_they_a
     face.bridge.status = -9
     face.play(2.0)
     assert face.bridge.starts[-1] == ["--switched-off", "0"]
+
+
+def test_speech_that_dies_while_the_face_waits_is_there_again_for_its_start(stopped_face):
+    stopped_face.speech.status = -9
+    stopped_face.play(1.0)
+
+    assert len(stopped_face.speech.starts) == 2
 
 
 def test_speech_that_dies_goes_on_where_its_sound_is_and_one_that_hangs_is_killed(face):
