@@ -145,6 +145,7 @@ def test_places_are_those_of_the_servos_that_know_them(face):
     face.bridge.start()
     drive(face, 200)
     places_deg = face.bus.feedback().positions_deg
+    np.testing.assert_array_equal(face.bus.read().positions_deg, places_deg)
     health = face_status(face.bridge)["health"]
 
     np.testing.assert_allclose(places_deg[NECK], GOAL_DEG[NECK], atol=0.1)

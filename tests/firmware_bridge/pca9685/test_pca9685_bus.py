@@ -164,10 +164,11 @@ def test_a_stop_switches_all_off_in_one_byte_and_claims_nothing(board):
     assert "limp" not in life.report.text()
 
 
-def test_after_a_broken_supply_servos_come_back_one_after_another(board):
+@pytest.mark.parametrize("after_s", [0.6, 3.0], ids=["while they come on", "driven"])
+def test_after_a_broken_supply_servos_come_back_one_after_another(board, after_s):
     with board.bus:
         board.bridge.start()
-        drive(board, 3.0)
+        drive(board, after_s)
         board.chip.brown_out()
         broken_s = board.clock.now()
         drive(board, 5.0)
