@@ -18,6 +18,13 @@ def interrupt():
     os.kill(os.getpid(), signal.SIGINT)
 
 
+def test_every_tick_tells_the_supervisor_that_the_loop_lives():
+    robot = Robot()
+    robot.live(2.0)
+
+    assert robot.told.n_beats >= len(robot.seen) > 50
+
+
 def test_of_a_port_that_is_there_nobody_says_that_it_is_gone(caplog):
     robot = Robot()
     robot.live(10.0, {2.0: interrupt})

@@ -51,6 +51,15 @@ def test_a_starting_bridge_may_be_silent_for_half_a_minute(starting_face):
     assert face.bridge.signals == [signal.SIGKILL]
 
 
+def test_a_bridge_that_is_started_again_may_be_silent_for_as_long_as_the_first(face):
+    face.play(100.0)
+    face.bridge.status, face.bridge.beats = -9, False
+    face.play(25.0)
+
+    assert len(face.bridge.starts) == 2
+    assert face.bridge.signals == []
+
+
 def test_a_supervisor_that_was_stopped_itself_blames_nobody(face):
     """Both were stopped for a minute, as by `kill -STOP`; the bridge beats again a moment later."""
     face.bridge.beats = False
