@@ -150,7 +150,8 @@ class KeptPulses:
             coming.replace(self._path)
             self._written = known
         except OSError:
-            coming.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                coming.unlink()
 
     def close(self) -> None:
         """Have the thread write a last time, and wait for it, 1 s at most."""

@@ -153,6 +153,12 @@ def test_places_are_those_of_the_servos_that_know_them(face):
     assert [each["temperature_degc"] for each in health] == [None, 25.0, None, 25.0]
 
 
+def test_before_it_is_opened_nothing_is_known_of_torque(face):
+    buses = {"lips": face.lips, "neck": face.neck}
+
+    assert SeveralBuses(buses, BUS_OF, face.clock, SLOW_HZ).torque.any_on is None
+
+
 def test_limits_widen_on_the_bus_of_each_joint(face):
     reached = {}
     face.lips.widen = lambda joints: reached.update(lips=joints.tolist())

@@ -201,6 +201,14 @@ def test_servos_that_wake_up_stiff_are_told_of_and_held_where_they_stand_before_
     assert not any(servo["torque_enable"] for servo in on.chain.servos)
 
 
+def test_a_servo_that_says_nothing_is_not_said_to_be_kept():
+    on = wired(wakes_up_stiff=True)
+    with on.bus as bus:
+        on.chain.servos[0]["id"] = 77
+        assert not bus.keep_torque(0)
+        assert bus.keep_torque(1)
+
+
 def test_a_servo_that_is_kept_stays_where_it_stands_and_gets_goals():
     on = wired(wakes_up_stiff=True, set_up=lambda chain: chain.servos[0].stand_at(2100))
     with on.bus as bus:

@@ -18,6 +18,27 @@ def interrupt():
     os.kill(os.getpid(), signal.SIGINT)
 
 
+@pytest.mark.parametrize(
+    ("level", "at", "waits"),
+    [
+        ("soft", {}, True),
+        ("freeze", {2.0: interrupt}, False),
+    ],
+)
+def test_the_end_of_a_stop_says_whether_the_face_waits_for_a_start(level, at, waits):
+    robot = Robot(stops=[(1.0, level)])
+    robot.live(10.0, at)
+
+    assert robot.control.end["waits"] is waits
+
+
+def test_who_stopped_a_face_that_waits_is_told_the_end_of_it_at_once():
+    robot, told = Robot(stops=[(1.0, "soft")], waits=True), {}
+    robot.live(10.0, {5.0: lambda: told.update(robot.control.end)})
+
+    assert (told["waits"], told["complete"]) == (True, True)
+
+
 def test_every_tick_tells_the_supervisor_that_the_loop_lives():
     robot = Robot()
     robot.live(2.0)

@@ -214,6 +214,7 @@ def test_a_start_by_a_person_fails_for_a_critical_servo_and_says_which():
     robot.live(10.0, at)
 
     assert (found["state"], found["stiff"], found["can_start"]) == ("stopped", [], True)
+    assert (found["stopped"], found["stopped_by"]) == ("limp", "a test")
     assert any("joint_2" in line and "does not answer" in line for line in robot.log)
     assert found["again"] == [0, 1, 2]
 

@@ -1,6 +1,7 @@
 """A face on a simulated Maestro: starts, stops and faults, judged by what goes to the servos."""
 
 import json
+import threading
 from types import SimpleNamespace
 
 import numpy as np
@@ -229,6 +230,7 @@ def test_a_bus_that_is_entered_again_files_its_pulses_to_the_last(tmp_path):
                 face.bus.write_positions(np.full(N, goal_deg))
             sent_us = last_us(face)[0]
         assert json.loads(kept.read_text())["pulses_us"]["0"] == sent_us
+        assert "kept pulses" not in {thread.name for thread in threading.enumerate()}
 
 
 def test_a_servo_found_with_a_pulse_keeps_it_until_it_is_started_or_let_go():
@@ -452,17 +454,68 @@ def test_of_a_maestro_that_hangs_no_servo_is_said_to_have_no_pulses():
     assert last_us(face) == [0.0] * N
 
 
-def test_of_a_maestro_that_hangs_after_a_replug_no_pulse_is_known():
+def say_nothing(face):
+    """It gets its pulses, and answers no question for one."""
+    heard, get_position = face.maestro.receive, 0x90
+    face.maestro.receive = lambda data, *at: data[0] == get_position or heard(data, *at)
+
+
+def test_of_a_maestro_that_says_nothing_after_a_replug_no_pulse_is_known():
     face = put_together()
     with face.bus:
         face.bridge.start()
         drive(face, 3.0)
         assert face.bus.torque.as_json() == [True] * N
-        heard, get_position = face.maestro.receive, 0x90
-        face.maestro.receive = lambda data, *at: data[0] == get_position or heard(data, *at)
+        say_nothing(face)
         face.bus.reopen()
 
         assert face.bus.torque.as_json() == [None] * N
+
+
+def test_a_pulse_that_was_sent_to_a_maestro_that_says_nothing_is_not_known():
+    face = put_together()
+    with face.bus:
+        assert face.bus.torque.as_json() == [False] * N
+        say_nothing(face)
+        assert face.bus.enable_torque(0) == ""
+        face.bus.write_positions(np.zeros(N))
+        assert last_us(face)[0] == 1500.0
+
+        assert face.bus.torque.as_json() == [None] + [False] * (N - 1)
+
+
+def test_after_a_replug_of_a_maestro_that_lost_its_pulses_none_comes_by_itself():
+    face = put_together()
+    with face.bus:
+        face.bridge.start()
+        drive(face, 3.0)
+        for channel in face.maestro.channels:
+            channel.position = channel.target = 0.0
+        face.bus.reopen()
+        face.bus.write_positions(np.zeros(N))
+
+        assert last_us(face) == [0.0] * N
+        assert face.bus.torque.as_json() == [False] * N
+
+
+def test_a_joint_that_was_widened_goes_beyond_its_range_and_no_other():
+    face = put_together()
+    joints = face.wiring.joints
+    with face.bus:
+        face.bridge.start()
+        drive(face, 3.0)
+        before_us = last_us(face)
+        face.bus.widen(np.arange(N) == 0)
+        for beyond_deg in ([j.min_deg - 1.0 for j in joints], [j.max_deg + 1.0 for j in joints]):
+            for _ in range(50):
+                face.clock.advance(0.02)
+                face.bus.write_positions(np.array(beyond_deg))
+            assert last_us(face)[:3] == [joints[0].pulse.us(beyond_deg[0]), *before_us[1:3]]
+
+
+def test_a_disk_that_cannot_keep_pulses_is_no_error(tmp_path):
+    (tmp_path / "file").write_text("")
+    KeptPulses(tmp_path / "file" / "pulses.json").write({0: 1500.0})
 
 
 def test_the_doctor_says_what_happens_when_the_computer_dies(monkeypatch):

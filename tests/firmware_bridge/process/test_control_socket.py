@@ -7,6 +7,7 @@ import socket
 import stat
 import threading
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 from places import short_folder
@@ -66,6 +67,12 @@ def test_a_face_answers_how_it_is_and_who_it_is(tmp_path):
     with ControlSocket(path, {"name": "tom", "port": "/dev/x"}) as control, served(control):
         assert ask(path, "status", PATIENCE_S) == {"n_ticks": 7, "name": "tom", "port": "/dev/x"}
         assert "error" in ask(path, "dance", PATIENCE_S)
+
+
+def test_a_socket_is_named_as_the_kernel_lists_it(tmp_path):
+    (tmp_path / "link").symlink_to(short_folder())
+    with ControlSocket(tmp_path / "link" / "tom.sock") as control:
+        assert str(control.path) in Path("/proc/net/unix").read_text()
 
 
 def test_who_watches_may_read_what_the_face_writes_and_write_nothing(tmp_path):
