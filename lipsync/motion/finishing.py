@@ -169,30 +169,16 @@ def planned(
     """
     if now.goal == 1.0 and time_s < now.start_s + now.duration_s:
         return now
-    if _is_due(now.touched_s, tightest_s, track, time_s, known_until_s):
+    if any(
+        from_s - CLOSING_S <= time_s + _ROUNDING_S and time_s < until_s - _ROUNDING_S
+        for from_s, until_s in closures(now.touched_s, tightest_s, track, time_s, known_until_s)
+    ):
         goal, duration_s, touched_s = 1.0, CLOSING_S, time_s + CLOSING_S
     else:
         goal, duration_s, touched_s = 0.0, PARTING_S, now.touched_s
     if goal == now.goal:
         return replace(now, touched_s=time_s) if goal == 1.0 else now
     return Amount(time_s, duration_s, *now.at(time_s), goal, touched_s)
-
-
-def _is_due(
-    touched_s: float,
-    tightest_s: Mapping[int, float],
-    track: PhonemeTrack,
-    time_s: float,
-    known_until_s: float,
-) -> bool:
-    """Return whether the lips should be closing or closed at `time_s`, by the phonemes known.
-
-    touched_s, tightest_s, track, known_until_s: as in `closures`.
-    """
-    return any(
-        from_s - CLOSING_S <= time_s + _ROUNDING_S and time_s < until_s - _ROUNDING_S
-        for from_s, until_s in closures(touched_s, tightest_s, track, time_s, known_until_s)
-    )
 
 
 def closures(

@@ -19,6 +19,7 @@ from firmware_bridge.feetech.control_table import servo_models
 from firmware_bridge.feetech.line import Line
 from firmware_bridge.feetech.mounting import MountedServo
 from firmware_bridge.feetech.simulator import ChainFault, SimulatedChain
+from firmware_bridge.feetech.torque import LineRelease
 from firmware_bridge.joints import Joint
 from firmware_bridge.simulator.chain import chain_for as dynamixel_chain
 from firmware_bridge.simulator.ports import MemoryTransport
@@ -123,6 +124,7 @@ def test_a_servo_that_gets_torque_stays_where_it_stands_slow_and_weak_at_first()
     with on.bus as bus:
         on.frames.clear()
         assert bus.enable_torque(0) == ""
+        assert bus.torque.as_json()[0] is True
         order = [address for servo_id, address, _ in writes(on.frames) if servo_id == 1]
         servo = on.chain.servos[0]
 
@@ -199,6 +201,28 @@ def test_servos_that_wake_up_stiff_are_told_of_and_held_where_they_stand_before_
         enabled(on)
         assert {change.goal for change in on.chain.changes} == {2048}
     assert not any(servo["torque_enable"] for servo in on.chain.servos)
+
+
+def test_a_servo_that_a_stranger_switched_on_gets_no_goals():
+    on = wired()
+    with on.bus as bus:
+        on.chain.servos[0].write(40, b"\1")
+        run(on, 1.0, 5.0)
+        assert bus.torque.as_json() == [True, False, False, False]
+
+    assert not [servo_id for servo_id, address, _ in writes(on.frames) if address == 42]
+
+
+def test_why_a_servo_is_not_let_go_is_said_as_it_is():
+    on = wired(wakes_up_stiff=True)
+    with on.bus:
+        pass
+    on.chain.servos[0].write(40, b"\1")
+    release = LineRelease(on.open(), (RATE,))
+
+    assert release.ask(1) == "kept its torque"
+    assert release.ask(1) == ""
+    assert release.ask(99) == "did not answer"
 
 
 def test_a_servo_that_says_nothing_is_not_said_to_be_kept():

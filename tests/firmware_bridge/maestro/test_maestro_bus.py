@@ -482,6 +482,8 @@ def test_a_pulse_that_was_sent_to_a_maestro_that_says_nothing_is_not_known():
         assert last_us(face)[0] == 1500.0
 
         assert face.bus.torque.as_json() == [None] + [False] * (N - 1)
+        face.clock.advance(1.5)
+        assert (face.bus.look_after().silent_s >= 1.5).all()
 
 
 def test_after_a_replug_of_a_maestro_that_lost_its_pulses_none_comes_by_itself():
@@ -498,19 +500,18 @@ def test_after_a_replug_of_a_maestro_that_lost_its_pulses_none_comes_by_itself()
         assert face.bus.torque.as_json() == [False] * N
 
 
-def test_a_joint_that_was_widened_goes_beyond_its_range_and_no_other():
+def test_a_joint_that_was_widened_goes_beyond_its_range_both_ways():
     face = put_together()
     joints = face.wiring.joints
     with face.bus:
         face.bridge.start()
         drive(face, 3.0)
-        before_us = last_us(face)
         face.bus.widen(np.arange(N) == 0)
         for beyond_deg in ([j.min_deg - 1.0 for j in joints], [j.max_deg + 1.0 for j in joints]):
             for _ in range(50):
                 face.clock.advance(0.02)
                 face.bus.write_positions(np.array(beyond_deg))
-            assert last_us(face)[:3] == [joints[0].pulse.us(beyond_deg[0]), *before_us[1:3]]
+            assert last_us(face)[0] == joints[0].pulse.us(beyond_deg[0])
 
 
 def test_a_disk_that_cannot_keep_pulses_is_no_error(tmp_path):
