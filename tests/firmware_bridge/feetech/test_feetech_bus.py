@@ -178,6 +178,18 @@ def test_a_servo_that_does_not_show_its_torque_is_switched_off_again(monkeypatch
         assert not servo["torque_enable"]
 
 
+def test_servos_come_on_one_after_another_for_the_sake_of_their_supply():
+    on = wired()
+    with on.bus:
+        enabled(on)
+        on_s = {}
+        for change in on.chain.changes:
+            on_s.setdefault(change.servo_id, change.time_s)
+
+    assert len(on_s) == N
+    assert (np.diff(list(on_s.values())) >= 0.01).all()
+
+
 def test_a_goal_to_a_limp_servo_is_kept_for_later():
     """A goal on the wire would switch its torque on."""
     on = wired()

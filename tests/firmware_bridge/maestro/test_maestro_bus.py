@@ -381,6 +381,24 @@ def test_a_channel_that_does_something_else_gets_no_pulses():
         assert "its channel is set for something else" in face.bridge.troubles[0]
 
 
+def test_a_channel_that_misses_its_stop_is_told_again():
+    face = put_together()
+    channel, missed = face.maestro.channels[2], []
+    set_target = channel.set_target
+    with face.bus:
+        face.bridge.start()
+        drive(face, 3.0)
+        channel.set_target = lambda *to: set_target(*to) if missed else missed.append(to)
+        assert not face.bus.disable_torque(2)
+        for _ in range(60):
+            face.clock.advance(0.02)
+            face.bus.look_after()
+
+        assert missed
+        assert last_us(face)[2] == 0.0
+        assert face.bus.torque.as_json()[2] is False
+
+
 def test_a_channel_that_misses_one_pulse_is_not_accused():
     face = put_together()
     channel, missed = face.maestro.channels[1], []

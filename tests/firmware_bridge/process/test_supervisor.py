@@ -242,7 +242,9 @@ def test_servos_that_did_not_confirm_a_stop_are_let_go_again_until_they_do(face)
     face.servos.chain.servos[1].deaf_until_s = face.clock.now() + 20.0
     face.bridge.said.append(Stopped(StopLevel.LIMP))
     face.bridge.status = -9
-    face.play(6.0)
+    face.play(0.5)
+    assert face.supervisor.due_s(face.clock.now()) <= face.clock.now() + 0.1
+    face.play(5.5)
     assert list(ask_waits(face)["stop_report"]["unconfirmed"]) == ["left"]
     assert ask_waits(face)["torque_on"] is None
     assert face.supervisor.due_s(face.clock.now()) <= face.clock.now() + 10.0, (
