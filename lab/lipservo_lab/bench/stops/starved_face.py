@@ -83,7 +83,7 @@ class StarvedFace:
         self._excused: set[str] = set()
         self._named_now: set[str] = set()
         self.named: list[str] = []
-        self._n_hung = 0
+        self._held_now = False
 
     def step(self, seconds: float = _STEP_S) -> None:
         """Let time pass, keep every process of the face starved, and read the log."""
@@ -119,11 +119,11 @@ class StarvedFace:
         return self._kinds.get(pid, "")
 
     def _read(self, line: str) -> None:
-        if _HUNG in line:
-            self._n_hung += 1
-            self.outcome.killed_starved = self._n_hung - self.outcome.held
-            if self.outcome.killed_starved > 0:
-                self.outcome.failures.append(f"killed although it was not held: {line.strip()}")
+        if _HUNG in line and self._held_now:
+            self._held_now = False
+        elif _HUNG in line:
+            self.outcome.killed_starved += 1
+            self.outcome.failures.append(f"killed although it was not held: {line.strip()}")
         self.outcome.called_silent += len(_CALLED_SILENT.findall(line))
         named = set(_NAMED.findall(line))
         for name in named - self._named_now:
@@ -174,6 +174,7 @@ class StarvedFace:
             return
         pid = self.face.child(kind)
         self.outcome.held += 1
+        self._held_now = True
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGSTOP)
         self.step_until(lambda: state_of(pid) in ("T", ""))
@@ -189,6 +190,7 @@ class StarvedFace:
         else:
             self.outcome.hung_killed += 1
         self.step_until(lambda: pid not in children_of(self.face.daemon.pid))
+        self._held_now = False
 
     def _beats(self, kind: str) -> bool:
         """Whether the process that runs now has sent a heartbeat."""
