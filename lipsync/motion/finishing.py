@@ -203,10 +203,8 @@ def closures(
         if start_s > known_until_s + _ROUNDING_S:
             return
         if track.phonemes[i] in tightest_s:
-            moment_s = start_s + tightest_s[track.phonemes[i]]
-            if track.phonemes[i] == _HUMMED:
-                # In the recordings an M lasts long; a short one is tightest in its middle.
-                moment_s = min(moment_s, (start_s + end_s) / 2.0)
+            # In the recordings an M lasts long; a short one is tightest in its middle, not its end.
+            moment_s = min(start_s + tightest_s[track.phonemes[i]], (start_s + end_s) / 2.0)
             from_s, until_s = moment_s - HOLD_S / 2.0, moment_s + HOLD_S / 2.0
             if track.phonemes[i] == _HUMMED:
                 from_s = min(from_s, start_s + HOLD_S)
