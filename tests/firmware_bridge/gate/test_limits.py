@@ -20,19 +20,6 @@ def jaw_at(position_deg):
     return limiter
 
 
-def test_a_start_forgets_how_the_goals_moved_before():
-    joint = Joint("jaw", 1, -30.0, 30.0, 300.0, max_acceleration_deg_s2=2000.0)
-    used, fresh = Limiter([joint], PERIOD_S), Limiter([joint], PERIOD_S)
-    used.start_from(np.array([-25.0]), 0.0)
-    for n in range(1, 20):
-        used.apply(np.array([-25.0 + 2.0 * n]), n * PERIOD_S)
-    for limiter in (used, fresh):
-        limiter.start_from(np.array([10.0]), 1.0)
-    for n in range(1, 20):
-        sent = [each.apply(np.array([14.0]), 1.0 + n * PERIOD_S) for each in (used, fresh)]
-        assert sent[0].positions_deg == sent[1].positions_deg
-
-
 @pytest.mark.parametrize(
     ("wanted_deg", "sent_deg", "is_hit"),
     [

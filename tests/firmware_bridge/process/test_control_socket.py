@@ -70,8 +70,10 @@ def test_a_face_answers_how_it_is_and_who_it_is(tmp_path):
 
 
 def test_a_socket_is_named_as_the_kernel_lists_it(tmp_path):
-    (tmp_path / "link").symlink_to(short_folder())
+    folder = short_folder()
+    (tmp_path / "link").symlink_to(folder)
     with ControlSocket(tmp_path / "link" / "tom.sock") as control:
+        assert control.path == folder / "tom.sock"
         assert str(control.path) in Path("/proc/net/unix").read_text()
 
 

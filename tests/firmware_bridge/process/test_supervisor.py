@@ -110,6 +110,14 @@ def ask_waits(face):
     return json.loads(answer)
 
 
+def test_a_port_that_stays_away_is_told_of_once(face, caplog):
+    face.unplugged = True
+    face.bridge.status = -9
+    face.play(10.0)
+
+    assert sum("torque cannot be switched off yet" in line for line in caplog.messages) == 1
+
+
 def test_a_stop_while_no_bridge_runs_is_answered_held_and_reported(face):
     face.unplugged = True
     face.bridge.status = -9
