@@ -77,7 +77,7 @@ class SupervisedFace:
         self.speech = SimulatedChild("speech", self.clock, HeartbeatTimeouts(60.0, 3.0))
         self.control = ControlSocket(path)
         self.path = path
-        self.unplugged, self.capabilities = False, capabilities
+        self.unplugged, self.capabilities, self.told_kept = False, capabilities, []
         self.supervisor = Supervisor(
             self.bridge,
             self.speech,
@@ -85,6 +85,7 @@ class SupervisedFace:
             SupervisedServos(dict.fromkeys(NAMES.values(), capabilities), self._release),
             notice=ServiceNotice(self.clock.now),
             record=record,
+            tell_kept=self.told_kept.append,
         )
         self.n_signals = 0
         self.hold()

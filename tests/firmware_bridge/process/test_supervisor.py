@@ -110,6 +110,20 @@ def ask_waits(face):
     return json.loads(answer)
 
 
+def test_a_stop_that_the_disk_does_not_keep_is_told_of_once(tmp_path):
+    (tmp_path / "file").write_text("")
+    record = StopRecord(tmp_path / "file" / "tom.json")
+    face = SupervisedFace(tmp_path / "face.sock", record)
+    with face.control:
+        face.play()
+        face.bridge.said.append(Stopped(StopLevel.LIMP))
+        face.play()
+        assert record.problem_after(5.0)
+        face.play(2.0)
+
+    assert face.told_kept == [record.problem]
+
+
 def test_a_port_that_stays_away_is_told_of_once(face, caplog):
     face.unplugged = True
     face.bridge.status = -9
