@@ -46,11 +46,11 @@ COMMANDS = MappingProxyType(
         "lines": Command(
             "lipservo.commands.lines.app:app", "Render, play and align scripted lines.", _LINES
         ),
-        "replay": Command(f"{_RUN}.run:replay", "Play a sound as fast as it goes.", _LINES),
+        "replay": Command(f"{_RUN}.run:replay", "Compute motion faster than real time.", _LINES),
         "export": Command(f"{_RUN}.export:export", "Write mouth shapes for avatars.", _LINES),
         "film": Command(f"{_RUN}.film:film", "Film a face that speaks, with sound.", _LINES),
         "dashboard": Command(f"{_RUN}.dashboard:dashboard", "Show a face in a browser.", _WATCH),
-        "health": Command(f"{_RUN}.health:health", "What was logged of the servos.", _WATCH),
+        "health": Command(f"{_RUN}.health:health", "Show the servos' log.", _WATCH),
         "trace": Command(f"{_RUN}.trace:app", "Compare recorded runs.", _WATCH),
         "bench": Command("", "Measure what the documentation claims.", _LAB),
         "learn": Command("", "Learn models from recordings.", _LAB),
@@ -105,7 +105,7 @@ app = typer.Typer(name="lipservo", cls=LipservoGroup, pretty_exceptions_enable=F
 def lipservo(
     context: typer.Context,
     show_version: Annotated[
-        bool, typer.Option("--version", help="Print the version and leave.")
+        bool, typer.Option("--version", help="Print the version and exit.")
     ] = False,
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="Log in detail, and who logs.")

@@ -329,7 +329,7 @@ def read_check_plan(path: Path, calibration: Calibration) -> GradedPoses:
     names = tuple(name.removesuffix(_FIRST) for name in columns if name.endswith(_FIRST))
     if _MAP not in columns or not names:
         raise CalibrationError(
-            f"{path}: says not what should be seen; `lipservo calibrate fit --check-plan FILE` "
+            f"{path}: has no expected values; `lipservo calibrate fit --check-plan FILE` "
             "writes poses to grade by"
         )
     needed = (_VISEME, *_NUMBERS, *(f"{name}_{axis}" for name in names for axis in _AXES))

@@ -80,9 +80,7 @@ Mic = Annotated[
 
 # ---- what it says ----
 
-Play = Annotated[
-    bool, typer.Option("--play", help="Play the sound too, so much later that lips and sound meet.")
-]
+Play = Annotated[bool, typer.Option("--play", help="Play the sound, delayed to match the lips.")]
 Output = Annotated[
     str | None,
     typer.Option(
@@ -118,7 +116,7 @@ Listen = Annotated[
     str | None,
     typer.Option(
         metavar="HOST:PORT",
-        help="Where voice agents are waited for; `none`: nowhere. Beyond loopback with a token.",
+        help="Address for voice agents, or `none`; other computers need the token.",
         show_default="127.0.0.1:8765, or the next free port",
     ),
 ]
@@ -182,8 +180,8 @@ def _known_engine(name: str | None) -> str | None:
 
 _ENGINE = typer.Option(
     callback=_known_engine,
-    help="Recogniser to begin with: network, energy, or another package's; a worse one takes over "
-    "where it fails.",
+    help="Recogniser to begin with: network, energy, or another package's; if it fails, a "
+    "simpler one takes over.",
     show_default=False,
 )
 _WEIGHTS = typer.Option(
@@ -211,7 +209,7 @@ Lookahead = Annotated[
     typer.Option(
         min=0.0,
         max=LONGEST_LOOKAHEAD_MS,
-        help="Show the face so much later, for what comes next; default: 100, or the face's.",
+        help="Delay the face to see what sound follows; default: 100, or the face's.",
         show_default=False,
     ),
 ]
@@ -239,7 +237,7 @@ UnitShare = Annotated[
     typer.Option(
         min=0.0,
         max=ONLY_UNITS,
-        help="With animpho: 0 plays what is expected, 1 AnimPhos alone.",
+        help="With animpho: 0: predicted motion only; 1: recorded motion only.",
         show_default=False,
     ),
 ]

@@ -183,7 +183,7 @@ def heard_line(speaker: Speaker, line: Line, n_frames: int) -> PlannedLine:
     faces = speaker.expectation.faces(phonemes, known_s, ahead_s)
     if speaker.soft is not None and line.posteriors is not None:
         faces = softened_line(speaker.soft, faces, line.events, line.posteriors, around_s)
-    notes: tuple[str, ...] = ("another voice: phonemes alone are believed",)
+    notes: tuple[str, ...] = ("unknown voice: only phonemes are used",)
     if speaker.offline.voice.knows(line.samples):
         sound_faces = speaker.offline.sound.faces(line.events, cepstra(line.samples), around_s)
         faces, notes = faces + _SOUND_SHARE * (sound_faces - faces), ()

@@ -54,7 +54,7 @@ class BenchGroup(LazyGroup):
             "stop-path": Command(f"{_BENCH}.bench:stop_path", "Files on a stop's way.", _SERVOS),
             "endurance": Command(f"{_BENCH}.bench:endurance", "Many cycles of one face.", _SERVOS),
             "replay": Command(f"{_BENCH}.bench:replay", "Speed of a replay.", _SERVOS),
-            "house": Command(f"{_BENCH}.bench:house", "Size and grain of the source.", _OTHER),
+            "house": Command(f"{_BENCH}.bench:house", "Count the source's lines.", _OTHER),
             "calibration": Command(
                 f"{_BENCH}.bench:calibration", "Calibration of simulated robots.", _OTHER
             ),
@@ -81,10 +81,8 @@ class LearnGroup(LazyGroup):
             "soft": Command(
                 f"{_LEARN}.training:train_soft", "A face model fitted to a recogniser's weights."
             ),
-            "recognizer": Command(
-                f"{_LEARN}.recognizer:train_recognizer", "The recogniser's weights."
-            ),
-            "offline": Command(f"{_LEARN}.training:train_offline", "What renders scripted lines."),
+            "recognizer": Command(f"{_LEARN}.recognizer:train_recognizer", "Train the recogniser."),
+            "offline": Command(f"{_LEARN}.training:train_offline", "Train for `lines render`."),
             "expression": Command(
                 f"{_LEARN}.training:train_expression", "Head, lids and brows of a speaker."
             ),
@@ -112,9 +110,10 @@ class StudyGroup(LazyGroup):
             "serve": Command(f"{_STUDY}:serve", "Show them to raters in a browser."),
             "report": Command(f"{_STUDY}:report", "What the raters said."),
             "recorded": Command(
-                "lipservo_lab.commands.study.recorded:recorded", "How a person said a sentence."
+                "lipservo_lab.commands.study.recorded:recorded",
+                "Keep a spoken line as a performance.",
             ),
-            "rehearse": Command(f"{_STUDY}:rehearse", "Simulated raters sit a study."),
+            "rehearse": Command(f"{_STUDY}:rehearse", "Try a study with simulated raters."),
             "power": Command(f"{_STUDY}:power", "How many raters see which difference."),
         }
     )

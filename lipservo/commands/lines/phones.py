@@ -36,10 +36,7 @@ def check_phone_file(path: Path, inputs: Iterable[Path | None]) -> None:
     elif path.suffix.lower() == _JSON:
         check_output(path, replaces=_is_tiers, kind="JSON of phones", inputs=inputs)
     else:
-        raise PhoneFileError(
-            f"{path}: the ending says how to write it, and this one says nothing; "
-            "name it .TextGrid (Praat) or .json"
-        )
+        raise PhoneFileError(f"{path}: unknown file type; use .TextGrid (Praat) or .json")
 
 
 def write_phone_file(path: Path, tiers: Tiers) -> None:

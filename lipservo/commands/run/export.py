@@ -104,10 +104,7 @@ def _format(output: Path, given: Format | None) -> Format:
     ending = output.suffix.lower()
     found = given or _FORMAT_OF.get(ending)
     if found is None:
-        raise UserError(
-            f"{output}: the ending says how to write it, and this one says nothing; name it "
-            f"{', '.join(_FORMAT_OF)}"
-        )
+        raise UserError(f"{output}: unknown file type; use {', '.join(_FORMAT_OF)}")
     if ending not in _ENDINGS[found]:
         raise UserError(f"{output}: {found} is written as {' or '.join(_ENDINGS[found])}")
     return found

@@ -87,8 +87,7 @@ def run(
 ) -> None:
     """Speech drives the face, live; without --wav or --mic the bundled clip speaks.
 
-    With --dashboard, in a terminal, it goes on after the sound until Ctrl-C. All else is in the
-    face's YAML.
+    With --dashboard, in a terminal, it keeps running until Ctrl-C; set the rest in the YAML.
     """
     check_page_options(None, is_shown=dashboard, open_page=open_page)
     voice = chosen_voice(play=play, is_needed=phonemes is not None or dashboard)

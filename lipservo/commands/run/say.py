@@ -76,7 +76,7 @@ def say(
     if from_file is not None and text is None and through is None:
         sound = _text_in(from_file)
     elif from_file is not None or text is None:
-        raise typer.BadParameter("give a text, or --from a file and neither text nor --through")
+        raise typer.BadParameter("give either a text or --from FILE; --through takes a text")
     elif through is not None:
         read_through(through, token_file, lambda face: face.say(text, wait=True))
         return

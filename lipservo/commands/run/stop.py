@@ -88,7 +88,7 @@ def stop(
     level = StopLevel.LIMP if limp else StopLevel.FREEZE if freeze else StopLevel.SOFT
     faces = chosen_faces(face, control)
     if not faces:
-        raise UserError("no face answers; is a face running? `lipservo limp --port PORT` lets go")
+        raise UserError("no face answers; `lipservo limp --port PORT` switches torque off")
     with face_logs(face or ""):
         outcomes = stop_faces(faces, level, end=end)
     done = {

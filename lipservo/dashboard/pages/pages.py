@@ -106,7 +106,7 @@ async def _live(_status: Status, _config: str | None) -> None:
     with card("Say something", classes="say"):
         html("<face-say></face-say><face-sound></face-sound>")
     with grid("live-top"):
-        with card("The face", "what it means to do", "twin"):
+        with card("The face", "planned", "twin"):
             Twin().classes("drawn")
         with card("The robot", "where its servos are", "robot"):
             html("<face-robot></face-robot>")

@@ -101,7 +101,7 @@ export function withServos([words, tone], status) {
   const nOut = states.filter((each) => each !== "driven").length;
   if (!nOut) return [words, tone];
   if (states.every((each) => each === "waiting")) return ["no servo answers: look at their supply", "bad"];
-  return [`${words}, ${nOut} of ${states.length} servos not`, "warn"];
+  return [`${words}, ${nOut} of ${states.length} servos not driven`, "warn"];
 }
 
 function look() {

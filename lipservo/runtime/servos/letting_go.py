@@ -182,11 +182,11 @@ def _await_stop(
             f": {troubles}" if troubles else ""
         )
     elif held:
-        _LOG.warning("%s has gone without a word; its port is opened", face.name)
+        _LOG.warning("%s ended unexpectedly; opening its port", face.name)
         _take_over(outcome, _release_all(face.name, {each: each for each in held}, {}))
     else:
         port = outcome.port or "PORT"
-        outcome.problem = f"has gone without a word; `lipservo limp --port {port}`"
+        outcome.problem = f"ended unexpectedly; `lipservo limp --port {port}`"
     return outcome
 
 

@@ -88,7 +88,7 @@ def test_without_a_face_stop_says_so_and_status_lists_none():
 
     assert done.exit_code == 1
     assert isinstance(done.exception, UserError)
-    assert "is a face running?" in str(done.exception)
+    assert "no face answers" in str(done.exception)
     assert faces(invoke("status", "--json")) == []
     assert isinstance(invoke("limp").exception, UserError)
 

@@ -167,9 +167,9 @@ def test_a_file_that_cannot_be_said_is_one_line(capsys, monkeypatch, tmp_path, c
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        ((), "give a text, or --from a file"),
-        (("hello", "--from", "x.json"), "give a text, or --from a file"),
-        (("--from", "x.json", "--through", "ws://127.0.0.1:1"), "neither text nor --through"),
+        ((), "give either a text or --from FILE"),
+        (("hello", "--from", "x.json"), "give either a text or --from FILE"),
+        (("--from", "x.json", "--through", "ws://127.0.0.1:1"), "either a text or --from FILE"),
         (("--from", "x.json"), "no sound beside it; put it there as x with .wav"),
     ],
 )

@@ -67,4 +67,4 @@ def test_of_another_voice_phonemes_alone_are_believed(said):
     made = heard_line(with_limit(speaker, -1.0), line, N_FRAMES)
 
     np.testing.assert_allclose(made.faces, planned(expected), atol=1e-9)
-    assert made.notes == ("another voice: phonemes alone are believed",)
+    assert made.notes == ("unknown voice: only phonemes are used",)

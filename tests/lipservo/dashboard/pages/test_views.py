@@ -48,7 +48,7 @@ def test_a_servo_that_does_not_answer_is_hatched_and_named(opened, face):
     assert "lip upper" not in classes
     assert "jaw, lower lip left" in page.inner_text("face-robot .lost")
     told = "document.querySelector('#face-state').innerText"
-    settled(page, f"{told} === 'running, 1 of 16 servos not'")
+    settled(page, f"{told} === 'running, 1 of 16 servos not driven'")
     strip = page.locator('.strip[data-servo="jaw"]')
     assert strip.locator(".value").inner_text() == "no answer"
 
