@@ -361,14 +361,14 @@ class LifeCycle:
         _LOG.info("stop requested: %s, by %s", level.value, request.requested_by)
         event = LifeEvent.STOP_AND_END if request.ends else LifeEvent.STOP
         event = LifeEvent.FREEZE if level is StopLevel.FREEZE else event
-        if LIFE_TABLE.find(self._state, event, self._holds) is None:
-            return
-        if self._links.lifeline is not None:
+        is_meant = LIFE_TABLE.find(self._state, event, self._holds) is not None
+        if self._links.lifeline is not None and (is_meant or level is not StopLevel.FREEZE):
             self._links.lifeline.tell(Stopped(level, request.ends, request.requested_by))
-        self._level = level
-        self._fire(event)
-        ends = request.ends or (before is not None and before.ends)
-        self._request = replace(request, ends=ends)
+        if is_meant:
+            self._level = level
+            self._fire(event)
+            ends = request.ends or (before is not None and before.ends)
+            self._request = replace(request, ends=ends)
 
     @property
     def _is_kept(self) -> bool:

@@ -104,7 +104,7 @@ class StopRoute:
     ) -> tuple[int, dict[str, Any]]:
         try:
             stop = refusal(request, policy, is_stop=True) or await _parsed(receive)
-            if isinstance(stop, StopBody) and stop.end:  # more than a stop: it waits for no start
+            if isinstance(stop, StopBody) and stop.end:  # it ends the face: needs the token
                 stop = refusal(request, policy) or stop
         except ValueError:
             stop = Refusal(HTTPStatus.BAD_REQUEST, "the request cannot be read")
