@@ -100,13 +100,13 @@ class StarvedFace:
             time.sleep(_STEP_S)
 
     def step_until(self, condition: Callable[[], bool], timeout_s: float = _PATIENCE_S) -> bool:
-        """Let time pass until something is so; whether it came to be."""
+        """Let time pass, and read the log, until something is so; whether it came to be."""
         give_up_s = time.monotonic() + timeout_s
-        while not condition():
-            if time.monotonic() > give_up_s:
-                return False
+        while time.monotonic() < give_up_s:
             self.step()
-        return True
+            if condition():
+                return True
+        return False
 
     def _kind_of(self, pid: int) -> str:
         """Of bridge and speech, which a process is; empty: not known yet."""

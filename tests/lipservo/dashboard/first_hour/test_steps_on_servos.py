@@ -116,8 +116,9 @@ def test_a_stop_lets_go_of_the_servos_of_a_step_that_is_dead_or_hangs(server, se
 
 def test_a_stop_that_finds_no_servo_to_let_go_of_says_what_is_wrong(server, servos):
     held(server)
+    servos.process.send_signal(signal.SIGSTOP)  # first: a guard lets go for a step that is dead
     os.kill(server.step_pid(), signal.SIGKILL)
-    servos.process.terminate()
+    servos.process.kill()
     servos.process.wait()
 
     stopped = server.client.post("/api/stop", json={"level": "limp", "wait_s": 0}).json()

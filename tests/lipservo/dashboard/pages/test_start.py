@@ -229,7 +229,7 @@ def test_a_dashboard_that_is_gone_leaves_the_last_confirmed_word(opened, startab
     os.kill(dashboard[1].pid, signal.SIGSTOP)
     try:
         reads(page, LINE, f"The dashboard does not answer any more. The servos' last word: {LIMP}")
-        assert page.locator(BANNER).is_hidden()
+        page.locator(BANNER).wait_for(state="hidden")
         assert page.locator(START).is_hidden()
 
         page.keyboard.press("Escape")
