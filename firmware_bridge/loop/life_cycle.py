@@ -102,6 +102,7 @@ class LifeCycleLinks:
 _LOG: Final = logging.getLogger(__name__)
 #: The end after a second signal or an error: whoever has not confirmed by then is reported.
 _LAST_TRIES_S: Final = 0.5
+_OVER: Final = "the program is over: the next stop ends it"
 #: What a supervisor must know of, as the next bridge has to.
 _KEPT: Final = (ServoSwitch.OFF, ServoSwitch.ON)
 
@@ -407,14 +408,13 @@ class LifeCycle:
         return {"waits": waits, **report.as_dict(), **self._kept()}
 
     def _kept(self) -> dict[str, object]:
-        not_kept = self._links.not_kept()
-        return {"not_kept": not_kept} if not_kept else {}
+        return {"not_kept": why} if (why := self._links.not_kept()) else {}
 
     def _refusal(self, order: Order) -> str:
         """Return why an order is refused now; empty: it is accepted."""
-        if isinstance(order, StartFace) and self._state is LifeState.FROZEN_LAST:
-            return "the program is over: the next stop ends it"
-        return self._bridge.refusal(order)
+        can_start = LIFE_TABLE.find(self._state, LifeEvent.START, self._holds) is not None
+        is_last = isinstance(order, StartFace) and not can_start
+        return self._bridge.refusal(order) or (_OVER if is_last else "")
 
     def _obey_start(self) -> str:
         """Drive the face again for a person; return why not, "" if it is started."""

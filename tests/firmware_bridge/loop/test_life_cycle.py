@@ -178,6 +178,15 @@ def test_a_start_is_refused_while_a_face_is_driven_stopping_or_unplugged():
     assert "port of the servos is gone" in answers["unplugged"]["error"]
 
 
+def test_a_start_of_a_face_frozen_on_its_way_to_the_end_is_refused_and_undoes_no_stop():
+    robot, answers = Robot(stops=[(2.0, "soft"), (2.1, "freeze"), (6.0, "limp")]), []
+    robot.live(60.0, {4.0: lambda: answers.append(robot.say("start"))})
+
+    assert "the next stop ends it" in answers[0]["error"]
+    assert robot.told.stops == [StopLevel.SOFT, StopLevel.FREEZE, StopLevel.LIMP]
+    assert robot.face.clock.now() < 8.0
+
+
 def test_a_program_that_ends_undoes_no_freeze():
     robot = Robot(stops=[(2.0, "freeze"), (9.0, "soft")])
     robot.live(4.0)

@@ -279,11 +279,9 @@ def _until_stopped(face: HeardFace) -> None:
 
 def _start(face: HeardFace) -> None:
     give_up_s = time.monotonic() + _STARTS_S
-
-    def is_accepted() -> bool:
-        return face.word("start").get("accepted") == "start"
-
-    while not is_accepted():
+    while "error" in (answer := face.word("start")) or not answer:
+        if "the next stop ends it" in answer.get("error", ""):
+            face.word("limp", until_end=True)
         if face.last_status.get("state") == "driven" or time.monotonic() > give_up_s:
             return
         face.wait(0.3)
