@@ -40,9 +40,8 @@ def run_without_parser(arguments: Sequence[str]) -> bool:
     arguments: of the command line, the command first. The parser takes as long to load as all else
     together; it reports the options unknown here.
     """
-    name, *words = arguments
+    name, left = arguments[0], iter(arguments[1:])
     given: dict[str, Any] = {}
-    left = iter(words)
     for word in left:
         if word == "--json":
             given["as_json"] = True
@@ -145,8 +144,7 @@ def status(face: FaceName = None, control: Control = None, as_json: Json = False
         sys.stderr.write("no face runs\n")
     for each in found:
         port = each.get("port") or "simulated servos"
-        line = f"{each['name']}  process {each['pid']}  {port}  {_state(each)}"
-        sys.stdout.write(f"{line}\n")
+        sys.stdout.write(f"{each['name']}  process {each['pid']}  {port}  {_state(each)}\n")
         for line in filter(None, (_motion(each), *each.get("troubles", ()))):
             sys.stdout.write(f"  {line}\n")
 
@@ -229,6 +227,8 @@ def _state(status: dict[str, Any]) -> str:
 
 def _servos(status: dict[str, Any]) -> str:
     known = [each.get("on") for each in dict(status.get("torque") or {}).values()]
+    if set(known) == {None}:
+        return ", it is not known which servos hold"
     unknown = f", not known of {known.count(None)}" if None in known else ""
     return f", {known.count(True)} of {len(known)} servos hold{unknown}" if known else ""
 

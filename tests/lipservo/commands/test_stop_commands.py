@@ -318,6 +318,15 @@ def test_status_shows_servos_and_no_dead_faces(own_folder):
     assert "tim" not in shown
 
 
+def test_of_servos_that_nothing_is_known_of_status_counts_none():
+    unknown = {"jaw": {"on": None, "age_s": None}, "left": {"on": None, "age_s": None}}
+    with face("tom", status={"state": "driven", "torque": unknown}):
+        shown = invoke("status").stdout
+
+    assert "driven, it is not known which servos hold" in shown
+    assert "0 of 2" not in shown
+
+
 def test_status_of_a_face_without_its_plug_counts_no_servos():
     servos = dict.fromkeys(["jaw", "left"], "waiting")
     unplugged = {

@@ -52,11 +52,12 @@ _NOT_OF_TORQUE: Final = (
 _STATUS: Final[tuple[tuple[str, Claim], ...]] = (
     (_NOT_OF_TORQUE, nothing),
     (r"status torque_on: null", unknown),
+    (r"outcome torque\.\w+\.age_s: .*", nothing),
     (r"status torque_on: true", Torque(on=True, who="any")),
     (r"status torque_on: false", _ALL_OFF),
-    (r"status (?:torque|health)\.\w+\.(?:torque_)?on: null", unknown),
-    (r"status (?:torque|health)\.(?P<who>\w+)\.(?:torque_)?on: true", _IS_ON),
-    (r"status (?:torque|health)\.(?P<who>\w+)\.(?:torque_)?on: false", _IS_OFF),
+    (r"(?:status|outcome) (?:torque|health)\.\w+\.(?:torque_)?on: null", unknown),
+    (r"(?:status|outcome) (?:torque|health)\.(?P<who>\w+)\.(?:torque_)?on: true", _IS_ON),
+    (r"(?:status|outcome) (?:torque|health)\.(?P<who>\w+)\.(?:torque_)?on: false", _IS_OFF),
     (
         r"status (?:servos\.(?P<who>\w+)|health\.(?P<same>\w+)\.state): driven",
         Torque(True, "who|same"),
@@ -218,7 +219,11 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"says FACE: nothing is held(?:; \d+ servos? limp)?{kept}", _ALL_OFF),
     (r"says FACE: nothing is known to be held; .*", unknown),
     (r"says FACE: servo \w+ comes on when the face is started", nothing),
-    (r"says FACE: driven, (?P<n>\d+) of \d+ servos hold", Count(on=True)),
+    (r"(?:{S}|{face})[\w ]+, (?P<n>\d+) of \d+ servos hold, not known of \d+", AtLeast(on=True)),
+    (r"{S}driven, (?P<n>\d+) of \d+ servos hold", Count(on=True)),
+    (r"{S}driven, it is not known which servos hold", unknown),
+    (r"says bridge: {servo} holds already: its torque was on before the start", _IS_ON),
+    (r"says \w+ was too slow for .*", nothing),
     (r"{S}will stop, but has not confirmed it within .*", unknown),
     (r"{S}hangs: .*", unknown),
     (r"{S}has (?:gone|just ended).*", unknown),
@@ -234,20 +239,13 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"{S}no bridge drives the servos just now; ask again", nothing),
     (r"{S}no face (?:runs|answers).*", nothing),
     # `status`: a line for each face.
+    (r"{face}\w+, but its port is gone: no servo can be reached", unknown),
     (
-        r"{face}\w+, but its port is gone: no servo can be reached",
-        unknown,
-    ),
-    (
-        r"{face}stopped by .*: (?:.*; )?limp, confirmed by {n}"
-        r"(?:, NOT by .*)?(?:; .*)?",
+        r"{face}stopped by .*: (?:.*; )?limp, confirmed by {n}(?:, NOT by .*)?(?:; .*)?",
         AtLeast(on=False),
     ),
     (r"{face}stopped by .*: {limp}(?:; .*)?", _ALL_OFF),
-    (
-        r"{face}[\w ]+, (?P<n>\d+) of \d+ servos hold(?:, not known of \d+)?",
-        Count(on=True),
-    ),
+    (r"{face}[\w ]+, (?P<n>\d+) of \d+ servos hold", Count(on=True)),
     (r"{face}.*", nothing),
     (r"says   (?:silence|\S+\.flac): .*", nothing),
     # The frame and the counts that a `run` leaves behind.
@@ -274,6 +272,8 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
 #: `doctor` and `health` tell of settings and of days past; but it is told which servos hold now.
 _OF_DOCTOR: Final[tuple[tuple[str, Claim], ...]] = (
     (r"says ok   {servo} gets no pulses", _IS_OFF),
+    (r"says ok   (?P<who>\w+): channel \d+, no pulses; .*", _IS_OFF),
+    (r"says (?:ok  |warn) (?:makes|pulses [\d.]+|clock_hz|nothing holds|these) .*", nothing),
     (r"says \w+ +{servo} gets pulses.*", _IS_ON),
     (r"says (?:ok  |warn|FAIL|fail|info) (?!.*\b(?:torque|holds?|limp|pulses)\b).*", nothing),
     (r"says  *servo +°C now .*", nothing),
