@@ -84,10 +84,10 @@ def test_phones_are_written_as_the_ending_says(tmp_path):
     assert done.returncode == 0, done.stderr
     told = [list(json.loads(line).values()) for line in done.stdout.splitlines()]
     assert json.loads(path.read_text()) == {"phones": told}
-    assert "name it .TextGrid (Praat) or .json" in refused(
+    assert "use .TextGrid (Praat) or .json" in refused(
         "lines", "recognize", CLIP_PATH, "-o", tmp_path / "clip.txt"
     )
-    assert "name it .TextGrid (Praat) or .json" in refused(
+    assert "use .TextGrid (Praat) or .json" in refused(
         "lines", "align", CLIP_PATH, "hello", "-o", tmp_path / "clip"
     )
     assert os.listdir(tmp_path) == ["clip.json"]
