@@ -135,7 +135,10 @@ class AtLeast:
 
 @dataclass(frozen=True, slots=True)
 class Count:
-    """Exactly as many servos as the group `count` says are on, or off."""
+    """Exactly as many servos as the group `count` says are on, or off.
+
+    With a group `unknown`: up to so many more.
+    """
 
     on: bool
     count: str = "n"
@@ -143,8 +146,9 @@ class Count:
     def __call__(self, heard: Heard) -> Verdict:
         """Whether it was so at some moment."""
         n = int(heard.match[self.count])
+        allowed = range(n, n + int(heard.match.groupdict().get("unknown") or 0) + 1)
         return _verdict(
-            holds=any(sum(on is self.on for on in each.on) == n for each in heard.records)
+            holds=any(sum(on is self.on for on in each.on) in allowed for each in heard.records)
         )
 
 

@@ -31,6 +31,7 @@ _SHORT: Final = {
     "{limp}": r"(?:limp|pulses off; a digital servo may hold)",
     "{face}": r"says FACE  process \d+  (?:\S+|simulated servos)  ",
     "{n}": r"(?P<n>\d+) servos?",
+    "{hold}": r"(?P<n>\d+) of \d+ servos hold",
     # Behind a stop that a full disk did not take.
     "{kept}": r"(?:; the next start of its process will not know of this stop: .*)?",
 }
@@ -219,8 +220,7 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
     (r"says FACE: nothing is held(?:; \d+ servos? limp)?{kept}", _ALL_OFF),
     (r"says FACE: nothing is known to be held; .*", unknown),
     (r"says FACE: servo \w+ comes on when the face is started", nothing),
-    (r"(?:{S}|{face})[\w ]+, (?P<n>\d+) of \d+ servos hold, not known of \d+", AtLeast(on=True)),
-    (r"{S}driven, (?P<n>\d+) of \d+ servos hold", Count(on=True)),
+    (r"(?:{S}|{face})[\w ]+, {hold}(?:, not known of (?P<unknown>\d+))?", Count(on=True)),
     (r"{S}driven, it is not known which servos hold", unknown),
     (r"says bridge: {servo} holds already: its torque was on before the start", _IS_ON),
     (r"says \w+ was too slow for .*", nothing),
@@ -245,7 +245,6 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
         AtLeast(on=False),
     ),
     (r"{face}stopped by .*: {limp}(?:; .*)?", _ALL_OFF),
-    (r"{face}[\w ]+, (?P<n>\d+) of \d+ servos hold", Count(on=True)),
     (r"{face}.*", nothing),
     (r"says   (?:silence|\S+\.flac): .*", nothing),
     # The frame and the counts that a `run` leaves behind.
@@ -273,7 +272,7 @@ _OF_COMMANDS: Final[tuple[tuple[str, Claim], ...]] = (
 _OF_DOCTOR: Final[tuple[tuple[str, Claim], ...]] = (
     (r"says ok   {servo} gets no pulses", _IS_OFF),
     (r"says ok   (?P<who>\w+): channel \d+, no pulses; .*", _IS_OFF),
-    (r"says (?:ok  |warn) (?:makes|pulses [\d.]+|clock_hz|nothing holds|these) .*", nothing),
+    (r"says (?:ok  |warn) (?:makes|pulses [\d.]+|clock_hz|nothing holds|these servos) .*", nothing),
     (r"says \w+ +{servo} gets pulses.*", _IS_ON),
     (r"says (?:ok  |warn|FAIL|fail|info) (?!.*\b(?:torque|holds?|limp|pulses)\b).*", nothing),
     (r"says  *servo +°C now .*", nothing),
